@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -41,6 +41,12 @@ class OutputBearing:
                 "a bearing without stiffness is rigid: give moment_stiffness, axial_stiffness, "
                 "radial_stiffness or `catalogue`, or leave the section out."
             )
+
+    def times(self, factor: float) -> OutputBearing:
+        """Return the bearing with its stiffnesses times a factor."""
+        keys = ("moment_stiffness", "axial_stiffness", "radial_stiffness")
+        given = {key: own for key in keys if (own := getattr(self, key)) is not None}
+        return replace(self, **{key: factor * own for key, own in given.items()})
 
     @property
     def compliance(self) -> np.ndarray:

@@ -11,6 +11,12 @@ import numpy as np
 from stiffopt.robot.joint_load import joint_frames, joint_wrenches, shift_wrench, supports_tool
 from stiffopt.robot.robot import Robot
 
+# Displacement that counts as much as a rotation of 1 rad, where joints cannot correct both [m].
+_ROTATION_LENGTH = 1e-2
+# Damping of the correction near singular poses: lever arm with which a joint hardly moves the tool
+# [m/rad], a tenth of the rotation's length.
+_MIN_LEVER_ARM = 1e-3
+
 
 def bearing_deflections(
     robot: Robot,
@@ -66,3 +72,23 @@ def dynamic_bearing_deflections(
     pressed = force if path_force is None else path_force + (0.0 if force is None else force)
     moving = bearing_deflections(robot, position, velocity, acceleration, pressed)
     return moving - bearing_deflections(robot, position, force=force)
+
+
+def correcting_joints(robot: Robot, position: np.ndarray, deflection: np.ndarray) -> np.ndarray:
+    """Changes (K, n) of the joints that move the tool against deflections as far as they can.
+
+    Displacements come before rotations where there are fewer than six joints.
+
+    Parameters
+    ----------
+    robot : Robot
+    position : array (K, n)
+    deflection : array (K, 6)
+        Displacement [m] and rotation [rad].
+    """
+    weight = np.repeat([1.0, _ROTATION_LENGTH], 3)
+    bodies = robot.rigid_bodies()
+    jacobian = weight[:, None] * np.array([bodies.jacobian(robot.tool, q) for q in position])
+    across = jacobian.swapaxes(1, 2)
+    left = jacobian @ across + _MIN_LEVER_ARM**2 * np.eye(6)
+    return np.asarray(-(across @ np.linalg.solve(left, (weight * deflection)[..., None]))[..., 0])

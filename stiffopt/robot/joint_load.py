@@ -39,7 +39,7 @@ def joint_wrenches(
         pin.rnea(model, data, position[k], velocity[k], acceleration[k])
         for i in range(model.nv):
             in_link[k, i] = data.f[i + 1].vector
-    own = np.array([_complete_axes(body.axis) for body in robot.tree.bodies])
+    own = np.array([complete_axes(body.axis) for body in robot.tree.bodies])
     found = np.einsum("nij,knsi->knsj", own, in_link.reshape(*position.shape, 2, 3))
     if np.any(force):
         axes, arm = joint_frames(robot, position)
@@ -63,7 +63,7 @@ def joint_frames(robot: Robot, position: np.ndarray) -> tuple[np.ndarray, np.nda
         In base axes; the arm is 0 for joints that do not move the tool.
     """
     data = robot.model.createData()
-    own = [_complete_axes(body.axis) for body in robot.tree.bodies]
+    own = [complete_axes(body.axis) for body in robot.tree.bodies]
     loaded = _supporting_joints(robot.model, robot.tool.joint)
     axes, arm = np.empty((*position.shape, 3, 3)), np.zeros((*position.shape, 3))
     for k, pose in enumerate(position):
@@ -100,8 +100,8 @@ def shift_wrench(wrench: np.ndarray, position: float) -> np.ndarray:
     return moved
 
 
-def _complete_axes(axis: np.ndarray) -> np.ndarray:
-    """Right-handed axes as columns, the third along `axis`."""
+def complete_axes(axis: np.ndarray) -> np.ndarray:
+    """Return right-handed axes as columns, the third along `axis`."""
     other = np.eye(3)[int(np.argmin(np.abs(axis)))]
     first = np.cross(other, axis)
     first /= np.linalg.norm(first)

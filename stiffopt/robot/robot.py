@@ -237,6 +237,19 @@ class Robot:
         model.inertias[joint] = _inertia_of(own)
         return replace(self, model=model, payload=factor * self.payload)
 
+    def with_bearings_times(self, factors: np.ndarray | float) -> Robot:
+        """Copy with the stiffnesses of each output bearing times a factor, (n,) or one for all."""
+        if not self.tilts:
+            return self
+        own = np.broadcast_to(factors, len(self.bearings)).tolist()
+        return replace(
+            self,
+            bearings=tuple(
+                None if bearing is None else bearing.times(factor)
+                for bearing, factor in zip(self.bearings, own, strict=True)
+            ),
+        )
+
     def with_gravity(self, gravity: Sequence[float]) -> Robot:
         """Copy under another gravity (3,) [m/s^2], base axes."""
         model = self.model.copy()
@@ -273,7 +286,7 @@ class Robot:
             self,
             model=models[0],
             chains=tuple(chain for chain, stays in zip(self.chains, left, strict=True) if stays),
-            bearings=tuple(each for each, stays in zip(self.bearings, left) if stays),
+            bearings=tuple(each for j, each in enumerate(self.bearings) if left[j]),
             tool=replace(named_frame(models[1], "locked tool"), link=self.tool.link),
             flange=replace(named_frame(models[1], "locked flange"), link=self.flange.link),
             **arrays,

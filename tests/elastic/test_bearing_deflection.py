@@ -12,7 +12,6 @@ from stiffopt.robot.bearing_deflection import bearing_deflections
 from stiffopt.robot.files import load_robot
 from stiffopt.robot.robot import Robot
 
-
 _NAMES = ("csf_2uh_20", "csf_2uh_25", "csf_2uh_20", "fha_11", "fha_8", "fha_8")
 _BEARINGS = [f'joint[{j}].bearing.catalogue="{name}"' for j, name in enumerate(_NAMES, start=1)]
 
@@ -66,4 +65,5 @@ def test_file_overrides_the_catalogue() -> None:
         changes=['joint[2].bearing.catalogue="fha_8"', "joint[2].bearing.moment_stiffness=3e4"],
     )
     bearing = robot.bearings[1]
-    assert bearing is not None and bearing.moment_stiffness == 3e4
+    assert bearing is not None
+    assert bearing.moment_stiffness == 3e4

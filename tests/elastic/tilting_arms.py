@@ -9,8 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
+from scipy.integrate import odeint
 from scipy.spatial.transform import Rotation
 
+from stiffopt.elastic.arm import ElasticArm
+from stiffopt.elastic.motor import MotorMotion
 from stiffopt.robot.robot import Robot
 
 
@@ -101,3 +104,37 @@ def _same_kind(joint: pin.JointModel) -> object:
     if name.endswith("Unaligned"):
         return joint
     return getattr(pin, name)()
+
+
+def simulated_tool(
+    arm: TiltingArm, elastic: ElasticArm, motors: MotorMotion, times: np.ndarray
+) -> list[pin.SE3]:
+    """Poses of the tool with the torsion springs of an arm, from rest in equilibrium.
+
+    The springs of the bearings have 2 % of critical damping.
+    """
+    model, data, free = arm.model, arm.model.createData(), arm.stiffness > 0.0
+    start = elastic.static_equilibrium(motors.at(0.0)[0][None])[0]
+    q = arm.static_position(start, np.zeros(3))
+    for _ in range(20):  # torsion and tilt in turn
+        weight = pin.computeGeneralizedGravity(model, data, q)[arm.driven]
+        start = motors.at(0.0)[0] - elastic.windup(weight[None])[0]
+        q = arm.static_position(start, np.zeros(3))
+    inertia = np.diag(pin.crba(model, data, q))
+    damping = np.where(free, 0.04 * np.sqrt(arm.stiffness * inertia), 0.0)
+    springs, n = elastic.springs, model.nq
+
+    def slope(t: float, state: np.ndarray) -> np.ndarray:
+        at, v = state[:n], state[n:]
+        motor, speed = motors.at(t)
+        torque = -arm.stiffness * at - damping * v
+        for j, place in enumerate(arm.driven):
+            spring = springs[j]
+            assert spring is not None
+            torque[place] = spring.torque_alone(motor[j] - at[place])
+            torque[place] += elastic.damping[j] * (speed[j] - v[place])
+        return np.concatenate([v, pin.aba(model, data, at, v, torque)])
+
+    state = np.concatenate([q, np.zeros(n)])
+    found = odeint(slope, state, times, tfirst=True, rtol=1e-8, atol=1e-10, mxstep=100000)
+    return [arm.tool_pose(row[:n]) for row in found]

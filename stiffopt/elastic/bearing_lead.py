@@ -1,0 +1,55 @@
+"""Lead of the joints against the yielding of elastic bearings, quasi-static.
+
+A bearing has no motor: the driven joints move the tool back onto its path, in all directions that
+they reach, so that six joints correct position and orientation.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stiffopt.elastic.sampled_motion import SampledMotion
+from stiffopt.robot.bearing_deflection import correcting_joints, dynamic_bearing_deflections
+
+if TYPE_CHECKING:
+    from stiffopt.elastic.arm import ElasticArm
+    from stiffopt.result.trajectory import JointMotion
+
+# Step and least number of samples of the lead [s].
+_SAMPLE_STEP, _MIN_SAMPLES = 2e-3, 51
+
+
+def bearing_lead(arm: ElasticArm, plan: JointMotion) -> SampledMotion:
+    """Return the motion of the joints that leads the tool against the yielding of the bearings.
+
+    Parameters
+    ----------
+    arm : ElasticArm
+    plan : JointMotion
+        Of the links, at rest at both ends.
+    """
+    count = max(_MIN_SAMPLES, int(np.ceil(plan.duration / _SAMPLE_STEP)) + 1)
+    time = np.linspace(0.0, plan.duration, count)
+    return SampledMotion(time, _deflection_and_lead(arm, plan, time)[1])
+
+
+def uncorrected_deflection(arm: ElasticArm, plan: JointMotion, time: np.ndarray) -> np.ndarray:
+    """Displacement (K, 3) [m] of the tool by the bearings that no joint corrects."""
+    away, lead = _deflection_and_lead(arm, plan, time)
+    bodies, tool = arm.robot.rigid_bodies(), arm.robot.tool
+    jacobian = np.array([bodies.jacobian(tool, q)[:3] for q in plan(time)])
+    return np.asarray(away[:, :3] + np.einsum("kxj,kj->kx", jacobian, lead))
+
+
+def _deflection_and_lead(
+    arm: ElasticArm, plan: JointMotion, time: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Deflection (K, 6) of the tool by the bearings beyond their sag, and the lead (K, n) [rad]."""
+    moving = [np.array(plan(time, k)) for k in range(3)]
+    # Ends are at rest, where the sag is calibrated away.
+    moving[1][[0, -1]] = moving[2][[0, -1]] = 0.0
+    force = None if arm.path_force is None else arm.path_force(time)
+    away = dynamic_bearing_deflections(arm.robot, *moving, arm.process_force, force).sum(axis=1)
+    return away, correcting_joints(arm.robot, moving[0], away)
