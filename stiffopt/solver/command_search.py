@@ -13,7 +13,6 @@ from stiffopt.certificate.assess import drive_history
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE, find_drive_violations
 from stiffopt.elastic.bearing_lead import bearing_lead
 from stiffopt.elastic.motor import MotorMotion
-from stiffopt.elastic.sampled_motion import SampledMotion
 from stiffopt.elastic.simulate import REST, simulate
 from stiffopt.elastic.smooth_motion import smooth_motion
 from stiffopt.elastic.uncertain_arms import Member, SimulationRequest, UncertainArms
@@ -292,11 +291,11 @@ class CommandSearch:
             # At a limit the planned motion cannot lead by more; a smoother spline may.
             motors = planned
             if lead is not None:
-                added = smooth_motion(lead, KNOT_SPACINGS[0])
-                motors = planned.plus(added.held_for(planned.duration - added.duration))
+                motors = planned.plus(lead.held_for(planned.duration - lead.duration))
             own = [_Lead(planned.link, motors, None, self._problem.servo)]
-        wanted = self._plan if lead is None else lead.after(self._plan)
-        links = [(smooth_motion(wanted, each), each) for each in KNOT_SPACINGS]
+        links = [(smooth_motion(self._plan, each), each) for each in KNOT_SPACINGS]
+        if lead is not None:
+            links = [(link.plus(lead), spacing) for link, spacing in links]
         smoothing = law_smoothing(self._problem)
         splines = [
             _Lead(
@@ -315,7 +314,7 @@ class CommandSearch:
         return [self._against_force(each) for each in (*own, *splines)]
 
     @functools.cached_property
-    def _bearing_lead(self) -> SampledMotion | None:
+    def _bearing_lead(self) -> Trajectory | None:
         """Motion of the joints by which the tool is led against the yielding of the bearings."""
         if not self._arm.robot.tilts:
             return None

@@ -6,10 +6,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from stiffopt.certificate.assess import joint_windup
 from stiffopt.certificate.rigid_body import rigid_body_history
-from stiffopt.elastic.sampled_motion import SampledMotion
 from stiffopt.elastic.smooth_motion import smooth_motion
 from stiffopt.result.trajectory import ForceHistory, JointMotion, Trajectory
 
@@ -35,7 +35,7 @@ def force_lead(robot: Robot, plan: JointMotion, force: ForceHistory) -> Trajecto
     body = rigid_body_history(robot, *(np.asarray(plan(time, k)) for k in range(3)))
     pushed = np.einsum("kij,ki->kj", body.jacobian, force(time))
     turned = joint_windup(robot, body.link_torque - pushed) - joint_windup(robot, body.link_torque)
-    return smooth_motion(SampledMotion(time, turned), _KNOT_SPACING)
+    return smooth_motion(_Samples(time, turned), _KNOT_SPACING)
 
 
 def led_against_force(motors: Trajectory, lead: Trajectory, force: ForceHistory) -> Trajectory:
@@ -43,3 +43,14 @@ def led_against_force(motors: Trajectory, lead: Trajectory, force: ForceHistory)
     link = motors.link or motors
     added = motors.plus(lead.held_for(motors.duration - lead.duration))
     return replace(added, link=replace(link, force=force))
+
+
+class _Samples:
+    """Motion through samples."""
+
+    def __init__(self, time: np.ndarray, values: np.ndarray) -> None:
+        self.duration = float(time[-1])
+        self._spline = CubicSpline(time, values, bc_type="clamped")
+
+    def __call__(self, t: np.ndarray, order: int = 0) -> np.ndarray:
+        return np.asarray(self._spline(t, order))

@@ -52,7 +52,7 @@ def _plan(duration):
 
 
 def _led(arm, plan):
-    return smooth_motion(bearing_lead(arm, plan).after(plan), 0.01)
+    return plan.plus(bearing_lead(arm, plan))
 
 
 def _command(arm, links):
