@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.elastic.arm import ElasticArm
+from stiffopt.elastic.arm import ASSUMED_DAMPING, ElasticArm
 from stiffopt.elastic.motor import MotorMotion
+from stiffopt.elastic.springs import JointSpring
 from stiffopt.robot.bearing_joints import with_bearing_joints
 
 if TYPE_CHECKING:
@@ -35,16 +36,19 @@ class BearingJoints:
     """
 
     def __init__(self, arm: ElasticArm, start: np.ndarray) -> None:
-        robot, self.driven = with_bearing_joints(arm.robot)
-        own = np.arange(robot.n)
-        self._places = np.searchsorted(self.driven, own, side="right") - 1
+        robot, stiffness = with_bearing_joints(arm.robot)
+        self.driven = np.flatnonzero(stiffness == 0.0)
+        self._places = np.searchsorted(self.driven, np.arange(robot.n), side="right") - 1
         at = self.spread(np.asarray(start, dtype=float))
         found = ElasticArm(robot, at, arm.process_force)
-        springs = list(found.springs)
-        for place, spring in zip(self.driven, arm.springs, strict=True):
-            springs[place] = spring
-        found.springs, found.path_force = tuple(springs), arm.path_force
-        found.elastic = np.array([spring is not None for spring in springs])
+        driven = iter(arm.springs)
+        found.springs = tuple(
+            JointSpring.linear(own) if own else next(driven) for own in stiffness.tolist()
+        )
+        found.path_force = arm.path_force
+        found.elastic = np.array([spring is not None for spring in found.springs])
+        inertia = np.diag(found.bodies.inertia_matrix(at))
+        found.damping = 2.0 * ASSUMED_DAMPING * np.sqrt(stiffness * inertia)
         for name in ("damping", "hysteresis", "reversal_torque"):
             getattr(found, name)[self.driven] = getattr(arm, name)
         found.assumed_damping = tuple(int(self.driven[j - 1]) + 1 for j in arm.assumed_damping)

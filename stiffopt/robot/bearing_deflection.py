@@ -6,10 +6,14 @@ drivetrain carries, and yields against it. Displacements are small: those of all
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from stiffopt.robot.joint_load import joint_frames, joint_wrenches, shift_wrench, supports_tool
-from stiffopt.robot.robot import Robot
+
+if TYPE_CHECKING:
+    from stiffopt.robot.robot import Robot
 
 # Displacement that counts as much as a rotation of 1 rad, where joints cannot correct both [m].
 _ROTATION_LENGTH = 1e-2

@@ -8,19 +8,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 
-from stiffopt.connection.constant import Constant
-from stiffopt.drivetrain.bearing import OutputBearing
-from stiffopt.drivetrain.chain import Chain, Stage
 from stiffopt.robot.frames import LinkFrame
 from stiffopt.robot.joint_load import complete_axes
-from stiffopt.robot.robot import Robot
+
+if TYPE_CHECKING:
+    from stiffopt.drivetrain.bearing import OutputBearing
+    from stiffopt.drivetrain.chain import Chain
+    from stiffopt.robot.robot import Robot
 
 # Of joints without a motor.
 _UNDRIVEN = {
+    "torque_max": np.inf,
     "position_lower": -np.inf,
     "position_upper": np.inf,
     "velocity_max": np.inf,
@@ -32,18 +35,20 @@ _UNDRIVEN = {
     "damping": np.nan,
     "hysteresis": 0.0,
 }
-# Up to which the linear springs of bearings are tabulated [N m or N]; beyond they stay linear.
-_TABULATED_LOAD = 1e3
 
 
 def with_bearing_joints(robot: Robot) -> tuple[Robot, np.ndarray]:
-    """Return the robot with a joint for each component of its bearings, and the driven joints (n,).
+    """Return the robot with a joint for each component of its bearings, and their stiffness (m,).
+
+    The stiffness of driven joints, which have their drivetrains, is 0 [N m/rad or N/m].
 
     Parameters
     ----------
     robot : Robot
     """
-    model, chains, driven = pin.Model(), list[Chain | None](), list[int]()
+    model = pin.Model()
+    springs: list[float] = []
+    chains: list[Chain | None] = []
     model.gravity, model.name = robot.model.gravity, robot.name
     # Last joint of each body, and the body's frame on it.
     ends = {0: (0, pin.SE3.Identity())}
@@ -54,7 +59,7 @@ def with_bearing_joints(robot: Robot) -> tuple[Robot, np.ndarray]:
         )
         at = frame * pin.SE3(body.rotation, body.translation)
         last = model.addJoint(before, kind(body.axis), at, body.name)
-        driven.append(last - 1)
+        springs.append(0.0)
         chains.append(robot.chains[i - 1])
         bearing, axes = robot.bearings[i - 1], complete_axes(body.axis)
         here, frame = pin.SE3(axes, np.zeros(3)), pin.SE3.Identity()
@@ -63,8 +68,8 @@ def with_bearing_joints(robot: Robot) -> tuple[Robot, np.ndarray]:
             frame = here.inverse()
             for name, joint, stiffness in _components(bearing):
                 last = model.addJoint(last, joint, here, f"bearing of {body.name}, {name}")
-                spring = Constant(name=name, torque_max=_TABULATED_LOAD, stiffness=stiffness)
-                chains.append(Chain((Stage(spring),)))
+                springs.append(stiffness)
+                chains.append(None)
                 here = pin.SE3.Identity()
         ends[i] = (last, frame)
         model.appendBodyToJoint(last, robot.model.inertias[i], frame)
@@ -74,13 +79,12 @@ def with_bearing_joints(robot: Robot) -> tuple[Robot, np.ndarray]:
         found = frame * pin.SE3(link.rotation, link.offset)
         return replace(link, joint=joint, offset=found.translation, rotation=found.rotation)
 
-    count, places = model.nv, np.array(driven)
-    arrays = {"torque_max": np.full(count, _TABULATED_LOAD)}
-    arrays |= {key: np.full(count, value) for key, value in _UNDRIVEN.items()}
+    stiffness = np.array(springs)
+    arrays = {key: np.full(model.nv, value) for key, value in _UNDRIVEN.items()}
     for key, values in arrays.items():
         own = getattr(robot, key)
         if own is not None:
-            values[places] = own
+            values[stiffness == 0.0] = own
     found = replace(
         robot,
         model=model,
@@ -91,7 +95,7 @@ def with_bearing_joints(robot: Robot) -> tuple[Robot, np.ndarray]:
         flange=placed(robot.flange),
         **arrays,
     )
-    return found, places
+    return found, stiffness
 
 
 def _components(bearing: OutputBearing) -> Iterator[tuple[str, object, float]]:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pinocchio as pin
 
 from stiffopt.robot.rigid_body import without_rotors
-from stiffopt.robot.robot import Robot
+
+if TYPE_CHECKING:
+    from stiffopt.robot.robot import Robot
 
 
 def joint_wrenches(
