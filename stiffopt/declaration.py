@@ -296,6 +296,7 @@ Area = Annotated[float, Unit("area")]
 Speed = Annotated[float, Unit("speed")]
 AngularVelocity = Annotated[float, Unit("angular velocity")]
 Stiffness = Annotated[float, Unit("stiffness")]
+LinearStiffness = Annotated[float, Unit("linear stiffness")]
 WidthStiffness = Annotated[float, Unit("stiffness per width")]
 Ratio = Annotated[float, Unit("ratio")]
 

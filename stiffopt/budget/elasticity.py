@@ -1,6 +1,6 @@
-"""Errors of the tool by the joints: wind-up, payload, hysteresis and servo.
+"""Errors of the tool by the joints: wind-up, output bearings, payload, hysteresis and servo.
 
-Quasi-static: every spring carries the torque of the motion, without vibration.
+Quasi-static: every spring carries the load of the motion, without vibration.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from stiffopt.budget.sources import ErrorSource, KnownError, States, ToolJacobia
 from stiffopt.elastic.simulate import TYPICAL_HALF_LOOP
 from stiffopt.elastic.springs import joint_springs
 from stiffopt.elastic.uncertainty import Uncertainty
+from stiffopt.robot.bearing_deflection import bearing_deflections, correcting_joints
 from stiffopt.robot.robot import Robot
 
 # Bounds of an uncertainty are 95 % bounds of a normal distribution.
@@ -29,7 +30,7 @@ def elastic_errors(
     *,
     compensated: bool,
 ) -> Iterator[ErrorSource | KnownError]:
-    """Yield errors by wind-up: its mean, by uncertain stiffness, and by uncertain payload.
+    """Yield errors by wind-up and bearings: their mean, by uncertain stiffness and payload.
 
     Parameters
     ----------
@@ -39,7 +40,8 @@ def elastic_errors(
     force : array (3,)
         On the tool, base axes [N].
     compensated : bool
-        The motors lead by the wind-up, which is then no error.
+        The motors lead by the wind-up and, where joints reach, against the bearings: these are
+        then no error.
     """
     robot = tool.robot
     windup = _windups(robot, tool, states, force)
@@ -52,10 +54,23 @@ def elastic_errors(
             group="torsion",
             effect=shares[j] * windup[:, j, None] * tool.jacobian[:, :, j],
         )
+    tilt = _bearing_deflections(robot, states, force)
+    if robot.tilts:
+        whole = tilt.sum(axis=1)
+        led = correcting_joints(robot, states.position, whole) if compensated else 0.0 * windup
+        yield KnownError(group="tilt", effect=whole + tool.moved(led))
+    share = uncertainty.bearing_stiffness / BOUND_IN_STANDARD_DEVIATIONS
+    for j in np.flatnonzero(np.any(tilt != 0.0, axis=(0, 2)) & (share > 0.0)):
+        yield ErrorSource(
+            name=f"bearing of {robot.joint_names[j]}", group="tilt", effect=share * tilt[:, j]
+        )
     if robot.payload is not None and uncertainty.payload > 0.0:
         heavier = robot.with_payload_times(1.0 + uncertainty.payload / BOUND_IN_STANDARD_DEVIATIONS)
         added = _windups(heavier, tool, states, force) - windup
-        yield ErrorSource(name="payload", group="payload", effect=-tool.moved(added))
+        tilted = _bearing_deflections(heavier, states, force) - tilt
+        yield ErrorSource(
+            name="payload", group="payload", effect=tilted.sum(axis=1) - tool.moved(added)
+        )
 
 
 def hysteresis_sources(tool: ToolJacobians) -> Iterator[ErrorSource]:
@@ -83,6 +98,11 @@ def _half_loops(robot: Robot) -> np.ndarray:
     if robot.hysteresis is not None and np.any(robot.hysteresis):
         return np.asarray(springs * robot.hysteresis)
     return np.asarray(TYPICAL_HALF_LOOP * (springs & ~robot.prismatic))
+
+
+def _bearing_deflections(robot: Robot, states: States, force: np.ndarray) -> np.ndarray:
+    """Displacement and rotation (K, n, 6) of the tool by each bearing, weight included."""
+    return bearing_deflections(robot, states.position, states.velocity, states.acceleration, force)
 
 
 def _windups(robot: Robot, tool: ToolJacobians, states: States, force: np.ndarray) -> np.ndarray:

@@ -10,10 +10,11 @@ import numpy as np
 
 from stiffopt.robot.robot import Robot
 
-Group = Literal["geometry", "torsion", "payload", "hysteresis", "servo", "thermal growth"]
+Group = Literal["geometry", "torsion", "tilt", "payload", "hysteresis", "servo", "thermal growth"]
 GROUPS: tuple[Group, ...] = (
     "geometry",
     "torsion",
+    "tilt",
     "payload",
     "hysteresis",
     "servo",

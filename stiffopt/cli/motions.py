@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -70,6 +71,7 @@ def solve(
             raise InputError("--model and --guess are of single motions: omit them for a cycle.")
         return _solve_cycle(problem, out, changes, open_report, quiet)
     with defer_until_result():
+        from stiffopt.budget.floor import error_floor_note
         from stiffopt.certificate.assess import assess
         from stiffopt.problem.files import load_problem
         from stiffopt.result.compensation import RIVAL_TRAJECTORY_FILE, write_command
@@ -113,6 +115,8 @@ def solve(
                     loop = solve_extended(stated, found, progress=progress)
                     stated = loop.problem
                     solution = with_simulation(stated, loop.solution, progress)
+            note = error_floor_note(stated, loaded.tolerances, solution)
+            solution = replace(solution, notes=(*solution.notes, note)) if note else solution
             end_deferral(ended=True)
             stopped = solution.status is SolveStatus.INTERRUPTED
             if stopped and not solution.solver.iterations and (folder / RESULT_FILE).exists():

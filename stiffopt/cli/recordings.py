@@ -247,33 +247,61 @@ def check(
 def identify_stiffness(
     recordings: Path,
     *,
+    beside: tuple[Path, ...] = (),
+    robot: str = "",
     out: Out | None = None,
     changes: Changes = (),
     open_report: Open = False,
 ) -> int:
     """Identify the joint stiffness of an arm from deflections measured under known forces.
 
-    Writes stiffness.json, stiffness.csv, residuals.csv and report.html.
+    Writes stiffness.json, stiffness.csv, residuals.csv and report.html; with --beside or --robot
+    comparison.json and comparison.csv, and with --robot uncertainty.toml, the bounds of the
+    modelled stiffness that cover what was identified.
 
     Parameters
     ----------
     recordings
         Folder with a static.toml, or that file.
+    beside
+        Further static sets of this arm or others of its type; repeat the option for each.
+    robot
+        Robot with drivetrains, by name or file, whose modelled stiffness is compared.
     out
         Folder for the results; default: out/NAME of the folder, with the changes of --set.
     """
+    from stiffopt.identification.comparison import (
+        JointComparison,
+        compare_stiffness,
+        write_comparison,
+    )
     from stiffopt.identification.result import write_static
     from stiffopt.identification.stiffness import identify_stiffness as identify
     from stiffopt.recording.static_set import load_static_set
-    from stiffopt.report.identification.page import print_static, write_static_report
+    from stiffopt.report.identification.page import (
+        print_comparison,
+        print_static,
+        write_static_report,
+    )
+    from stiffopt.robot.files import load_robot
 
     recorded = load_static_set(recordings, changes)
+    others = [load_static_set(path, changes) for path in beside]
+    modelled = load_robot(robot) if robot else None
     folder = out or default_folder(recorded.path.resolve().parent.name, changes)
     with output_folder(folder, "identify-stiffness") as stage:
         result = identify(recorded)
         write_static_report(result, stage)
         write_static(result, stage)
+        names = [each.title for each in (recorded, *others)]
+        joints: tuple[JointComparison, ...] = ()
+        if others or modelled is not None:
+            results = [result, *(identify(each, torque=False) for each in others)]
+            joints = compare_stiffness(results, modelled)
+            write_comparison(names, joints, stage)
     print_static(result, folder)
+    if joints:
+        print_comparison(names, joints)
     show_report(folder, open_report)
     return 0
 

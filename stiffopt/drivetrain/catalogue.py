@@ -226,6 +226,25 @@ def _read_cycloidal() -> Iterator[ReducerData]:
             )
 
 
+def bearing_names() -> list[str]:
+    """Return the names of the output bearings."""
+    return list(rows("bearings", "bearing", "name"))
+
+
+def bearing(name: str) -> dict[str, float]:
+    """Look up the stiffnesses of an output bearing by name, for example "csf_2uh_25"."""
+    row = find("bearing", name, rows("bearings", "bearing", "name"))
+    return {key: float(value) for key, value in row.items() if key.endswith("_stiffness")}
+
+
+def entry(name: str) -> Entry:
+    """Provenance of a reducer or an output bearing."""
+    if name not in bearing_names():
+        return reducer(name)
+    row = find("bearing", name, rows("bearings", "bearing", "name"))
+    return Entry(name=name, provenance=row["provenance"], source=row["source"])
+
+
 def key(width: float, height: float) -> KeyData:
     """Look up a parallel key by its section [m]."""
     name = f"{width * 1e3:g}x{height * 1e3:g}"
@@ -303,6 +322,7 @@ def _read_surface(name: str) -> SurfacePair:
 Named.tables.update(
     {
         "reducer": reducer_names,
+        "bearing": bearing_names,
         "belt": belt_names,
         "flange pattern": flange_names,
         "bolt": bolt_sizes,

@@ -82,7 +82,7 @@ def tool_pose(
         position, turn = function(q)
         return position, turn
     joints = axis_joints(tree)
-    frames = _axis_frames(joints, q, joint)
+    frames = axis_frames(joints, q, joint)
     origin, turn = frames[joint]
     to_axis_frame = joints[joint - 1].from_joint_frame
     position = origin + ca.mtimes(turn, _as_casadi_vector(to_axis_frame @ _as_point(offset)))
@@ -102,7 +102,7 @@ def point_jacobian(tree: BodyTree, joint: int, offset: ArrayLike, q: Quantity) -
         function: Any = point_kinematics(tree, joint, offset)
         return function(q)[1]
     joints = axis_joints(tree)
-    frames = _axis_frames(joints, q, joint)
+    frames = axis_frames(joints, q, joint)
     origin, turn = frames[joint]
     point = origin + ca.mtimes(
         turn, _as_casadi_vector(joints[joint - 1].from_joint_frame @ _as_point(offset))
@@ -116,7 +116,7 @@ def point_jacobian(tree: BodyTree, joint: int, offset: ArrayLike, q: Quantity) -
     return ca.densify(ca.horzcat(*columns))
 
 
-def _axis_frames(
+def axis_frames(
     joints: tuple[AxisJoint, ...], q: Quantity, last: int
 ) -> dict[int, tuple[Quantity, Quantity]]:
     """Return origin and rotation, in the base, of the axis frames from the base to joint `last`."""

@@ -75,12 +75,24 @@ def torque_of_bodies(
     inertia: ca.SX,
 ) -> ca.SX:
     """Return the joint torques (n,) of other bodies on the joints of a tree, as `own_bodies`."""
+    return _recursion(tree, gravity)(q, v, a, mass, first_moment, inertia)[0]
+
+
+def joint_wrenches(tree: BodyTree, q: ca.SX, v: ca.SX, a: ca.SX) -> ca.SX:
+    """Return force and moment (6, n) of each joint on the links that it carries.
+
+    About the joint's origin, in its axis frame (`joint_axes`), of the links' motion alone.
+    """
+    return _recursion(tree, tree.gravity)(q, v, a, *own_bodies(tree))[1]
+
+
+def _recursion(tree: BodyTree, gravity: np.ndarray) -> ca.Function:
+    """Return the recursion of a tree, a function of motion and bodies to torques and wrenches."""
     frames = tuple(
         (j.parent, j.prismatic, j.rotation.tobytes(), j.angle_offset, j.translation.tobytes())
         for j in axis_joints(tree)
     )
-    recursion = _torque_recursion(frames, np.asarray(gravity, dtype=float).tobytes())
-    return recursion(q, v, a, mass, first_moment, inertia)
+    return _cached_recursion(frames, np.asarray(gravity, dtype=float).tobytes())
 
 
 # Of a joint: parent, prismatic, rotation, angle_offset, translation.
@@ -88,8 +100,8 @@ _Frame = tuple[int, bool, bytes, float, bytes]
 
 
 @functools.lru_cache(maxsize=64)
-def _torque_recursion(frames: tuple[_Frame, ...], gravity: bytes) -> ca.Function:
-    """Return the cached torque recursion for these frames, a function of motion and bodies.
+def _cached_recursion(frames: tuple[_Frame, ...], gravity: bytes) -> ca.Function:
+    """Return the cached recursion for these frames.
 
     A call substitutes its expressions for the symbols; zeros and ones vanish there.
     """
@@ -117,7 +129,9 @@ def _torque_recursion(frames: tuple[_Frame, ...], gravity: bytes) -> ca.Function
     poses = [joint_pose(joint, q[i]) for i, joint in enumerate(joints)]
     forces, moments = _outward_recursion(np.frombuffer(gravity), joints, poses, v, a)
     tau = _inward_recursion(joints, poses, forces, moments)
-    return ca.Function("recursion", [q, v, a, mass, first, inertia], [tau])
+    # The recursion leaves the whole wrench of each joint.
+    wrenches = ca.vertcat(ca.horzcat(*forces), ca.horzcat(*moments))
+    return ca.Function("recursion", [q, v, a, mass, first, inertia], [tau, wrenches])
 
 
 def joint_pose(joint: AxisJoint, angle: Quantity) -> tuple[Quantity, Quantity]:

@@ -108,6 +108,7 @@ class ElasticArm:
         self._check_departure_damping(departure.damping)
         other = copy.copy(self)
         other.robot = self.robot.with_payload_times(departure.payload)
+        other.robot = other.robot.with_bearings_times(departure.bearings)
         other.bodies = other.robot.rigid_bodies()
         other.springs = tuple(
             None if spring is None else spring.times(float(factor))

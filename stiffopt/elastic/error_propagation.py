@@ -7,7 +7,9 @@ differ slightly, the links miss the plan by the sum of the responses z to one to
 
 of a joint's stiffness its dynamic spring torque, of the damping its rate of wind-up, of the payload
 its inertial torque, of the servo the inertial torque of the motors' error, on which the links ride.
-Static torques are left out: a calibrated arm rests where it should.
+Static torques are left out: a calibrated arm rests where it should. Elastic bearings are joints of
+their own (`BearingJoints`); the command leads by what the driven joints can correct of their
+deflection, and the rest is the mean error.
 
 Parameters are independent and uniform within their bounds, the servo between the nominal and the
 worst one. Their mean square is then a third of the bound's, and the bound is a multiple of the root
@@ -21,6 +23,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stiffopt.elastic.bearing_joints import BearingJoints
+from stiffopt.elastic.bearing_lead import uncorrected_deflection
 from stiffopt.elastic.modes import modes
 from stiffopt.elastic.response import ElasticResponse
 from stiffopt.elastic.uncertain_arms import LinearizedBodies
@@ -57,9 +61,16 @@ def propagate_error(
     servo : Servo
         Nominal one, whose lag the command leads.
     """
-    along = _MotionSamples(arm, plan)
-    bounds = uncertainty.shares(arm.robot.n)
-    torques = dict(along.disturbances(uncertainty))
+    bounds, driven, mean = uncertainty.shares(arm.robot.n), np.arange(arm.robot.n), None
+    if arm.robot.tilts:
+        joints = BearingJoints(arm, plan(np.zeros(1))[0])
+        bounds, driven = joints.spread(bounds, uncertainty.bearing_stiffness), joints.driven
+        along = _MotionSamples(joints.arm, joints.links(plan), driven)
+        mean = along.extend_at_rest(uncorrected_deflection(arm, plan, along.flight))
+        arm = joints.arm
+    else:
+        along = _MotionSamples(arm, plan, driven)
+    torques = dict(along.disturbances(uncertainty, bounds))
     motors = np.zeros_like(along.q)
     if (worst := uncertainty.worst_servo(servo)) != servo:
         motors, torques["servo"] = along.servo_disturbance(servo, worst)
@@ -88,14 +99,20 @@ def propagate_error(
         time=along.time,
         duration=plan.duration,
         shares={name: np.stack(own) for name, own in shares.items()},
+        mean=np.zeros_like(along.q[:, :3]) if mean is None else mean,
     )
 
 
 class _MotionSamples:
     """Matrices and torques of an arm along a plan and in the rest after it, evenly in time."""
 
-    def __init__(self, arm: ElasticArm, plan: JointMotion) -> None:
-        self._arm = arm
+    def __init__(self, arm: ElasticArm, plan: JointMotion, driven: np.ndarray) -> None:
+        self._arm, self._driven = arm, driven
+        numbers = np.searchsorted(driven, np.arange(arm.robot.n), side="right")
+        self._names = [
+            f"stiffness of joint {number}" if j in driven else arm.robot.joint_names[j]
+            for j, number in enumerate(numbers)
+        ]
         slowest = min((mode.frequency for mode in modes(arm, plan(np.zeros(1))[0])), default=1.0)
         count = int(np.ceil(plan.duration / _TIME_STEP))
         self.step = plan.duration / count
@@ -103,13 +120,13 @@ class _MotionSamples:
         self._rest = int(np.ceil(window / self.step))
         self.time = self.step * np.arange(count + self._rest + 1)
         self.time[count] = plan.duration
-        flight = np.linspace(0.0, plan.duration, count + 1)
-        q, v, a = (np.array(plan(flight, k)) for k in range(3))
+        self.flight = np.linspace(0.0, plan.duration, count + 1)
+        q, v, a = (np.array(plan(self.flight, k)) for k in range(3))
         v[-1] = a[-1] = 0.0
         bodies, still = LinearizedBodies(arm, q, v, a), np.zeros_like(q)
-        self.q = self._extend(q)
+        self.q = self.extend_at_rest(q)
         self.inertia, self.by_v, self.by_q = (
-            self._extend(each[0]) for each in (bodies.inertia, bodies.by_v, bodies.by_q)
+            self.extend_at_rest(each[0]) for each in (bodies.inertia, bodies.by_v, bodies.by_q)
         )
         held = LinearizedBodies(arm, q, still, still)
         # First of all bodies, then of the payload.
@@ -118,15 +135,17 @@ class _MotionSamples:
         self.stiffness = self._spring_stiffness(self._torque[0])
         self._finite_stiffness = np.where(arm.elastic, self.stiffness, 0.0)
 
-    def disturbances(self, uncertainty: Uncertainty) -> Iterator[tuple[str, np.ndarray]]:
+    def disturbances(
+        self, uncertainty: Uncertainty, bounds: np.ndarray
+    ) -> Iterator[tuple[str, np.ndarray]]:
         """Torques (K, n) [N m] of the parameters of the arm at their bounds."""
-        arm, bounds = self._arm, uncertainty.shares(self._arm.robot.n)
+        arm = self._arm
         away = self._windup_departure(self._torque[0], bounds)
         away -= self._windup_departure(self._weight[0], bounds)
         for j in np.flatnonzero(arm.elastic & (bounds > 0.0)):
             own = np.zeros_like(self.q)
             own[:, j] = self._finite_stiffness[:, j] * away[:, j]
-            yield f"stiffness of joint {j + 1}", own
+            yield self._names[j], own
         if uncertainty.damping and arm.damping.any():
             rate = np.gradient(self._windup, self.step, axis=0)
             yield "damping", uncertainty.damping * arm.damping * rate
@@ -140,7 +159,9 @@ class _MotionSamples:
 
         By the transfer function in the frequency domain, padded by as long a rest.
         """
-        velocity = np.gradient(self.q + self._windup, self.step, axis=0)
+        velocity = np.zeros_like(self.q)
+        driven = self._driven
+        velocity[:, driven] = np.gradient((self.q + self._windup)[:, driven], self.step, axis=0)
         count = 2 * len(velocity)
         s = 2j * np.pi * np.fft.rfftfreq(count, self.step)
         s[0] = _SLOW_RATE
@@ -177,7 +198,8 @@ class _MotionSamples:
         return found
 
     def _extend_all(self, values: np.ndarray) -> list[np.ndarray]:
-        return [self._extend(each) for each in values]
+        return [self.extend_at_rest(each) for each in values]
 
-    def _extend(self, values: np.ndarray) -> np.ndarray:
+    def extend_at_rest(self, values: np.ndarray) -> np.ndarray:
+        """Append the last values of the flight for the rest after it."""
         return np.concatenate([values, np.repeat(values[-1:], self._rest, axis=0)])

@@ -1,7 +1,7 @@
 """Forward simulation of an elastic arm whose motors follow a motion.
 
 The tool error is measured from the planned path (`ElasticArm.tool_error`): it includes the lag of a
-servo, but not the sag under weight.
+servo, but not the sag under weight. Elastic bearings are joints of their own (`BearingJoints`).
 """
 
 from __future__ import annotations
@@ -9,12 +9,15 @@ from __future__ import annotations
 import itertools
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import scipy
 
 from stiffopt.elastic import native
 from stiffopt.elastic.arm import MIN_FOLLOWING_FREQUENCY, ElasticArm
+from stiffopt.elastic.bearing_joints import BearingJoints
 from stiffopt.elastic.modes import modes
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.servo import Servo
@@ -82,6 +85,37 @@ def simulate(
         A mode of the arm is too fast for the integrator, or it does not finish.
     """
     plan = motion if plan is None else plan
+    settings: dict[str, Any] = {"servo": servo, "ahead": ahead, "band": band, "method": method}
+    if not arm.robot.tilts:
+        return _simulate_joints(arm, motion, plan=plan, changes=changes, **settings)
+    start = motion.at(0.0)[0]
+    joints = BearingJoints(arm, start)
+    found = _simulate_joints(
+        joints.arm,
+        joints.motion(motion),
+        plan=joints.motion(plan),
+        changes=[(time, BearingJoints(each, start).arm) for time, each in changes],
+        **settings,
+    )
+    driven = {
+        name: getattr(found, name)[:, joints.driven]
+        for name in ("position", "velocity", "windup", "spring_torque")
+    }
+    return replace(found, **driven)
+
+
+def _simulate_joints(
+    arm: ElasticArm,
+    motion: MotorMotion,
+    *,
+    servo: Servo | None,
+    ahead: float,
+    band: float,
+    method: str,
+    plan: MotorMotion,
+    changes: Sequence[tuple[float, ElasticArm]],
+) -> SimulatedMotion:
+    """Simulate an arm with rigid bearings."""
     end = motion.duration + (REST if motion.ends_at_rest else 0.0)
     motor = motion if servo is None else servo.follow(motion, end, ahead)
     # At rest the integrator would choose steps too long to notice the onset of vibration.

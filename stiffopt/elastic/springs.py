@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 _TABLE_TORQUE_RATIO = 3.0
 _USED_SHARE_OF_SLIP_TORQUE = 0.999
 _TABLE_POINTS = 500
+# Wind-up to which tables of a linear spring go [rad]; it is linear beyond as well.
+_LINEAR_REACH = 1e-2
 
 
 class JointSpring:
@@ -59,6 +61,21 @@ class JointSpring:
         self._by_torque = _hermite_coefficients(torque, windup, compliance)
         # Tuples are read faster than array rows at single instants.
         self._pieces = [tuple(piece) for piece in self._by_windup.tolist()]
+
+    @classmethod
+    def linear(cls, stiffness: float) -> JointSpring:
+        """Return a linear spring without a limit [N m/rad]."""
+        spring = cls.__new__(cls)
+        spring.torque_reach, spring.windup_reach = np.inf, _LINEAR_REACH
+        spring._torques, spring._windups = (
+            [0.0, size * _LINEAR_REACH] for size in (stiffness, 1.0)
+        )
+        windup, torque = np.array(spring._windups), np.array(spring._torques)
+        slope = np.full(2, stiffness)
+        spring._by_windup = _hermite_coefficients(windup, torque, slope)
+        spring._by_torque = _hermite_coefficients(torque, windup, 1.0 / slope)
+        spring._pieces = [tuple(piece) for piece in spring._by_windup.tolist()]
+        return spring
 
     def times(self, factor: float) -> JointSpring:
         """Return the spring with its torque times `factor` at every wind-up."""

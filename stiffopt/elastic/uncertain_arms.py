@@ -3,7 +3,7 @@
 Bodies are linearised about the plan, linear in the payload; springs keep their nonlinear law. Links
 deviate by about 1e-3 rad from the plan, so neglected terms are of second order in that. Integrated
 by the trapezoidal rule with the tangent of the springs in every step: stable for any stiffness.
-Hysteresis is neglected.
+Hysteresis is neglected. Elastic bearings are joints of their own (`BearingJoints`).
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 
 from stiffopt.elastic import native
 from stiffopt.elastic.arm import ElasticArm
+from stiffopt.elastic.bearing_joints import BearingJoints
 from stiffopt.elastic.modes import modes
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.servo import Servo
@@ -188,6 +189,10 @@ class UncertainArms:
         self._servo, self._worst = servo or Servo(), worst or servo or Servo()
         self.duration = plan.duration
         start = plan(np.zeros(1))[0]
+        self._bearings = BearingJoints(arm, start) if arm.robot.tilts else None
+        if self._bearings is not None:
+            arm, plan = self._bearings.arm, self._bearings.motion(plan)
+            start = plan(np.zeros(1))[0]
         slowest = min((mode.frequency for mode in modes(arm, start)), default=1.0)
         count = int(
             np.ceil(self.duration / min(_MAX_TIME_STEP, 1.0 / (_STEPS_PER_PERIOD * slowest)))
@@ -248,6 +253,14 @@ class UncertainArms:
         columns = [inertia + turning, inertia - turning, -bodies.by_q, bodies.torque[..., None]]
         return np.concatenate(columns, axis=3)
 
+    def departures(self, members: Sequence[Member]) -> list[Departure]:
+        """Departures of members, of all joints with those of elastic bearings."""
+        own = [each.departure for each in members]
+        if self._bearings is None:
+            return own
+        alike = {id(each): self._bearings.departure(each) for each in own}
+        return [alike[id(each)] for each in own]
+
     def motors(self, commands: Sequence[MotorMotion]) -> tuple[np.ndarray, np.ndarray]:
         """Motions (K, C, 4, n) of the distinct commands, and the index of each member's (B,).
 
@@ -268,6 +281,8 @@ class UncertainArms:
         return by_time, np.array([places[id(command)] for command in commands])
 
     def _follow(self, servo: Servo, command: MotorMotion) -> MotorMotion:
+        if self._bearings is not None:
+            command = self._bearings.motion(command)
         if servo.follows_exactly:
             return command
         return servo.follow(command, self.time[-1], self._servo.dead_time)
@@ -279,10 +294,11 @@ class UncertainArms:
     def tool_error(self, members: Sequence[Member], links: np.ndarray) -> ToolError:
         """Tool errors of members, for link positions less the plan (K, B, n)."""
         # Members with the same departure share their equilibrium.
-        alike = {id(each.departure): each.departure for each in members}
+        departures = self.departures(members)
+        alike = {id(each): each for each in departures}
         places = {key: place for place, key in enumerate(alike)}
         equilibrium = self._planned_equilibrium(_DepartureArrays(list(alike.values())))
-        own = [places[id(each.departure)] for each in members]
+        own = [places[id(each)] for each in departures]
         # One matrix product for all members: einsum would loop over them.
         along = self._jacobian.swapaxes(1, 2)
         away = links @ along - (equilibrium.swapaxes(0, 1) @ along)[:, own]
@@ -334,7 +350,7 @@ def simulate_uncertain_arms(asked: Sequence[SimulationRequest]) -> list[ToolErro
 def _integrate_compiled(core: CDLL, asked: SimulationRequest) -> np.ndarray:
     """Integrate to link positions less the plan (K, B, n)."""
     many = asked.many
-    arms = _DepartureArrays([member.departure for member in asked.members])
+    arms = _DepartureArrays(many.departures(asked.members))
     moved, of = many.motors([member.command for member in asked.members])
     return native.integrate_linearized(
         core,
@@ -358,7 +374,7 @@ def _integrate_compiled(core: CDLL, asked: SimulationRequest) -> np.ndarray:
 def _integrate_numpy(asked: SimulationRequest) -> np.ndarray:
     """Integrate without the compiled core, to the same result."""
     many, rigid = asked.many, asked.many.rigid
-    arms = _DepartureArrays([member.departure for member in asked.members])
+    arms = _DepartureArrays(many.departures(asked.members))
     moved, of = many.motors([member.command for member in asked.members])
     damping, step, joints = arms.damping * many.damping, many.step, np.arange(len(many.damping))
     turn, e = moved[0, of, 0], many.initial_equilibrium(arms, moved[0, of, 0])

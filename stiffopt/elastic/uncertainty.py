@@ -33,6 +33,11 @@ class Uncertainty:
         Bounds(least=0.0),
         Doc("Relative bound of the stiffness of each joint, one number or one a joint."),
     ] = 0.2
+    bearing_stiffness: Annotated[
+        Ratio,
+        Bounds(least=0.0, below=1.0),
+        Doc("Relative bound of the stiffness of each output bearing."),
+    ] = 0.2
     damping: Annotated[
         Ratio, Bounds(least=0.0), Doc("Relative bound of the damping of the joints.")
     ] = 0.5
@@ -147,6 +152,8 @@ class Departure:
     ----------
     stiffness : array (n,)
         Factor of each joint's stiffness.
+    bearings : array (n,) or float
+        Factor of each output bearing's stiffness.
     damping, payload : float
         Factors of their nominal values.
     servo : float
@@ -156,6 +163,7 @@ class Departure:
     """
 
     stiffness: np.ndarray
+    bearings: np.ndarray | float = 1.0
     damping: float = 1.0
     payload: float = 1.0
     servo: float = 0.0
@@ -169,13 +177,14 @@ class Departure:
     def factors(self) -> dict[str, Any]:
         """Return all factors as plain numbers."""
         numbers = {name: getattr(self, name) for name in ("damping", "payload", "servo")}
-        return {"stiffness": self.stiffness.tolist(), **numbers}
+        bearings = np.broadcast_to(self.bearings, self.stiffness.shape).tolist()
+        return {"stiffness": self.stiffness.tolist(), "bearings": bearings, **numbers}
 
 
 def corners(
     uncertainty: Uncertainty, joints: int, carries: bool, *, servo: bool = True
 ) -> list[Departure]:
-    """Return the corner cases: every parameter at a bound, all joints' stiffness alike.
+    """Return the corner cases: every parameter at a bound, all stiffnesses alike.
 
     Parameters
     ----------
@@ -210,10 +219,14 @@ def one_at_a_time(uncertainty: Uncertainty, joints: int) -> list[Departure]:
 def departure_at_bounds(
     uncertainty: Uncertainty, signs: np.ndarray, damping: float, payload: float, servo: float
 ) -> Departure:
-    """Return the departure at bounds of given signs: stiffness (n,), damping, payload."""
+    """Return the departure at bounds of given signs: stiffness (n,), damping, payload.
+
+    Bearings are soft or stiff as the joints are in their sum.
+    """
     shares = uncertainty.shares(len(signs))
     return Departure(
         stiffness=1.0 + signs * shares,
+        bearings=1.0 + float(np.sign(signs.sum())) * uncertainty.bearing_stiffness,
         damping=1.0 + damping * uncertainty.damping,
         payload=1.0 + payload * uncertainty.payload,
         servo=servo,
@@ -227,6 +240,8 @@ def draw_departures(
 ) -> list[Departure]:
     """Draw departures uniformly within the bounds, joints independently."""
     random = np.random.default_rng(uncertainty.seed)
+    # A stream of its own: arms without elastic bearings are drawn as before.
+    (of_bearings,) = random.spawn(1)
     shares = uncertainty.shares(joints)
     found = []
     for number in range(1, uncertainty.draws + 1):
@@ -234,6 +249,8 @@ def draw_departures(
         found.append(
             Departure(
                 stiffness=1.0 + stiffness * shares,
+                bearings=1.0
+                + of_bearings.uniform(-1.0, 1.0, joints) * uncertainty.bearing_stiffness,
                 damping=1.0 + float(rest[0]) * uncertainty.damping,
                 payload=1.0 + float(rest[1]) * uncertainty.payload * carries,
                 servo=0.5 * (1.0 + float(rest[2])) if servo else 0.0,

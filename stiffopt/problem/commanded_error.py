@@ -4,7 +4,8 @@ Where the command leads the nominal arm exactly, the error left on an arm with o
 that of the parameters alone (`elastic.error_propagation`). In flight it is quasi-static: a joint
 whose stiffness is off by a share misses by that share of its dynamic wind-up (at a kink of a
 reducer by more or less, and with many local optima), the payload by the
-wind-up under its own inertia, the servo by its lag, a multiple of speed and acceleration. What
+wind-up under its own inertia, an output bearing by that share of its deflection beyond that at
+rest, the servo by its lag, a multiple of speed and acceleration. What
 rings is the content of the torques at the elastic modes. Three integrations by parts turn it into
 that of their third rate, whose spectrum is taken as flat up to the mode:
 
@@ -21,6 +22,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
+from stiffopt.dynamics.bearings import dynamic_bearing_displacements
 from stiffopt.elastic.servo import Servo
 from stiffopt.problem.stage_terms import squared_length
 
@@ -60,6 +62,11 @@ class CommandedError:
             (self._bounds[j] * model.dynamic_windup[j]) ** 2 * squared_length(columns[j])
             for j in joints
         )
+        bearings = dynamic_bearing_displacements(model.robot, *model.link)
+        for away in bearings.values():
+            total += self._uncertainty.bearing_stiffness**2 * squared_length(
+                [away[i] for i in range(3)]
+            )
         others = [self._servo_lag]
         if model.robot.payload is not None:
             compliance = np.mean([_compliance(model, pose) for pose in model.rest_poses], axis=0)

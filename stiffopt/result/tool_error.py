@@ -103,11 +103,14 @@ class PropagatedError:
         Arrival of the plan [s].
     shares : dict of array (2, K, 3)
         By parameter, base axes, on a softer and a stiffer arm: the error leads both [m].
+    mean : array (K, 3)
+        Error of the nominal arm, which no command corrects, base axes [m].
     """
 
     time: np.ndarray
     duration: float
     shares: dict[str, np.ndarray]
+    mean: np.ndarray
 
     @property
     def bound(self) -> np.ndarray:
@@ -116,7 +119,8 @@ class PropagatedError:
             (np.mean(np.sum(own**2, axis=2), axis=0) for own in self.shares.values()),
             np.zeros(len(self.time)),
         )
-        return np.asarray(BOUND_FACTOR * np.sqrt(UNIFORM_MEAN_SQUARE * squares))
+        spread = BOUND_FACTOR * np.sqrt(UNIFORM_MEAN_SQUARE * squares)
+        return np.asarray(np.linalg.norm(self.mean, axis=1) + spread)
 
     @property
     def in_flight(self) -> float:

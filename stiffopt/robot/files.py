@@ -13,6 +13,7 @@ import numpy as np
 
 from stiffopt.declaration import bounds, unit
 from stiffopt.drivetrain import catalogue
+from stiffopt.drivetrain.bearing import OutputBearing
 from stiffopt.drivetrain.tables import OwnEntries
 from stiffopt.errors import InputError, InputFileError, nearest
 from stiffopt.files import apply_changes, check_header, load_toml
@@ -165,6 +166,7 @@ def _assemble_robot(document: RobotFile, path: Path, urdf: Path, keep: Collectio
         builder.chain(section, float(columns["torque_max"][j]), bool(prismatic[j]))
         for j, section in enumerate(sections)
     )
+    bearings = tuple(_build_bearing(section, path) for section in sections)
     with locate_errors(path, "tool"):
         place = document.tool or PlaceSection(link=default_tool_link(model))
         tool = link_frame(model, place.link, place.offset, place.rpy)
@@ -178,6 +180,7 @@ def _assemble_robot(document: RobotFile, path: Path, urdf: Path, keep: Collectio
         position_lower=lower,
         position_upper=upper,
         chains=chains,
+        bearings=bearings if any(bearings) else (),
         tool=tool,
         flange=flange,
         sources=tuple(_list_sources(document)),
@@ -186,6 +189,13 @@ def _assemble_robot(document: RobotFile, path: Path, urdf: Path, keep: Collectio
         held=loaded.held,
         **columns,
     )
+
+
+def _build_bearing(section: JointSection, path: Path) -> OutputBearing | None:
+    if section.bearing is None:
+        return None
+    with locate_errors(path, f"joint[{section.name}].bearing"):
+        return section.bearing.bearing()
 
 
 def _stated_bodies(document: RobotFile, path: Path) -> dict[str, LinkBody]:
@@ -307,6 +317,8 @@ def _list_sources(document: RobotFile) -> Iterable[Source]:
         yield from _section_sources(link, "", f"link {link.name}")
     for joint in document.joint:
         yield from _section_sources(joint, joint.name, "")
+        if joint.bearing is not None:
+            yield from _section_sources(joint.bearing, joint.name, "bearing")
         for element in joint.element:
             yield from _section_sources(element, joint.name, element.name)
 
@@ -322,9 +334,11 @@ def _section_sources(section: Cited, joint: str, element: str) -> Iterable[Sourc
     source, estimated = section.source, section.estimated
     name = getattr(section, "catalogue", None)
     if name is not None and "provenance" not in section.model_fields_set:
-        entry = catalogue.reducer(name)
+        entry = catalogue.entry(name)
         provenance, source, estimated = entry.provenance, entry.source, entry.estimated
-    keys = sorted(section.model_fields_set - {"name", "type", "element", "provenance", "source"})
+    keys = sorted(
+        section.model_fields_set - {"name", "type", "element", "bearing", "provenance", "source"}
+    )
     if keys:
         yield Source(joint, element, ", ".join(keys), provenance, source)
     for key in estimated:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pinocchio as pin
 
 from stiffopt.robot.rigid_body import without_rotors
-from stiffopt.robot.robot import Robot
+
+if TYPE_CHECKING:
+    from stiffopt.robot.robot import Robot
 
 
 def joint_wrenches(
@@ -23,7 +27,7 @@ def joint_wrenches(
     robot : Robot
         Payload and tool attached.
     position, velocity, acceleration : array (K, n)
-    force : array (3,)
+    force : array (3,), or one that broadcasts to (K, n, 3)
         Force ON the tool, base axes [N].
 
     Returns
@@ -39,12 +43,12 @@ def joint_wrenches(
         pin.rnea(model, data, position[k], velocity[k], acceleration[k])
         for i in range(model.nv):
             in_link[k, i] = data.f[i + 1].vector
-    own = np.array([_complete_axes(body.axis) for body in robot.tree.bodies])
+    own = np.array([complete_axes(body.axis) for body in robot.tree.bodies])
     found = np.einsum("nij,knsi->knsj", own, in_link.reshape(*position.shape, 2, 3))
     if np.any(force):
         axes, arm = joint_frames(robot, position)
         pushed = np.stack([np.broadcast_to(force, arm.shape), np.cross(arm, force)], axis=2)
-        held = [i + 1 in _supporting_joints(model, robot.tool.joint) for i in range(model.nv)]
+        held = supports_tool(robot)
         found[:, held] -= np.einsum("knij,knsi->knsj", axes, pushed)[:, held]
     return np.asarray(found.reshape(in_link.shape))
 
@@ -62,7 +66,7 @@ def joint_frames(robot: Robot, position: np.ndarray) -> tuple[np.ndarray, np.nda
         In base axes; the arm is 0 for joints that do not move the tool.
     """
     data = robot.model.createData()
-    own = [_complete_axes(body.axis) for body in robot.tree.bodies]
+    own = [complete_axes(body.axis) for body in robot.tree.bodies]
     loaded = _supporting_joints(robot.model, robot.tool.joint)
     axes, arm = np.empty((*position.shape, 3, 3)), np.zeros((*position.shape, 3))
     for k, pose in enumerate(position):
@@ -75,6 +79,12 @@ def joint_frames(robot: Robot, position: np.ndarray) -> tuple[np.ndarray, np.nda
             if i + 1 in loaded:
                 arm[k, i] = tool - at.translation
     return axes, arm
+
+
+def supports_tool(robot: Robot) -> np.ndarray:
+    """Return which joints (n,) carry the tool."""
+    joints = _supporting_joints(robot.model, robot.tool.joint)
+    return np.array([i + 1 in joints for i in range(robot.n)])
 
 
 def shift_wrench(wrench: np.ndarray, position: float) -> np.ndarray:
@@ -93,8 +103,8 @@ def shift_wrench(wrench: np.ndarray, position: float) -> np.ndarray:
     return moved
 
 
-def _complete_axes(axis: np.ndarray) -> np.ndarray:
-    """Right-handed axes as columns, the third along `axis`."""
+def complete_axes(axis: np.ndarray) -> np.ndarray:
+    """Return right-handed axes as columns, the third along `axis`."""
     other = np.eye(3)[int(np.argmin(np.abs(axis)))]
     first = np.cross(other, axis)
     first /= np.linalg.norm(first)

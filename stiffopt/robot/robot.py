@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from stiffopt.drivetrain.bearing import OutputBearing
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.drivetrain.tables import OwnEntries
 from stiffopt.errors import RobotError
@@ -77,6 +78,8 @@ class Robot:
         Damping of the joint's spring [N m s/rad]; NaN where unknown.
     hysteresis : array (n,), optional
         Half width of the hysteresis loop of wind-up over torque [rad]; default none.
+    bearings : tuple of OutputBearing or None
+        Output bearing of each joint; None is rigid. Empty: all are.
     held : tuple of HeldJoint
         Joints of the URDF that are held fixed.
     shapes : tuple of LinkShape
@@ -116,6 +119,7 @@ class Robot:
     # Not compared: only the content of the URDF is an input.
     urdf: Path | None = field(default=None, compare=False)
     payload: np.ndarray | None = None
+    bearings: tuple[OutputBearing | None, ...] = ()
     held: tuple[HeldJoint, ...] = ()
     # Not compared: parts in use are in the chains, others have no effect.
     own: OwnEntries = field(default_factory=dict, compare=False)
@@ -124,6 +128,11 @@ class Robot:
     def n(self) -> int:
         """Number of joints."""
         return int(self.model.nv)
+
+    @property
+    def tilts(self) -> bool:
+        """Return whether the output bearing of any joint is elastic."""
+        return any(bearing is not None for bearing in self.bearings)
 
     @property
     def yields(self) -> bool:
@@ -225,6 +234,19 @@ class Robot:
         model.inertias[joint] = _inertia_of(own)
         return replace(self, model=model, payload=factor * self.payload)
 
+    def with_bearings_times(self, factors: np.ndarray | float) -> Robot:
+        """Copy with the stiffnesses of each output bearing times a factor, (n,) or one for all."""
+        if not self.tilts:
+            return self
+        own = np.broadcast_to(factors, len(self.bearings)).tolist()
+        return replace(
+            self,
+            bearings=tuple(
+                None if bearing is None else bearing.times(factor)
+                for bearing, factor in zip(self.bearings, own, strict=True)
+            ),
+        )
+
     def with_gravity(self, gravity: Sequence[float]) -> Robot:
         """Copy under another gravity (3,) [m/s^2], base axes."""
         model = self.model.copy()
@@ -261,6 +283,7 @@ class Robot:
             self,
             model=models[0],
             chains=tuple(chain for chain, stays in zip(self.chains, left, strict=True) if stays),
+            bearings=tuple(each for j, each in enumerate(self.bearings) if left[j]),
             tool=replace(named_frame(models[1], "locked tool"), link=self.tool.link),
             flange=replace(named_frame(models[1], "locked flange"), link=self.flange.link),
             **arrays,

@@ -33,6 +33,8 @@ from stiffopt.declaration import (
     Named,
     declared,
 )
+from stiffopt.drivetrain import catalogue
+from stiffopt.drivetrain.bearing import OutputBearing
 from stiffopt.robot.elements import (
     Cited,
     ElementSection,
@@ -42,6 +44,21 @@ from stiffopt.robot.elements import (
 from stiffopt.validation import Model, Section
 
 Vector = tuple[Length, Length, Length]
+
+
+class BearingSection(Cited):
+    """Output bearing of a joint; omitted values are those of the catalogue, else rigid."""
+
+    catalogue: Annotated[str | None, Named("bearing"), Doc("Output bearing of the catalogue.")] = (
+        None
+    )
+
+    def bearing(self) -> OutputBearing:
+        """Build the bearing: values of the file, else of the catalogue."""
+        found = {} if self.catalogue is None else catalogue.bearing(self.catalogue)
+        given = {name: getattr(self, name) for name in declared(OutputBearing)}
+        stated = {name: value for name, value in given.items() if value is not None}
+        return OutputBearing(**{**found, **stated})
 
 
 class JointSection(Cited):
@@ -85,6 +102,10 @@ class JointSection(Cited):
         JointPosition | None,
         NOT_NEGATIVE,
         Doc("Half width of the measured loop of wind-up over torque; default none."),
+    ] = None
+    bearing: Annotated[
+        BearingSection | None,
+        Doc("Output bearing that tilts and yields across the joint's torsion; default rigid."),
     ] = None
     element: Annotated[
         tuple[ElementSection, ...],
@@ -190,7 +211,15 @@ def _robot_file_of(kinds: tuple[type[Connection], ...]) -> type[RobotFile]:
     """`RobotFile` whose elements are of these kinds."""
     elements: Any = Union[tuple(build_element_section(kind) for kind in kinds)]  # noqa: UP007
     element: Any = Annotated[elements, Field(discriminator="type")]
-    joint: Any = _replace_key_types(JointSection, element=tuple[element, ...])
+    bearing: Any = create_model(
+        "BearingSection",
+        __base__=BearingSection,
+        __doc__=BearingSection.__doc__,
+        **{name: build_section_key(field) for name, field in declared(OutputBearing).items()},
+    )
+    joint: Any = _replace_key_types(
+        JointSection, element=tuple[element, ...], bearing=bearing | None
+    )
     surface: Any = _surface_section()
     return _replace_key_types(RobotFile, joint=tuple[joint, ...], surface=dict[str, surface])
 

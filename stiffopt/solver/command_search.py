@@ -11,6 +11,7 @@ import numpy as np
 
 from stiffopt.certificate.assess import drive_history
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE, find_drive_violations
+from stiffopt.elastic.bearing_lead import bearing_lead
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import REST, simulate
 from stiffopt.elastic.smooth_motion import smooth_motion
@@ -285,11 +286,16 @@ class CommandSearch:
         return found or last
 
     def _candidate_leads(self) -> list[_Lead]:
-        planned, own = self._motion.motors, []
+        planned, own, lead = self._motion.motors, [], self._bearing_lead
         if planned is not None and planned.link is not None:
             # At a limit the planned motion cannot lead by more; a smoother spline may.
-            own = [_Lead(planned.link, planned, None, self._problem.servo)]
+            motors = planned
+            if lead is not None:
+                motors = planned.plus(lead.held_for(planned.duration - lead.duration))
+            own = [_Lead(planned.link, motors, None, self._problem.servo)]
         links = [(smooth_motion(self._plan, each), each) for each in KNOT_SPACINGS]
+        if lead is not None:
+            links = [(link.plus(lead), spacing) for link, spacing in links]
         smoothing = law_smoothing(self._problem)
         splines = [
             _Lead(
@@ -306,6 +312,13 @@ class CommandSearch:
             for link, spacing in links
         ]
         return [self._against_force(each) for each in (*own, *splines)]
+
+    @functools.cached_property
+    def _bearing_lead(self) -> Trajectory | None:
+        """Motion of the joints by which the tool is led against the yielding of the bearings."""
+        if not self._arm.robot.tilts:
+            return None
+        return bearing_lead(self._arm, self._plan)
 
     def _against_force(self, lead: _Lead) -> _Lead:
         """Return a lead that compensates the force along the path too."""

@@ -10,11 +10,15 @@ from small_arms import ROOT
 
 from stiffopt.budget.budget import ORIENTATION, POSITION, ErrorModel, error_budget
 from stiffopt.budget.ellipsoids import magnitude_bound, semi_axes
+from stiffopt.budget.floor import error_shares, geometry_floor
 from stiffopt.budget.measurements import TRACKER_DEVIATION, rank_measurements
 from stiffopt.budget.sources import States
 from stiffopt.cli import run
+from stiffopt.drivetrain.bearing import OutputBearing
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.exact.chain import exact_windup
+from stiffopt.result.tool_error import PropagatedError
+from stiffopt.robot.bearing_deflection import bearing_deflections
 from stiffopt.robot.files import load_robot
 from stiffopt.robot.tolerances import Tolerances
 
@@ -193,3 +197,57 @@ def test_command_writes_page_and_numbers_and_narrows_with_identified_stiffness(t
     (identified / "stiffness.json").write_text(json.dumps({"joints": joints + joints}))
     assert run([*narrow, str(identified)]) == 2
     assert "Give the stiffness of the same arm" in capsys.readouterr().err
+
+
+def test_tilt_of_bearings_agrees_with_sampled_arms():
+    robot = replace(arm(), bearings=(OutputBearing(moment_stiffness=4e5),) * 6)
+    poses = [[0.3, -1.2, 1.4, -1.7, -1.5, 0.0], [0.8, -0.7, 1.0, -1.2, -1.0, 0.4]]
+    unsure = replace(EXACT, bearing_stiffness=0.2)
+    nothing = Tolerances(**{k: 0.0 for k, v in vars(Tolerances()).items() if isinstance(v, float)})
+    found = budget(without_hysteresis(robot), poses, nothing, unsure)
+    random = np.random.default_rng(4)
+    factors = 1.0 + 0.1 * random.standard_normal((300, 6))
+    # The tilt is linear in the compliance, 1 / factor to first order 2 - factor.
+    errors = np.array(
+        [
+            bearing_deflections(robot.with_bearings_times(1.0 / (2.0 - each)), np.array(poses))
+            for each in factors
+        ]
+    ).sum(axis=2)
+    # 300 draws of the standard deviation are within 4 %.
+    spread = np.sqrt(np.trace(found.covariance[:, :3, :3], axis1=1, axis2=2))
+    sampled = np.sqrt(np.sum(np.var(errors[:, :, :3], axis=0), axis=1))
+    assert spread == pytest.approx(sampled, rel=0.1)
+    whole = bearing_deflections(robot, np.array(poses)).sum(axis=1)
+    assert np.mean(errors, axis=0) == pytest.approx(whole, abs=0.02 * np.abs(whole).max())
+    tilt = next(each for each in found.known if each.group == "tilt")
+    assert tilt.effect == pytest.approx(whole)
+    # Six joints correct the tilt: what is left is its uncertain part.
+    led = budget(without_hysteresis(robot), poses, nothing, unsure, compensated=True)
+    left = next(each for each in led.known if each.group == "tilt").effect[:, :3]
+    assert np.linalg.norm(left, axis=1).max() < 0.02 * np.linalg.norm(whole[:, :3], axis=1).max()
+
+
+def test_geometry_is_a_floor_of_the_commanded_error():
+    robot, poses = arm(), np.array([[0.3, -1.2, 1.4, -1.7, -1.5, 0.0]])
+    errors = sampled_errors(robot, poses, TOLERANCES, DRAWS, seed=8)[:, 0, :3]
+    floor = geometry_floor(robot, TOLERANCES, poses)
+    assert floor == pytest.approx(np.quantile(np.linalg.norm(errors, axis=1), 0.95), rel=0.03)
+    taught = replace(TOLERANCES, reference="start")
+    assert geometry_floor(robot, taught, poses) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_shares_of_the_commanded_error_join_the_joints():
+    along = np.ones((2, 3, 1)) * np.array([1.0, 0.0, 0.0])
+    error = PropagatedError(
+        time=np.array([0.0, 0.5, 1.0]),
+        duration=0.5,
+        shares={
+            "stiffness of joint 1": 3.0 * along,
+            "stiffness of joint 2": 4.0 * along,
+            "bearing of waist, tilt x": 5.0 * along,
+            "servo": 0.0 * along,
+        },
+        mean=np.zeros((3, 3)),
+    )
+    assert error_shares(error) == pytest.approx({"stiffness": 0.5, "bearing": 0.5, "servo": 0.0})

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from stiffopt.identification.comparison import JointComparison, describe_difference
 from stiffopt.identification.result import JointStiffness, StaticStiffness
 from stiffopt.report.common.page import Filters, PageFigures, write_page
 from stiffopt.report.common.terminal import print_lines, print_table
@@ -151,4 +153,26 @@ def print_static(result: StaticStiffness, folder: Path) -> None:
             f"Torque-dependent stiffness: {result.torque_dependence.sentence}",
             f"Report: {folder / 'report.html'}",
         )
+    )
+
+
+def print_comparison(names: Sequence[str], joints: Sequence[JointComparison]) -> None:
+    """Print the joints of several sets side by side, and beside the drivetrains' model."""
+    columns = (*names, "all sets", "model")
+    rows = [
+        (
+            f"J{joint.joint}",
+            *(
+                DASH if value is None or sd is None else f"{decades(value)} ± {decades(sd, 2)}"
+                for value, sd in zip(
+                    (*joint.stiffness, joint.pooled), (*joint.sd, joint.pooled_sd), strict=True
+                )
+            ),
+            decades(joint.model),
+        )
+        for joint in joints
+    ]
+    print_table(("", *columns), rows, title="Joint stiffness side by side", numbers=columns)
+    print_lines(
+        f"J{joint.joint}: {told}." for joint in joints if (told := describe_difference(joint))
     )

@@ -1,0 +1,62 @@
+"""Output bearing of a joint: elastic in tilt, axial and radial direction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import numpy as np
+
+from stiffopt.declaration import POSITIVE, Doc, Length, LinearStiffness, Stiffness, check_fields
+from stiffopt.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class OutputBearing:
+    """Output bearing of a joint: tilt about both transverse axes, axial and radial deflection.
+
+    Linear and alike about the axis, as catalogues state it: tilt = moment / moment_stiffness
+    (Harmonic Drive, LynxDrive catalogue 1018856, equation 45.1). A missing stiffness is rigid.
+    """
+
+    moment_stiffness: Annotated[
+        Stiffness | None,
+        POSITIVE,
+        Doc("Moment stiffness, of the tilt about an axis across that of the joint; default rigid."),
+    ] = None
+    axial_stiffness: Annotated[
+        LinearStiffness | None, POSITIVE, Doc("Stiffness along the axis; default rigid.")
+    ] = None
+    radial_stiffness: Annotated[
+        LinearStiffness | None, POSITIVE, Doc("Stiffness across the axis; default rigid.")
+    ] = None
+    position: Annotated[
+        Length, Doc("Position of the bearing along the joint's axis, from the joint's origin.")
+    ] = 0.0
+
+    def __post_init__(self) -> None:
+        check_fields(self, "bearing")
+        if not any((self.moment_stiffness, self.axial_stiffness, self.radial_stiffness)):
+            raise InputError(
+                "a bearing without stiffness is rigid: give moment_stiffness, axial_stiffness, "
+                "radial_stiffness or `catalogue`, or leave the section out."
+            )
+
+    def times(self, factor: float) -> OutputBearing:
+        """Return the bearing with its stiffnesses times a factor."""
+        keys = ("moment_stiffness", "axial_stiffness", "radial_stiffness")
+        given = {key: own for key in keys if (own := getattr(self, key)) is not None}
+        return replace(self, **{key: factor * own for key, own in given.items()})
+
+    @property
+    def compliance(self) -> np.ndarray:
+        """Compliance (6,): wrench [F, M] at the bearing to displacement and rotation there.
+
+        In axes whose third is the joint's; zero where rigid, and about the joint's axis.
+        """
+        stiffness = (
+            *2 * (self.radial_stiffness,),
+            self.axial_stiffness,
+            *2 * (self.moment_stiffness,),
+        )
+        return np.array([0.0 if each is None else 1.0 / each for each in (*stiffness, None)])

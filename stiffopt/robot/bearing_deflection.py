@@ -1,0 +1,98 @@
+"""Displacement of the tool by the elastic output bearings of the joints, quasi-static.
+
+Each bearing carries the wrench [F, M] of its joint but for the torque about the axis, which the
+drivetrain carries, and yields against it. Displacements are small: those of all bearings add up.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stiffopt.robot.joint_load import joint_frames, joint_wrenches, shift_wrench, supports_tool
+
+if TYPE_CHECKING:
+    from stiffopt.robot.robot import Robot
+
+# Displacement that counts as much as a rotation of 1 rad, where joints cannot correct both [m].
+_ROTATION_LENGTH = 1e-2
+# Damping of the correction near singular poses: lever arm with which a joint hardly moves the tool
+# [m/rad], a tenth of the rotation's length.
+_MIN_LEVER_ARM = 1e-3
+
+
+def bearing_deflections(
+    robot: Robot,
+    position: np.ndarray,
+    velocity: np.ndarray | None = None,
+    acceleration: np.ndarray | None = None,
+    force: np.ndarray | None = None,
+) -> np.ndarray:
+    """Displacement and rotation of the tool by the bearing of each joint.
+
+    Parameters
+    ----------
+    robot : Robot
+        Payload and tool attached.
+    position, velocity, acceleration : array (K, n)
+        Of the links; default at rest.
+    force : array (3,) or (K, 3), optional
+        Force ON the tool, base axes [N].
+
+    Returns
+    -------
+    array (K, n, 6)
+        [m] and [rad], base axes.
+    """
+    found = np.zeros((*position.shape, 6))
+    if not robot.tilts:
+        return found
+    still = np.zeros_like(position)
+    velocity, acceleration = (still if x is None else x for x in (velocity, acceleration))
+    force = np.zeros(3) if force is None else np.atleast_2d(force)[:, None]
+    wrench = joint_wrenches(robot, position, velocity, acceleration, force)
+    axes, arm = joint_frames(robot, position)
+    carrying = supports_tool(robot)
+    for j, bearing in enumerate(robot.bearings):
+        if bearing is None or not carrying[j]:
+            continue
+        away = bearing.compliance * shift_wrench(wrench[:, j], bearing.position)
+        moved, turned = (np.einsum("kis,ks->ki", axes[:, j], -own) for own in np.split(away, 2, 1))
+        lever = arm[:, j] - bearing.position * axes[:, j, :, 2]
+        found[:, j] = np.concatenate([moved + np.cross(turned, lever), turned], axis=1)
+    return found
+
+
+def dynamic_bearing_deflections(
+    robot: Robot,
+    position: np.ndarray,
+    velocity: np.ndarray,
+    acceleration: np.ndarray,
+    force: np.ndarray | None = None,
+    path_force: np.ndarray | None = None,
+) -> np.ndarray:
+    """Deflections (K, n, 6) of a motion less those at rest in the same poses under `force`."""
+    pressed = force if path_force is None else path_force + (0.0 if force is None else force)
+    moving = bearing_deflections(robot, position, velocity, acceleration, pressed)
+    return moving - bearing_deflections(robot, position, force=force)
+
+
+def correcting_joints(robot: Robot, position: np.ndarray, deflection: np.ndarray) -> np.ndarray:
+    """Changes (K, n) of the joints that move the tool against deflections as far as they can.
+
+    Displacements come before rotations where there are fewer than six joints.
+
+    Parameters
+    ----------
+    robot : Robot
+    position : array (K, n)
+    deflection : array (K, 6)
+        Displacement [m] and rotation [rad].
+    """
+    weight = np.repeat([1.0, _ROTATION_LENGTH], 3)
+    bodies = robot.rigid_bodies()
+    jacobian = weight[:, None] * np.array([bodies.jacobian(robot.tool, q) for q in position])
+    across = jacobian.swapaxes(1, 2)
+    left = jacobian @ across + _MIN_LEVER_ARM**2 * np.eye(6)
+    return np.asarray(-(across @ np.linalg.solve(left, (weight * deflection)[..., None]))[..., 0])
