@@ -59,7 +59,7 @@ def test_every_effect_moves_the_arm_and_tells_its_parameters(effect):
     time = np.arange(round(0.6 / TIMESTEP)) * TIMESTEP
     command = 0.4 + 0.3 * np.sin(2.0 * np.pi * np.outer(time, [1.5, 2.0, 1.7]))
     healthy, torque = simulate(nominal_world(LEG, 0.004), command)
-    about = Healthy(np.abs(torque).max(0), healthy.min(0), healthy.max(0), np.array([-0.6, -0.2]))
+    about = Healthy(np.abs(torque).max(0), healthy.min(0), healthy.max(0), np.array([-0.5, -0.3]))
     world = nominal_world(LEG, 0.004)
     params = COMMANDED_EFFECTS[effect].act(world, 1, 2.0, np.random.default_rng(0), about)
     moved = np.abs(simulate(world, command)[0] - healthy).max()
