@@ -126,8 +126,10 @@ def score(store: Store, name: str) -> Scored:
     if answered:
         found = json.loads((path / "diagnosis.json").read_text(encoding="utf-8"))
         loop = tomllib.loads((path / "extended.toml").read_text("utf-8")).get("closed_loop", {})
-    claimed = [f for f in found["findings"] if f["certainty"] in CLAIMED]
     entry = COMMANDED_EFFECTS.get(truth["effect"])
+    # Damping of a servo whose gains nobody states is a value that was missing, no claim.
+    own = () if truth["gains_stated"] or truth["effect"] == "viscous" else ("viscous",)
+    claimed = [f for f in found["findings"] if f["certainty"] in CLAIMED and f["effect"] not in own]
 
     def is_true(finding: dict[str, Any]) -> tuple[bool, bool]:
         named = entry is not None and finding["effect"] in entry.names

@@ -216,7 +216,8 @@ def check(
             terminal.print_static_check(facts)
         return 0
     loaded = load_recordings(recordings, changes)
-    loaded, training, derived = resolve_actuator(loaded, open_training_runs(loaded))
+    resolved = resolve_actuator(loaded, open_training_runs(loaded))
+    loaded, training, derived = resolved.recordings, resolved.runs, resolved.notes
     report = check_recordings(loaded)
     every = (*CATALOGUE, *(load_effects(effects) if effects else ()))
     found = effect_checks(loaded, report.facts, report.training_runs, every)

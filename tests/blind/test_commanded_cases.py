@@ -74,7 +74,7 @@ def answered_case(tmp_path_factory):
     patch.setattr(commanded_case, "_SECONDS", 0.5)
     store = Store(tmp_path_factory.mktemp("store"))
     spec = commanded_case.CommandedSpec(
-        name="commanded_0000", arm="leg", effect="viscous", size=1.0, gains_stated=True, seed=5
+        name="commanded_0000", arm="leg", effect="viscous", size=1.7, gains_stated=True, seed=5
     )
     commanded.make(spec, store)
     patch.undo()

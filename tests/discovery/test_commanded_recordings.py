@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from servo_sets import COULOMB, DELAY, KP, write_servo_set
+from servo_sets import COULOMB, DELAY, KP, VISCOUS, write_servo_set
 
 from stiffopt.cli import run as run_command
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.identifiable import effect_checks
-from stiffopt.discovery.position_fit import read_model
+from stiffopt.discovery.position_fit import fit_positions, read_model, simulate_run
 from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
 from stiffopt.discovery.sanity.command_doubts import doubt_commands
 from stiffopt.discovery.training import open_training_runs
@@ -31,7 +31,8 @@ def servo_set(tmp_path_factory: pytest.TempPathFactory) -> RecordingSet:
 
 
 def test_weight_tells_the_gain_and_motion_the_delay(servo: RecordingSet) -> None:
-    resolved, runs, notes = resolve_actuator(servo, open_training_runs(servo))
+    own = resolve_actuator(servo, open_training_runs(servo))
+    resolved, runs, notes = own.recordings, own.runs, own.notes
     law = resolved.actuator
     assert law is not None
     np.testing.assert_allclose(law.stiffness, KP, rtol=0.02)
@@ -46,15 +47,36 @@ def test_a_gain_that_nothing_tells_is_said(tmp_path: Path) -> None:
     # About a vertical axis nothing weighs, and the inertia is that of any rotor.
     urdf.write_text(urdf.read_text().replace('axis xyz="0 1 0"', 'axis xyz="0 0 1"'))
     found = load_recordings(folder)
-    resolved, runs, notes = resolve_actuator(found, open_training_runs(found))
+    own = resolve_actuator(found, open_training_runs(found))
+    resolved, runs, notes = own.recordings, own.runs, own.notes
     assert resolved.actuator is not None
-    assert np.isnan(resolved.actuator.stiffness).all()
+    assert not resolved.actuator.scaled.any()
     assert np.isnan(runs[0].torque).all()
     assert any("only ratios" in note for note in notes)
 
 
+def test_a_joint_without_scale_is_simulated_by_its_ratios(tmp_path: Path) -> None:
+    folder = write_servo_set(tmp_path / "set", gravity=0.0)
+    urdf = folder / "robot.urdf"
+    urdf.write_text(urdf.read_text().replace('axis xyz="0 1 0"', 'axis xyz="0 0 1"'))
+    found = load_recordings(folder)
+    own = resolve_actuator(found, open_training_runs(found))
+    assert own.recordings.actuator is not None
+    assert not own.recordings.actuator.scaled.any()
+    model = fit_positions(own.recordings, own.runs, found.robot, own.parameters)
+    assert model is not None
+    fitted = model.fitted
+    gain = model.loop.law.stiffness * (1.0 + fitted.of("gain"))
+    np.testing.assert_allclose(fitted.of("coulomb") / gain, COULOMB / KP, rtol=0.05)
+    np.testing.assert_allclose(fitted.of("viscous") / gain, VISCOUS / KP, rtol=0.05)
+    (entry,) = found.with_role("test")
+    run = simulate_run(own.recordings, model, found.open(entry))
+    assert float(np.sqrt(np.mean((run.after - run.measured) ** 2))) < 2e-3
+
+
 def test_effects_of_torque_sensors_are_not_sought(servo: RecordingSet) -> None:
-    resolved, runs, _ = resolve_actuator(servo, open_training_runs(servo))
+    own = resolve_actuator(servo, open_training_runs(servo))
+    resolved, runs = own.recordings, own.runs
     checks = effect_checks(resolved, joint_facts(resolved, runs), len(runs))
     possible = {each.effect.name for each in checks if each.possible}
     assert "coulomb" in possible
