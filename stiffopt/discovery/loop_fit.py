@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from stiffopt.closed_loop.arm import CommandedArm
+from stiffopt.closed_loop.arm import AddedTorque, CommandedArm
 from stiffopt.closed_loop.parameters import (
     BODY_PARAMETERS,
     Parameters,
@@ -18,6 +18,7 @@ from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter, bridge_gaps
 from stiffopt.discovery.settings import DEFAULT_TOLERANCE
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
+from stiffopt.robot.body_tree import BodyTree
 from stiffopt.robot.robot import Robot
 
 # Cutoff of the filter of velocities that stretches begin with [Hz].
@@ -46,13 +47,18 @@ DRIVE_PARAMETERS = {"rotor_inertia": "armature", "viscous": "viscous", "coulomb"
 _KEPT_DEVIATIONS = 1.5
 
 
-def _build_loop(recordings: RecordingSet, runs: Sequence[CommandedRun]) -> CommandedArm:
-    """Return the closed loop of a set's nominal robot with its actuators."""
+def build_loop(
+    recordings: RecordingSet,
+    runs: Sequence[CommandedRun],
+    tree: BodyTree,
+    added: AddedTorque | None = None,
+) -> CommandedArm:
+    """Return the closed loop of some bodies with a set's actuators and further torques."""
     law, back = recordings.actuator, np.argsort(recordings.order)
     assert law is not None
     low = np.nanmin([np.nanmin(run.position, axis=0) for run in runs], axis=0)
     high = np.nanmax([np.nanmax(run.position, axis=0) for run in runs], axis=0)
-    return CommandedArm(recordings.robot.tree, law.reordered(back), 0.5 * (low + high))
+    return CommandedArm(tree, law.reordered(back), 0.5 * (low + high), added)
 
 
 def is_commanded(run: RecordedRun) -> bool:
@@ -161,6 +167,8 @@ def fit_loop(
     say: Callable[[str], object] = lambda _: None,
     *,
     leading: bool = False,
+    tree: BodyTree | None = None,
+    added: AddedTorque | None = None,
 ) -> tuple[CommandedArm, Polished] | None:
     """Fit a closed loop to training runs, beginning with a prior; or the leading parameters alone.
 
@@ -172,7 +180,7 @@ def fit_loop(
     commanded = [commanded_run(recordings, run) for run in runs if is_commanded(run)]
     if not commanded:
         return None
-    loop = _build_loop(recordings, commanded)
+    loop = build_loop(recordings, commanded, tree or recordings.robot.tree, added)
     deviations = expected_deviations(recordings, commanded, loop, prior)
     fit = polish_leading if leading else polish
     return loop, fit(loop, _limit_motion(commanded), prior, deviations, say)

@@ -17,7 +17,9 @@ from stiffopt.closed_loop.parameters import (
     zero_parameters,
 )
 from stiffopt.closed_loop.simulation import simulate
+from stiffopt.discovery.extended.model import ExtendedModel
 from stiffopt.discovery.extended.schema import ClosedLoopSection
+from stiffopt.discovery.loop_effects import robot_in_loop
 from stiffopt.discovery.loop_fit import (
     DRIVE_PARAMETERS,
     commanded_run,
@@ -28,7 +30,6 @@ from stiffopt.errors import InputError
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
 from stiffopt.robot.batched_kinematics import frame_positions
-from stiffopt.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,12 +38,14 @@ class ClosedLoopModel:
 
     Parameters
     ----------
-    loop : CommandedArm
+    nominal_loop, loop : CommandedArm
+        Of the nominal robot, and with the findings.
     nominal, fitted : Parameters
     deviations : array (p,)
         One standard deviation of each fitted parameter.
     """
 
+    nominal_loop: CommandedArm
     loop: CommandedArm
     nominal: Parameters
     fitted: Parameters
@@ -77,26 +80,33 @@ class PositionRun:
 def fit_positions(
     recordings: RecordingSet,
     runs: Sequence[RecordedRun],
-    start: Robot,
+    model: ExtendedModel | None = None,
     estimated: Parameters | None = None,
     say: Callable[[str], object] = lambda _: None,
 ) -> ClosedLoopModel | None:
-    """Fit a simulation from commands to training runs, beginning with the findings in `start`.
+    """Fit a simulation from commands to training runs, beginning with the findings of a model.
 
     Joints whose gain gives torque no scale begin with the drives of `estimated`.
+
     None where a joint has no gain, which would not be held, or no command.
     """
-    prior, law = nominal_parameters(recordings, start), recordings.actuator
+    robot, added, zeros = recordings.robot, None, {}
+    if model is not None:
+        robot, added, zeros = robot_in_loop(recordings, model)
+    prior, law = nominal_parameters(recordings, robot), recordings.actuator
+    for place, zero in zeros.items():
+        prior.values[prior.place("zero")][place] = zero
     if estimated is not None and law is not None:
         unscaled = ~law.scaled[np.argsort(recordings.order)]
         for name in DRIVE_PARAMETERS.values():
             place = prior.place(name)
             prior.values[place] = np.where(unscaled, estimated.of(name), prior.of(name))
-    fit = fit_loop(recordings, runs, prior, say)
+    fit = fit_loop(recordings, runs, prior, say, tree=robot.tree, added=added)
     if fit is None:
         return None
     loop, fitted = fit
     return ClosedLoopModel(
+        nominal_loop=CommandedArm(recordings.robot.tree, loop.law, loop.middle),
         loop=loop,
         nominal=nominal_parameters(recordings, recordings.robot),
         fitted=fitted.parameters,
@@ -108,8 +118,11 @@ def simulate_run(recordings: RecordingSet, model: ClosedLoopModel, run: Recorded
     """Simulate a run from its commands and its first position with both models."""
     own, order = commanded_run(recordings, run), recordings.order
     before, after = (
-        simulate(model.loop, own, parameters).position
-        for parameters in (model.nominal, model.fitted)
+        simulate(loop, own, parameters).position
+        for loop, parameters in (
+            (model.nominal_loop, model.nominal),
+            (model.loop, model.fitted),
+        )
     )
     robot = recordings.robot
     places = [frame_positions(robot.tree, robot.tool, q) for q in (own.position, before, after)]
@@ -151,14 +164,16 @@ def model_section(
     )
 
 
-def read_model(recordings: RecordingSet, section: ClosedLoopSection) -> ClosedLoopModel:
-    """Return the closed loop that a section of extended.toml describes.
+def read_model(recordings: RecordingSet, model: ExtendedModel) -> ClosedLoopModel:
+    """Return the closed loop of an extended model.
 
     Raises
     ------
     InputFileError
         A list of another length than the joints, or an unknown or missing parameter.
     """
+    section = model.closed_loop
+    assert section is not None
     n, back = recordings.n, np.argsort(recordings.order)
     names = {**dict.fromkeys((*JOINT_PARAMETERS, *BODY_PARAMETERS), n), DELAY: 1}
     for key in ("values", "deviations"):
@@ -182,7 +197,9 @@ def read_model(recordings: RecordingSet, section: ClosedLoopSection) -> ClosedLo
         delay=section.delay,
         tolerance=tolerance,
     )
-    loop = CommandedArm(recordings.robot.tree, law.reordered(back), middle[back])
+    robot, added, _ = robot_in_loop(recordings, model)
+    inside = law.reordered(back)
+    loop = CommandedArm(robot.tree, inside, middle[back], added)
     known = recordings.with_actuator(law)
     fitted, spread = zero_parameters(recordings.robot.joint_names), None
     for table in (section.deviations, section.values):
@@ -195,6 +212,7 @@ def read_model(recordings: RecordingSet, section: ClosedLoopSection) -> ClosedLo
         fitted.values[-1] = table[DELAY][0]
     assert spread is not None
     return ClosedLoopModel(
+        nominal_loop=CommandedArm(recordings.robot.tree, inside, middle[back]),
         loop=loop,
         nominal=nominal_parameters(known, recordings.robot),
         fitted=fitted,

@@ -37,7 +37,7 @@ def roll_out(recordings: RecordingSet, model: ExtendedModel) -> tuple[PositionRu
             " in [actuator]."
         )  # fmt: skip
     try:
-        simulation = read_model(recordings, model.closed_loop)
+        simulation = read_model(recordings, model)
     except InputError as error:
         raise InputFileError(model.source, "", str(error)) from error
     runs = [recordings.open(entry) for entry in recordings.runs]

@@ -13,7 +13,7 @@ from servo_sets import COULOMB, DELAY, KP, VISCOUS, write_servo_set
 from stiffopt.cli import run as run_command
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.identifiable import effect_checks
-from stiffopt.discovery.position_fit import fit_positions, read_model, simulate_run
+from stiffopt.discovery.position_fit import fit_positions, simulate_run
 from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
 from stiffopt.discovery.sanity.command_doubts import doubt_commands
 from stiffopt.discovery.training import open_training_runs
@@ -63,7 +63,7 @@ def test_a_joint_without_scale_is_simulated_by_its_ratios(tmp_path: Path) -> Non
     own = resolve_actuator(found, open_training_runs(found))
     assert own.recordings.actuator is not None
     assert not own.recordings.actuator.scaled.any()
-    model = fit_positions(own.recordings, own.runs, found.robot, own.parameters)
+    model = fit_positions(own.recordings, own.runs, estimated=own.parameters)
     assert model is not None
     fitted = model.fitted
     gain = model.loop.law.stiffness * (1.0 + fitted.of("gain"))
@@ -212,5 +212,4 @@ role = "test"
     assert error < 4e-3
     assert "position_friction" in {each.effect.name for each in found.findings}
     assert found.closed_loop is not None
-    model = read_model(found.recordings, found.closed_loop)
-    np.testing.assert_allclose(model.fitted.of("coulomb")[2], 0.9, atol=0.3)
+    np.testing.assert_allclose(found.closed_loop.values["coulomb"][2], 0.9, atol=0.3)

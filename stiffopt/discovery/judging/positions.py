@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 
 from stiffopt.closed_loop.parameters import Parameters
 from stiffopt.discovery.comparison.located_effect import Extension
-from stiffopt.discovery.extended.planning import planner_model
 from stiffopt.discovery.extended.value_changes import extended_model
 from stiffopt.discovery.loop_fit import is_commanded
 from stiffopt.discovery.position_fit import (
@@ -40,8 +39,7 @@ def fit_simulation(
         return None
     say("simulate the training runs from their commands")
     model = extended_model(recordings, training.constants, found)
-    start = planner_model(recordings.robot, model).robot
-    return fit_positions(recordings, runs, start, estimated, say)
+    return fit_positions(recordings, runs, model, estimated, say)
 
 
 def simulate_held_out(
