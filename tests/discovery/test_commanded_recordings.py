@@ -16,6 +16,7 @@ from stiffopt.discovery.identifiable import effect_checks
 from stiffopt.discovery.position_fit import fit_positions, simulate_run
 from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
 from stiffopt.discovery.sanity.command_doubts import doubt_commands
+from stiffopt.discovery.sanity.position_errors import take_errors_as_commands
 from stiffopt.discovery.training import open_training_runs
 from stiffopt.recording.joint_facts import joint_facts
 from stiffopt.recording.recording_set import RecordingSet, load_recordings
@@ -72,6 +73,44 @@ def test_a_joint_without_scale_is_simulated_by_its_ratios(tmp_path: Path) -> Non
     (entry,) = found.with_role("test")
     run = simulate_run(own.recordings, model, found.open(entry))
     assert float(np.sqrt(np.mean((run.after - run.measured) ** 2))) < 2e-3
+
+
+def test_a_position_error_stated_as_torque_is_taken_as_commands(tmp_path: Path) -> None:
+    folder = write_servo_set(tmp_path / "set", runs=2)
+    for file in folder.glob("*.npz"):
+        columns = dict(np.load(file))
+        error = 2.0 * (columns["goal_position"] - columns["present_position"])
+        np.savez(file, **columns, load=np.round(error, 6))
+    text = (folder / "recordings.toml").read_text()
+    text = text.replace(
+        'command = ["goal_position"]', f'torque = ["load"]\nscale.torque = [{KP / 2}]'
+    )
+    (folder / "recordings.toml").write_text(text)
+    found, notes = take_errors_as_commands(load_recordings(folder))
+    assert found.signals.command == ("goal_position",)
+    assert found.actuator is not None
+    np.testing.assert_allclose(found.actuator.stiffness, KP)
+    assert "load is goal_position less present_position" in notes[0]
+    own = resolve_actuator(found, open_training_runs(found))
+    assert own.recordings.actuator is not None
+    assert abs(own.recordings.actuator.delay - DELAY) < 3e-3
+
+
+def test_a_measured_torque_stays_one(tmp_path: Path) -> None:
+    folder = write_servo_set(tmp_path / "set", runs=2)
+    for file in folder.glob("*.npz"):
+        columns = dict(np.load(file))
+        # Proportional to the error up to damping, as a servo's current is.
+        speed = np.gradient(columns["present_position"], columns["t"])
+        load = columns["goal_position"] - columns["present_position"] - 0.02 * speed
+        np.savez(file, **columns, load=load)
+    text = (folder / "recordings.toml").read_text()
+    (folder / "recordings.toml").write_text(
+        text.replace('command = ["goal_position"]', 'torque = ["load"]')
+    )
+    found, notes = take_errors_as_commands(load_recordings(folder))
+    assert found.signals.torque == ("load",)
+    assert notes == ()
 
 
 def test_effects_of_torque_sensors_are_not_sought(servo: RecordingSet) -> None:
