@@ -19,7 +19,9 @@ STEP, HELD = 0.01, 2
 _SUBSTEPS = 20
 
 
-def commanded_motion(seed: int, seconds: float = 8.0) -> tuple[np.ndarray, ...]:
+def commanded_motion(
+    seed: int, seconds: float = 8.0, gravity: float = GRAVITY
+) -> tuple[np.ndarray, ...]:
     """Return time, held commands and positions (K,) of one run."""
     rng = np.random.default_rng(seed)
     time = np.arange(round(seconds / STEP)) * STEP
@@ -37,7 +39,7 @@ def commanded_motion(seed: int, seconds: float = 8.0) -> tuple[np.ndarray, ...]:
         position[k] = q
         for s in range(_SUBSTEPS):
             u = sent[max(k * _SUBSTEPS + s - late, 0)]
-            drive = KP * (u - q) - MASS * GRAVITY * LEVER * np.sin(q)
+            drive = KP * (u - q) - MASS * gravity * LEVER * np.sin(q)
             # Semi-implicit, dry friction as an impulse that at most stops the link.
             free = (v + h * drive / about) / (1.0 + h * VISCOUS / about)
             most = h * COULOMB / about
@@ -46,7 +48,9 @@ def commanded_motion(seed: int, seconds: float = 8.0) -> tuple[np.ndarray, ...]:
     return time, command, position + 2e-5 * rng.normal(size=len(time))
 
 
-def write_servo_set(folder: Path, *, actuator: str = "", signals: str = "", runs: int = 3) -> Path:
+def write_servo_set(
+    folder: Path, *, actuator: str = "", signals: str = "", runs: int = 3, gravity: float = GRAVITY
+) -> Path:
     """Write a set of runs, the last one held out; `signals` and `actuator` are TOML lines."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "robot.urdf").write_text(URDF, encoding="utf-8")
@@ -60,7 +64,7 @@ def write_servo_set(folder: Path, *, actuator: str = "", signals: str = "", runs
     ]
     lines += ["[actuator]", 'kind = "position_servo"', actuator] if actuator else []
     for k in range(runs):
-        time, command, position = commanded_motion(k)
+        time, command, position = commanded_motion(k, gravity=gravity)
         np.savez(folder / f"run{k}.npz", t=time, goal_position=command, present_position=position)
         role = "test" if k == runs - 1 else "train"
         lines += ["[[runs]]", f'file = "run{k}.npz"', f'role = "{role}"']

@@ -7,6 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+# Largest relative standard deviation of an estimated gain that gives torque its scale.
+MAX_GAIN_DEVIATION = 0.1
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ActuatorLaw:
@@ -28,8 +31,11 @@ class ActuatorLaw:
         Bound on the torque; infinite without [N m].
     delay : float
         Time from a command to the torque that follows it [s]; nan where it is not known.
-    tolerance : float
-        One standard deviation of the known gains, relative.
+    tolerance : array (n,)
+        One standard deviation of each gain, relative.
+    estimated : array (n,) of bool, optional
+        Gains that a recording told, not its description; default none. From `MAX_GAIN_DEVIATION`
+        they are mere guesses, which hold a simulated joint but give torque no scale.
     delay_deviation : float
         One standard deviation of the delay [s]; 0 where it is stated.
     """
@@ -39,22 +45,34 @@ class ActuatorLaw:
     drive_max: np.ndarray
     torque_max: np.ndarray
     delay: float
-    tolerance: float
+    tolerance: np.ndarray
     delay_deviation: float = 0.0
+    estimated: np.ndarray | None = None
 
     @property
     def known(self) -> bool:
         """Return whether delay and all gains are known."""
         return bool(np.isfinite(self.stiffness).all() and np.isfinite(self.delay))
 
+    @property
+    def scaled(self) -> np.ndarray:
+        """Return the joints (n,) whose gain gives torque its scale."""
+        guessed = np.zeros(len(self.stiffness), bool) if self.estimated is None else self.estimated
+        return np.isfinite(self.stiffness) & ~(guessed & (self.tolerance > MAX_GAIN_DEVIATION))
+
     def reordered(self, order: Sequence[int] | np.ndarray) -> ActuatorLaw:
         """Return the law of the joints in another order."""
-        names = ("stiffness", "damping", "drive_max", "torque_max")
-        return replace(self, **{name: getattr(self, name)[order] for name in names})
+        names = ("stiffness", "damping", "drive_max", "torque_max", "tolerance", "estimated")
+        own = {name: getattr(self, name) for name in names}
+        return replace(self, **{k: each[order] for k, each in own.items() if each is not None})
 
     def torque(self, error: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """Torque at a position error and a velocity: (..., n) [rad], [rad/s] -> (..., n) [N m]."""
-        drive = np.clip(self.stiffness * error, -self.drive_max, self.drive_max)
+        """Torque at a position error and a velocity: (..., n) [rad], [rad/s] -> (..., n) [N m].
+
+        nan where the gain gives it no scale.
+        """
+        stiffness = np.where(self.scaled, self.stiffness, np.nan)
+        drive = np.clip(stiffness * error, -self.drive_max, self.drive_max)
         whole = drive - self.damping * velocity
         return np.asarray(np.clip(whole, -self.torque_max, self.torque_max))
 

@@ -200,6 +200,7 @@ def check(
     from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
     from stiffopt.discovery.sanity.doubt import DoubtfulRecordings
     from stiffopt.discovery.sanity.gate import SanityGate
+    from stiffopt.discovery.sanity.position_errors import take_errors_as_commands
     from stiffopt.discovery.training import open_training_runs
     from stiffopt.discovery.user_effects import load_effects
     from stiffopt.recording.check import check_recordings
@@ -216,7 +217,9 @@ def check(
             terminal.print_static_check(facts)
         return 0
     loaded = load_recordings(recordings, changes)
-    loaded, training, derived = resolve_actuator(loaded, open_training_runs(loaded))
+    loaded, taken = take_errors_as_commands(loaded)
+    resolved = resolve_actuator(loaded, open_training_runs(loaded))
+    loaded, training, derived = resolved.recordings, resolved.runs, (*taken, *resolved.notes)
     report = check_recordings(loaded)
     every = (*CATALOGUE, *(load_effects(effects) if effects else ()))
     found = effect_checks(loaded, report.facts, report.training_runs, every)

@@ -7,6 +7,7 @@ light links need no shorter steps. Its Jacobian here holds the actuators and fri
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import casadi as ca
@@ -35,6 +36,9 @@ class LoopSymbols:
     next: ca.SX
 
 
+AddedTorque = Callable[[ca.SX, ca.SX, ca.SX, ca.SX], ca.SX]
+
+
 class CommandedArm:
     """Arm with actuators that follow commands.
 
@@ -45,10 +49,19 @@ class CommandedArm:
         In the joint order of the tree; unknown gains count as none.
     middle : array (n,)
         Positions about which dry friction changes [rad].
+    added : callable, optional
+        Torques that further physics takes, of reading, velocity, direction and actuator torque.
     """
 
-    def __init__(self, tree: BodyTree, law: ActuatorLaw, middle: np.ndarray) -> None:
+    def __init__(
+        self,
+        tree: BodyTree,
+        law: ActuatorLaw,
+        middle: np.ndarray,
+        added: AddedTorque | None = None,
+    ) -> None:
         self.tree, self.law, self.middle = tree, law, np.asarray(middle, dtype=float)
+        self.added = added
         self.n = tree.n
         self._functions: dict[bytes, ca.Function] = {}
 
@@ -125,6 +138,14 @@ class CommandedArm:
                 self.tree, self.tree.gravity, q - own["zero"], v, ca.SX.zeros(n), *bodies
             )
             slope = kd + own["viscous"] + dry / _DRY_FRICTION_WIDTH * (1.0 - direction**2)
+            if self.added is not None:
+                # Velocity and direction are one: both give the slope by which stages are stable.
+                speed = ca.SX.sym("v", n)
+                way = ca.tanh(speed / _DRY_FRICTION_WIDTH)
+                more = self.added(q, speed, way, torque)
+                by_speed = ca.diag(ca.jacobian(more, speed))
+                more, by_speed = ca.substitute([more, by_speed], [speed], [v])
+                losses, slope = losses + more, slope + by_speed
             return torque + own["offset"] - losses - bias, slope
 
         q, v = state[:n], state[n:]

@@ -19,6 +19,8 @@ JOINT_PARAMETERS = {
     "offset": "N m",
     "zero": "rad",  # reading of the encoder less the angle of the bodies
 }
+# Those that decide how an arm follows, and that a fit begins with: the rest refines.
+LEADING_PARAMETERS = ("gain", "damping", "armature", "viscous", "coulomb", "offset")
 # Of each body: mass, first moment and inertia about its axis frame, as changes.
 BODY_PARAMETERS = ("mass", "mcx", "mcy", "mcz", "Ixx", "Iyy", "Izz")
 BODY_UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 3)
@@ -80,6 +82,11 @@ class Parameters:
         """Return the places (n,) of a body parameter, one a joint."""
         first = self.bodies.start + BODY_PARAMETERS.index(name)
         return slice(first, self.bodies.stop, len(BODY_PARAMETERS))
+
+    @property
+    def leading(self) -> np.ndarray:
+        """Return which parameters (p,) a fit begins with; the delay is one of them."""
+        return np.array([name in (*LEADING_PARAMETERS, DELAY) for name, _ in self.names])
 
     def of_bodies(self, name: str) -> np.ndarray:
         """Return the values (n,) of a body parameter."""

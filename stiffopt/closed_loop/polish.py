@@ -18,6 +18,8 @@ _STRETCH_SECONDS = 5.0
 _MAX_ITERATIONS, _MIN_DECREASE = 12, 1e-3
 # Rounds in which noise is estimated anew from the residual.
 _NOISE_ROUNDS = 2
+# Duration of all runs that the leading parameters are fitted to, times joints [s].
+_LEADING_SECONDS = 40.0
 # Longest lag over which residuals repeat one another [s].
 _MAX_REPETITION = 1.0
 
@@ -55,6 +57,7 @@ def polish(
     Least squares with the prior, bounded, by Levenberg-Marquardt steps with exact derivatives. The
     residual of a servo repeats itself from row to row: its noise is raised by the number of rows
     that repeat one another, so that neither prior nor deviations are overruled by mere samples.
+    The leading parameters are fitted first, to fewer runs and without the others' derivatives.
 
     Parameters
     ----------
@@ -67,17 +70,29 @@ def polish(
     say : callable
         Called with a sentence at every iteration.
     """
-    fit = _Fit(loop, runs, prior, deviations)
-    current, point = prior, fit.evaluate(prior)
-    noise = fit.noise(point)
-    for last in range(_NOISE_ROUNDS):
-        current, point = fit.descend(current, point, noise, say)
-        if last < _NOISE_ROUNDS - 1:
-            noise = fit.noise(point)
-    spread = np.zeros_like(deviations)
-    spread[fit.places] = fit.deviations(point, fit.noise(point))
-    residual = np.sqrt(np.nanmean(point.residual**2, axis=0))
-    return Polished(current, spread, residual, fit.evaluations)
+    begun = polish_leading(loop, runs, prior, deviations, say)
+    whole = _Fit(loop, runs, prior, deviations).polish(begun.parameters, say)
+    return replace(whole, evaluations=begun.evaluations + whole.evaluations)
+
+
+def polish_leading(
+    loop: CommandedArm,
+    runs: Sequence[CommandedRun],
+    prior: Parameters,
+    deviations: np.ndarray,
+    say: Callable[[str], object] = lambda _: None,
+) -> Polished:
+    """Fit the leading parameters alone, to the beginnings of some runs."""
+    leading = np.where(prior.leading, deviations, 0.0)
+    return _Fit(loop, _begin_runs(runs), prior, leading).polish(prior, say)
+
+
+def _begin_runs(runs: Sequence[CommandedRun]) -> list[CommandedRun]:
+    """Return the beginnings of runs that the leading parameters are fitted to."""
+    joints = runs[0].position.shape[1]
+    count = max(1, min(len(runs), round(_LEADING_SECONDS / joints / _STRETCH_SECONDS)))
+    span = _LEADING_SECONDS / joints / count
+    return [run.until(run.time[0] + span) for run in runs[:count]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +121,19 @@ class _Fit:
         self._size = np.maximum(deviations[self.places], 1e-12)
         self._step = float(np.median(np.concatenate([np.diff(run.time) for run in runs])))
         self.evaluations = 0
+
+    def polish(self, start: Parameters, say: Callable[[str], object]) -> Polished:
+        """Return the fit that begins with some parameters; its noise is estimated in rounds."""
+        current, point = start, self.evaluate(start)
+        noise = self.noise(point)
+        for last in range(_NOISE_ROUNDS):
+            current, point = self.descend(current, point, noise, say)
+            if last < _NOISE_ROUNDS - 1:
+                noise = self.noise(point)
+        spread = np.zeros_like(start.values)
+        spread[self.places] = self.deviations(point, self.noise(point))
+        residual = np.sqrt(np.nanmean(point.residual**2, axis=0))
+        return Polished(current, spread, residual, self.evaluations)
 
     def evaluate(self, parameters: Parameters) -> _Point:
         """Simulate all runs by stretches."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -36,6 +36,12 @@ class CommandedRun:
     command: np.ndarray
     position: np.ndarray
     velocity: np.ndarray
+
+    def until(self, end: float) -> CommandedRun:
+        """Return the beginning of the run up to a time [s]."""
+        rows = slice(0, int(np.searchsorted(self.time, end, side="right")))
+        arrays = ("time", "command", "position", "velocity")
+        return replace(self, **{name: getattr(self, name)[rows] for name in arrays})
 
 
 @dataclass(frozen=True, eq=False)

@@ -53,6 +53,7 @@ from stiffopt.discovery.progress import repeat_progress
 from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
 from stiffopt.discovery.sanity.doubt import Doubt
 from stiffopt.discovery.sanity.gate import judge_plausibility
+from stiffopt.discovery.sanity.position_errors import take_errors_as_commands
 from stiffopt.discovery.search.candidates import Scorer
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import SearchResult
@@ -206,7 +207,9 @@ def _run_diagnosis(
     base = load_extended(model, extra) if isinstance(model, str | os.PathLike) else model
     if base is not None:
         recordings = base.applied_to(recordings)
-    recordings, runs, derived = resolve_actuator(recordings, open_training_runs(recordings, say))
+    recordings, taken = take_errors_as_commands(recordings)
+    resolved = resolve_actuator(recordings, open_training_runs(recordings, say), say)
+    recordings, runs, derived = resolved.recordings, resolved.runs, (*taken, *resolved.notes)
     after = recordings.runs_after if isinstance(recordings, StatePair) else ()
     catalogue = effects_of_runs((*CATALOGUE, *extra), [run.name for run in runs], after)
     if after:
@@ -288,7 +291,9 @@ def _run_diagnosis(
         )
     loop = None
     if recordings.signals.commanded:
-        fitted = partial(fit_simulation, recordings, training, whole, recorded, say)
+        fitted = partial(
+            fit_simulation, recordings, training, whole, recorded, resolved.parameters, say
+        )
         loop = skip_if_stopped(stopped, NO_SIMULATION, fitted)
     # The findings are fixed: held-out runs are read only from here on.
     tracks = finish_step(stopped, lambda: training_tracks(result.comparison, result.fit))

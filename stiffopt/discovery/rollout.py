@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from stiffopt.discovery.extended.model import ExtendedModel
-from stiffopt.discovery.position_fit import PositionRun, is_commanded, read_model, simulate_run
+from stiffopt.discovery.loop_fit import is_commanded
+from stiffopt.discovery.position_fit import PositionRun, read_model, simulate_run
+from stiffopt.discovery.sanity.position_errors import take_errors_as_commands
 from stiffopt.discovery.store import position_entry
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.files import atomic_write, to_json_types, write_csv
@@ -24,7 +26,7 @@ def roll_out(recordings: RecordingSet, model: ExtendedModel) -> tuple[PositionRu
     InputFileError
         The set has no commands, or the model no simulation from commands.
     """
-    recordings = model.applied_to(recordings)
+    recordings, _ = take_errors_as_commands(model.applied_to(recordings))
     if recordings.signals.command is None:
         raise InputFileError(
             recordings.path, "signals.command", "names no commanded positions to simulate from."
@@ -36,7 +38,7 @@ def roll_out(recordings: RecordingSet, model: ExtendedModel) -> tuple[PositionRu
             " in [actuator]."
         )  # fmt: skip
     try:
-        simulation = read_model(recordings, model.closed_loop)
+        simulation = read_model(recordings, model)
     except InputError as error:
         raise InputFileError(model.source, "", str(error)) from error
     runs = [recordings.open(entry) for entry in recordings.runs]

@@ -28,7 +28,7 @@ def pendulum_loop(tmp_path: Path) -> CommandedArm:
         drive_max=np.array([np.inf]),
         torque_max=np.array([8.0]),
         delay=DELAY,
-        tolerance=0.05,
+        tolerance=np.full(1, 0.05),
     )
     return CommandedArm(robot.tree, law, np.zeros(1))
 

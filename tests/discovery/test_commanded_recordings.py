@@ -8,14 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from servo_sets import COULOMB, DELAY, KP, write_servo_set
+from servo_sets import COULOMB, DELAY, KP, VISCOUS, write_servo_set
 
 from stiffopt.cli import run as run_command
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.identifiable import effect_checks
-from stiffopt.discovery.position_fit import read_model
+from stiffopt.discovery.position_fit import fit_positions, simulate_run
 from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
 from stiffopt.discovery.sanity.command_doubts import doubt_commands
+from stiffopt.discovery.sanity.position_errors import take_errors_as_commands
 from stiffopt.discovery.training import open_training_runs
 from stiffopt.recording.joint_facts import joint_facts
 from stiffopt.recording.recording_set import RecordingSet, load_recordings
@@ -31,7 +32,8 @@ def servo_set(tmp_path_factory: pytest.TempPathFactory) -> RecordingSet:
 
 
 def test_weight_tells_the_gain_and_motion_the_delay(servo: RecordingSet) -> None:
-    resolved, runs, notes = resolve_actuator(servo, open_training_runs(servo))
+    own = resolve_actuator(servo, open_training_runs(servo))
+    resolved, runs, notes = own.recordings, own.runs, own.notes
     law = resolved.actuator
     assert law is not None
     np.testing.assert_allclose(law.stiffness, KP, rtol=0.02)
@@ -46,15 +48,74 @@ def test_a_gain_that_nothing_tells_is_said(tmp_path: Path) -> None:
     # About a vertical axis nothing weighs, and the inertia is that of any rotor.
     urdf.write_text(urdf.read_text().replace('axis xyz="0 1 0"', 'axis xyz="0 0 1"'))
     found = load_recordings(folder)
-    resolved, runs, notes = resolve_actuator(found, open_training_runs(found))
+    own = resolve_actuator(found, open_training_runs(found))
+    resolved, runs, notes = own.recordings, own.runs, own.notes
     assert resolved.actuator is not None
-    assert np.isnan(resolved.actuator.stiffness).all()
+    assert not resolved.actuator.scaled.any()
     assert np.isnan(runs[0].torque).all()
     assert any("only ratios" in note for note in notes)
 
 
+def test_a_joint_without_scale_is_simulated_by_its_ratios(tmp_path: Path) -> None:
+    folder = write_servo_set(tmp_path / "set", gravity=0.0)
+    urdf = folder / "robot.urdf"
+    urdf.write_text(urdf.read_text().replace('axis xyz="0 1 0"', 'axis xyz="0 0 1"'))
+    found = load_recordings(folder)
+    own = resolve_actuator(found, open_training_runs(found))
+    assert own.recordings.actuator is not None
+    assert not own.recordings.actuator.scaled.any()
+    model = fit_positions(own.recordings, own.runs, estimated=own.parameters)
+    assert model is not None
+    fitted = model.fitted
+    gain = model.loop.law.stiffness * (1.0 + fitted.of("gain"))
+    np.testing.assert_allclose(fitted.of("coulomb") / gain, COULOMB / KP, rtol=0.05)
+    np.testing.assert_allclose(fitted.of("viscous") / gain, VISCOUS / KP, rtol=0.05)
+    (entry,) = found.with_role("test")
+    run = simulate_run(own.recordings, model, found.open(entry))
+    assert float(np.sqrt(np.mean((run.after - run.measured) ** 2))) < 2e-3
+
+
+def test_a_position_error_stated_as_torque_is_taken_as_commands(tmp_path: Path) -> None:
+    folder = write_servo_set(tmp_path / "set", runs=2)
+    for file in folder.glob("*.npz"):
+        columns = dict(np.load(file))
+        error = 2.0 * (columns["goal_position"] - columns["present_position"])
+        np.savez(file, **columns, load=np.round(error, 6))
+    text = (folder / "recordings.toml").read_text()
+    text = text.replace(
+        'command = ["goal_position"]', f'torque = ["load"]\nscale.torque = [{KP / 2}]'
+    )
+    (folder / "recordings.toml").write_text(text)
+    found, notes = take_errors_as_commands(load_recordings(folder))
+    assert found.signals.command == ("goal_position",)
+    assert found.actuator is not None
+    np.testing.assert_allclose(found.actuator.stiffness, KP)
+    assert "load is goal_position less present_position" in notes[0]
+    own = resolve_actuator(found, open_training_runs(found))
+    assert own.recordings.actuator is not None
+    assert abs(own.recordings.actuator.delay - DELAY) < 3e-3
+
+
+def test_a_measured_torque_stays_one(tmp_path: Path) -> None:
+    folder = write_servo_set(tmp_path / "set", runs=2)
+    for file in folder.glob("*.npz"):
+        columns = dict(np.load(file))
+        # Proportional to the error up to damping, as a servo's current is.
+        speed = np.gradient(columns["present_position"], columns["t"])
+        load = columns["goal_position"] - columns["present_position"] - 0.02 * speed
+        np.savez(file, **columns, load=load)
+    text = (folder / "recordings.toml").read_text()
+    (folder / "recordings.toml").write_text(
+        text.replace('command = ["goal_position"]', 'torque = ["load"]')
+    )
+    found, notes = take_errors_as_commands(load_recordings(folder))
+    assert found.signals.torque == ("load",)
+    assert notes == ()
+
+
 def test_effects_of_torque_sensors_are_not_sought(servo: RecordingSet) -> None:
-    resolved, runs, _ = resolve_actuator(servo, open_training_runs(servo))
+    own = resolve_actuator(servo, open_training_runs(servo))
+    resolved, runs = own.recordings, own.runs
     checks = effect_checks(resolved, joint_facts(resolved, runs), len(runs))
     possible = {each.effect.name for each in checks if each.possible}
     assert "coulomb" in possible
@@ -190,5 +251,4 @@ role = "test"
     assert error < 4e-3
     assert "position_friction" in {each.effect.name for each in found.findings}
     assert found.closed_loop is not None
-    model = read_model(found.recordings, found.closed_loop)
-    np.testing.assert_allclose(model.fitted.of("coulomb")[2], 0.9, atol=0.3)
+    np.testing.assert_allclose(found.closed_loop.values["coulomb"][2], 0.9, atol=0.3)

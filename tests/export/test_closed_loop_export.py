@@ -25,7 +25,7 @@ def exported(nominal, order, **fitted):
             "damping": (1.5, 0.5),
             "drive_max": (np.inf, np.inf),
             "torque_max": (np.inf, np.inf),
-            "tolerance": 0.1,
+            "tolerance": (0.1, 0.1),
             "middle": (0.0, 0.0),
             "delay": 0.004,
             "values": values,

@@ -48,6 +48,8 @@ class PlannerModel:
         Changes, a sentence each.
     left_out : tuple of str
         Findings without influence on planning, with their place.
+    not_in_robot : tuple of EstimatedEffect
+        The same findings.
     stiffness_deviation : array (n,)
         Relative standard deviation of each joint's stiffness; NaN if not stated.
     payload_deviation : float
@@ -58,6 +60,7 @@ class PlannerModel:
     robot: Robot
     changes: tuple[str, ...]
     left_out: tuple[str, ...]
+    not_in_robot: tuple[EstimatedEffect, ...]
     stiffness_deviation: np.ndarray
     payload_deviation: float
 
@@ -95,6 +98,7 @@ def planner_model(robot: Robot, model: ExtendedModel) -> PlannerModel:
         robot=planner.robot,
         changes=tuple(planner.changes),
         left_out=tuple(planner.left_out),
+        not_in_robot=tuple(planner.not_in_robot),
         stiffness_deviation=planner.stiffness_deviation(),
         payload_deviation=planner.payload_deviation(),
     )
@@ -110,6 +114,7 @@ class _RobotUpdate:
         require_same_robot(model.robot, model.source, model.joints, robot, self.place)
         self.changes: list[str] = []
         self.left_out: list[str] = []
+        self.not_in_robot: list[EstimatedEffect] = []
 
     def calibrate(self) -> None:
         """Scale calibrated values of the robot."""
@@ -155,6 +160,8 @@ class _RobotUpdate:
             self.left_out.append(located.label)
         elif changed.robot is None:
             self.left_out.append(f"{located.label} ({changed.sentence})")
+        if changed is None or changed.robot is None:
+            self.not_in_robot.append(estimated)
         else:
             self.robot = changed.robot
             self.changes.append(changed.sentence)

@@ -173,7 +173,9 @@ class ClosedLoopSection(Section):
     ]
     torque_max: Annotated[tuple[JointTorque, ...], Doc("Bound on the torque; inf without.")]
     delay: Annotated[Time, NOT_NEGATIVE, Doc("Of commands, before the fit.")]
-    tolerance: Annotated[Ratio, NOT_NEGATIVE, Doc("One standard deviation of the gains, relative.")]
+    tolerance: Annotated[
+        tuple[Ratio, ...], Doc("One standard deviation of the gains before the fit, relative.")
+    ]
     middle: Annotated[
         tuple[JointPosition, ...], Doc("Positions about which `friction_slope` turns.")
     ]

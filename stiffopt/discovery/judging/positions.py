@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from stiffopt.closed_loop.parameters import Parameters
 from stiffopt.discovery.comparison.located_effect import Extension
-from stiffopt.discovery.extended.planning import planner_model
 from stiffopt.discovery.extended.value_changes import extended_model
+from stiffopt.discovery.loop_fit import is_commanded
 from stiffopt.discovery.position_fit import (
     ClosedLoopModel,
     PositionRun,
     fit_positions,
-    is_commanded,
     simulate_run,
 )
 from stiffopt.discovery.training import Training
@@ -25,9 +25,12 @@ def fit_simulation(
     training: Training,
     found: Extension,
     runs: Sequence[RecordedRun],
+    estimated: Parameters | None,
     say: Callable[[str], object],
 ) -> ClosedLoopModel | None:
     """Fit the simulation from commands, beginning with friction and rotors as found.
+
+    Joints without a scale of torque, of which nothing is found, begin as `estimated`.
 
     None where no training run holds commands of joints with known gains, and for two states of a
     robot, of which one simulation is none.
@@ -36,7 +39,7 @@ def fit_simulation(
         return None
     say("simulate the training runs from their commands")
     model = extended_model(recordings, training.constants, found)
-    return fit_positions(recordings, runs, planner_model(recordings.robot, model).robot, say)
+    return fit_positions(recordings, runs, model, estimated, say)
 
 
 def simulate_held_out(

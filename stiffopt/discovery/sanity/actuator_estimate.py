@@ -9,8 +9,10 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from stiffopt.actuator.law import ActuatorLaw
+from stiffopt.closed_loop.parameters import Parameters
 from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter, bridge_gaps, derivative
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
+from stiffopt.discovery.loop_fit import DRIVE_PARAMETERS, fit_loop, nominal_parameters
 from stiffopt.discovery.sanity.doubt import format_joints
 from stiffopt.discovery.settings import DEFAULT_TOLERANCE, MIN_MOVING_SPEED
 from stiffopt.discovery.signals import smooth_sign
@@ -18,6 +20,7 @@ from stiffopt.formatting import pm
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun, delayed_command, derive_torque
 
+_DERIVED: tuple[str, ...] = ("Torques are not recorded: the actuator's law gives them.",)
 # Cutoff of the filter [Hz]: weight and friction show in slow motion.
 _FILTER_CUTOFF = 8.0
 # Delays that are tried [s]: a fieldbus needs some milliseconds, a serial bus of servos some tens.
@@ -29,8 +32,10 @@ _ROBUST_SCALE = 9.0
 _MIN_DELAY_EVIDENCE = 6.0
 # One standard deviation of an estimated delay [s].
 _DELAY_DEVIATION = 1e-3
-# Largest relative standard deviation of a gain that the weight tells.
-_MAX_GAIN_DEVIATION = 0.1
+# Shortest delay that a simulation tells without evidence of a regression [s].
+_MIN_DELAY = 2e-3
+# Angular frequency of a servo on its link where the motion tells nothing [rad/s].
+_USUAL_FREQUENCY = 30.0
 # Fewest moving instants of a joint.
 _MIN_INSTANTS = 60
 # Stretches that are left out in turn: physics that the regressors lack differs between them.
@@ -54,89 +59,158 @@ class _JointRows:
 
 
 @dataclass(frozen=True, eq=False)
-class ActuatorEstimate:
-    """Law of an actuator with its unknown values estimated.
+class ActuatorGuess:
+    """Law of an actuator by regression, to begin a simulation with.
 
     Parameters
     ----------
     law : ActuatorLaw
-        A gain that nothing tells stays nan.
-    deviation : array (n,)
-        One standard deviation of each estimated gain, relative; 0 for stated ones.
-    notes : tuple of str
-        What was estimated, one sentence each.
+        Complete.
+    evidence : float
+        Log likelihood ratio of the delay to none.
+    drives : array (3, n)
+        Rotor inertia, viscous and dry friction; nan where the gain is stated.
     """
 
     law: ActuatorLaw
-    deviation: np.ndarray
+    evidence: float
+    drives: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class ResolvedActuator:
+    """Recording set whose actuators are known as well as its training runs tell them.
+
+    Parameters
+    ----------
+    recordings : RecordingSet
+    runs : list of RecordedRun
+        With torques by the law, nan where it gives them no scale.
+    notes : tuple of str
+        What was estimated, one sentence each.
+    parameters : Parameters, optional
+        Of the simulation that told gains and delay; None where all were stated.
+    """
+
+    recordings: RecordingSet
+    runs: list[RecordedRun]
     notes: tuple[str, ...]
+    parameters: Parameters | None = None
 
 
 def resolve_actuator(
-    recordings: RecordingSet, runs: Sequence[RecordedRun]
-) -> tuple[RecordingSet, list[RecordedRun], tuple[str, ...]]:
-    """Return a set and its runs with torques by the estimated law, and what was estimated.
+    recordings: RecordingSet,
+    runs: Sequence[RecordedRun],
+    say: Callable[[str], object] = lambda _: None,
+) -> ResolvedActuator:
+    """Estimate the unknown values of a set's actuators.
 
     Sets with recorded torques, or with a law that is known, are returned unchanged.
     """
     law = recordings.actuator
     if law is None:
-        return recordings, list(runs), ()
-    notes: tuple[str, ...] = ("Torques are not recorded: the actuator's law gives them.",)
+        return ResolvedActuator(recordings, list(runs), ())
+    parameters, notes = None, _DERIVED
     if not law.known:
-        found = estimate_actuator(RobotModel(recordings), runs, law)
-        law, notes = found.law, (*notes, *found.notes)
+        guess = estimate_actuator(RobotModel(recordings), runs, law)
+        found, parameters = _refine_law(recordings, runs, guess, say)
+        notes = (*notes, *_describe(law, found, guess.evidence))
+        law = found
     known = recordings.with_actuator(law)
-    return known, [derive_torque(run, law) for run in runs], notes
+    return ResolvedActuator(known, [derive_torque(run, law) for run in runs], notes, parameters)
 
 
 def estimate_actuator(
     robot: RobotModel, runs: Sequence[RecordedRun], law: ActuatorLaw
-) -> ActuatorEstimate:
+) -> ActuatorGuess:
     """Estimate unknown gains and the delay by least squares of the equation of motion.
 
     With an unknown gain k the position error is (weight and inertia + friction + ...) / k: masses
-    are known, so that the factor of their torque is 1 / k. Their tolerance is that of the gain.
+    are known, so that the factor of their torque is 1 / k. Where that is not significant, the gain
+    is guessed from the acceleration.
     """
     rows = [_joint_rows(robot, runs, j) for j in range(robot.n)]
     delay, evidence = law.delay, np.inf
     if not np.isfinite(delay):
         delay, evidence = _estimate_delay(rows, law)
-    stiffness, deviation = law.stiffness.copy(), np.zeros(robot.n)
-    for j, own in enumerate(rows):
-        if np.isfinite(stiffness[j]) or own is None:
-            continue
-        factor, spread = _load_factor(own, delay)
-        if factor > 0.0 and spread < _MAX_GAIN_DEVIATION * factor:
-            stiffness[j], deviation[j] = 1.0 / factor, spread / factor
-    return ActuatorEstimate(
-        law=replace(
-            law,
-            stiffness=stiffness,
-            delay=delay,
-            delay_deviation=law.delay_deviation if np.isfinite(law.delay) else _DELAY_DEVIATION,
-        ),
-        deviation=deviation,
-        notes=tuple(_describe(law, stiffness, deviation, delay, evidence)),
+    stiffness, asked = law.stiffness.copy(), ~np.isfinite(law.stiffness)
+    inertia, factors = _joint_inertias(robot, runs), np.zeros(4)
+    drives = np.full((len(DRIVE_PARAMETERS), robot.n), np.nan)
+    for j in np.flatnonzero(asked):
+        own, per_acceleration = rows[j], 1.0 / _USUAL_FREQUENCY**2
+        if own is not None:
+            factors, spread = _load_factor(own, delay)
+            if factors[0] > spread:
+                stiffness[j] = 1.0 / factors[0]
+                drives[:, j] = np.maximum(factors[1:4], 0.0) * stiffness[j]
+                continue
+            factors = _least_squares(own.columns, own.error(delay), own.independent)[0]
+            per_acceleration = max(float(factors[0]), 0.1 * per_acceleration)
+        # As if rotors had the inertia of the links.
+        stiffness[j] = 2.0 * inertia[j] / per_acceleration
+        drives[:, j] = inertia[j], *np.maximum(factors[1:3], 0.0) * stiffness[j]
+    found = replace(
+        law,
+        stiffness=stiffness,
+        tolerance=np.where(asked, 1.0, law.tolerance),
+        estimated=asked,
+        delay=delay,
+        delay_deviation=law.delay_deviation if np.isfinite(law.delay) else _DELAY_DEVIATION,
     )
+    return ActuatorGuess(found, evidence, drives)
 
 
-def _describe(
-    law: ActuatorLaw, stiffness: np.ndarray, deviation: np.ndarray, delay: float, evidence: float
-) -> list[str]:
+def _refine_law(
+    recordings: RecordingSet,
+    runs: Sequence[RecordedRun],
+    guess: ActuatorGuess,
+    say: Callable[[str], object],
+) -> tuple[ActuatorLaw, Parameters | None]:
+    """Return the law with gains and delay of a simulation fitted to the runs, and its parameters.
+
+    A regression of filtered position errors takes what friction does at reversals for weight; a
+    simulation has reversals where the arm has them.
+    """
+    law, order = guess.law, recordings.order
+    known = recordings.with_actuator(law)
+    prior = nominal_parameters(known, known.robot)
+    for name, own in zip(DRIVE_PARAMETERS.values(), guess.drives, strict=True):
+        inside = own[np.argsort(order)]
+        prior.values[prior.place(name)] = np.where(
+            np.isfinite(inside) & (prior.of(name) == 0.0), inside, prior.of(name)
+        )
+    fit = fit_loop(known, runs, prior, say, leading=True)
+    if fit is None:
+        return law, None
+    fitted = fit[1]
+    factor = (1.0 + fitted.parameters.of("gain"))[order]
+    spread = fitted.deviations[fitted.parameters.place("gain")][order]
+    assert law.estimated is not None
+    refined = replace(
+        law,
+        stiffness=np.where(law.estimated, law.stiffness * factor, law.stiffness),
+        tolerance=np.where(law.estimated, spread / factor, law.tolerance),
+        delay=fitted.parameters.delay,
+        delay_deviation=max(float(fitted.deviations[-1]), _DELAY_DEVIATION),
+    )
+    return refined, fitted.parameters
+
+
+def _describe(law: ActuatorLaw, found: ActuatorLaw, evidence: float) -> list[str]:
     asked = ~np.isfinite(law.stiffness)
-    told = asked & np.isfinite(stiffness)
+    told = asked & found.scaled
     notes = []
     if told.any():
         each = ", ".join(
-            f"joint {j + 1}: {pm(stiffness[j], deviation[j] * stiffness[j], 'N m/rad')}"
+            f"joint {j + 1}: "
+            f"{pm(found.stiffness[j], found.tolerance[j] * found.stiffness[j], 'N m/rad')}"
             for j in np.flatnonzero(told)
         )
         notes.append(
             f"The gain of the position error is estimated from the arm's weight ({each}): its scale"
             " is that of the nominal masses. What damps by velocity counts as viscous friction."
         )
-    if (silent := asked & ~np.isfinite(stiffness)).any():
+    if (silent := asked & ~found.scaled).any():
         which = format_joints(np.flatnonzero(silent))
         notes.append(
             f"Weight and inertia do not tell the gain of {which}: torques there have no scale and"
@@ -144,8 +218,8 @@ def _describe(
         )
     if not np.isfinite(law.delay):
         notes.append(
-            f"The delay of commands is estimated to {1e3 * delay:.3g} ms."
-            if evidence > _MIN_DELAY_EVIDENCE
+            f"The delay of commands is estimated to {1e3 * found.delay:.3g} ms."
+            if evidence > _MIN_DELAY_EVIDENCE or found.delay > _MIN_DELAY
             else "No delay of commands is assumed: the motion does not tell one."
         )
     return notes
@@ -249,8 +323,8 @@ def _misfit(own: _JointRows, joint: int, law: ActuatorLaw, delay: float) -> floa
     return 0.5 * own.independent * float(np.log(_least_squares(table, wanted, count)[2]))
 
 
-def _load_factor(own: _JointRows, delay: float) -> tuple[float, float]:
-    """Return the factor of weight and inertia in the error, and its deviation over stretches."""
+def _load_factor(own: _JointRows, delay: float) -> tuple[np.ndarray, float]:
+    """Return the factors in the error and the deviation of the first, the load, over stretches."""
     table, target = np.column_stack([own.load, own.columns]), own.error(delay)
     factors, spread, _ = _least_squares(table, target, own.independent)
     parts = np.array_split(np.arange(len(target)), _JACKKNIFE_STRETCHES)
@@ -263,7 +337,15 @@ def _load_factor(own: _JointRows, delay: float) -> tuple[float, float]:
         / _JACKKNIFE_STRETCHES
         * np.sum((left_out - np.mean(left_out)) ** 2)
     )
-    return float(factors[0]), float(max(spread[0], jackknife))
+    return factors, float(max(spread[0], jackknife))
+
+
+def _joint_inertias(robot: RobotModel, runs: Sequence[RecordedRun]) -> np.ndarray:
+    """Return the inertia (n,) of the links about each joint amid the motion [kg m^2]."""
+    middle = np.nanmean(np.vstack([run.position for run in runs]), axis=0)
+    pose, still = np.tile(middle, (robot.n, 1)), np.zeros((robot.n, robot.n))
+    moved = robot.spring_torque(pose, still, np.eye(robot.n))
+    return np.diagonal(moved - robot.spring_torque(pose, still, still))
 
 
 def _least_squares(

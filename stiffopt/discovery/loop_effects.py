@@ -1,0 +1,111 @@
+"""Findings in a closed loop: torques of effects by angle, velocity and actuator torque."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from stiffopt.closed_loop.arm import AddedTorque
+from stiffopt.discovery.comparison.located_effect import EstimatedEffect
+from stiffopt.discovery.extended.model import ExtendedModel
+from stiffopt.discovery.extended.planning import joint_constants, planner_model
+from stiffopt.discovery.signals import JointConstants, JointSignals
+from stiffopt.recording.recording_set import RecordingSet
+from stiffopt.robot.robot import Robot
+from stiffopt.symbolic import Quantity
+
+# Samples of angle, velocity and torque at which a formula is compared with the term, over a time
+# in which memory would show; and the difference allowed over its size.
+_SAMPLES, _FORMULA_TOLERANCE = 50, 1e-6
+
+
+def robot_in_loop(
+    recordings: RecordingSet, model: ExtendedModel
+) -> tuple[Robot, AddedTorque | None, dict[int, float]]:
+    """Return the robot with findings, the torques of those it cannot hold, and encoder zeros.
+
+    Zeros [rad] are readings less angles, by the joint (from 0) of the robot. Effects with memory,
+    of sensors, of single runs, and of the whole arm are in none of these.
+    """
+    planner = planner_model(recordings.robot, model)
+    zeros, terms = {}, []
+    for each in planner.not_in_robot:
+        joint = each.located.joint
+        if joint is None or each.located.run is not None or each.effect.only_in:
+            continue
+        place = int(recordings.order[joint])
+        if each.effect.name == "joint_zero":
+            zeros[place] = -each.amplitudes[0]
+            continue
+        own = recordings.robot.chains[place]
+        formula = _torque_formula(each, joint_constants(model, joint, own))
+        if formula is not None:
+            terms.append((place, formula))
+    if not terms:
+        return planner.robot, None, zeros
+
+    def added(q: ca.SX, v: ca.SX, direction: ca.SX, torque: ca.SX) -> ca.SX:
+        total = ca.SX.zeros(recordings.n)
+        for place, formula in terms:
+            total[place] += formula(q[place], v[place], direction[place], torque[place])
+        return total
+
+    return planner.robot, added, zeros
+
+
+def _torque_formula(each: EstimatedEffect, constants: JointConstants) -> ca.Function | None:
+    """Return (angle, velocity, direction, torque) -> torque that the effect takes [N m].
+
+    None where the term is no formula of these: it has memory, or acts on readings.
+    """
+    arguments = [ca.SX.sym(name) for name in ("q", "v", "direction", "torque")]
+    try:
+        formula = _evaluate_term(each, constants, arguments, 0.0)
+    except (TypeError, NotImplementedError, RuntimeError, ValueError):  # written for arrays alone
+        return None
+    function = ca.Function("torque", arguments, [ca.SX(formula)])
+    rng = np.random.default_rng(0)
+    q, v = rng.uniform(-1.5, 1.5, (2, _SAMPLES))
+    direction, torque = np.tanh(v / 0.02), constants.torque_max * rng.uniform(-1.0, 1.0, _SAMPLES)
+    # What a formula does not know takes any values: terms that depend on it differ.
+    other = np.cumsum(rng.uniform(0.5, 1.5, _SAMPLES))
+    along = _evaluate_term(each, constants, [q, v, direction, torque], other) * np.ones(_SAMPLES)
+    found = np.asarray(function.map(_SAMPLES)(q, v, direction, torque))[0]
+    size = float(np.abs(along).max())
+    same = size > 0.0 and float(np.abs(along - found).max()) <= _FORMULA_TOLERANCE * size
+    return function if same else None
+
+
+def _evaluate_term(
+    each: EstimatedEffect, constants: JointConstants, arguments: Sequence[Any], other: Quantity
+) -> Quantity:
+    """Return the torque of an effect on rigid links, of arrays or symbols; all else is `other`."""
+    q, v, direction, torque = arguments
+    none = 0.0 * q + other
+    signals = JointSignals(
+        time=none,
+        dt=1.0,
+        session_time=none,
+        temperature_rise=none,
+        motor_position=q,
+        motor_velocity=v,
+        motor_acceleration=none,
+        motor_direction=direction,
+        link_position=q,
+        link_velocity=v,
+        link_acceleration=none,
+        transmitted_torque=torque,
+        spring_torque=torque,
+        windup=0.0 * q,
+        drive_torque=torque,
+        drive_torque_rate=none,
+        previous_position=none,
+        previous_velocity=none,
+        previous_acceleration=none,
+        constants=constants,
+    )
+    term = each.effect.term(signals, [float(x) for x in each.amplitudes], each.shapes)
+    return term.drive_torque + term.link_torque

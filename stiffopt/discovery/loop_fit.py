@@ -1,0 +1,192 @@
+"""Fit of a closed loop to training runs: its runs, expected parameters and their deviations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from stiffopt.closed_loop.arm import AddedTorque, CommandedArm
+from stiffopt.closed_loop.parameters import (
+    BODY_PARAMETERS,
+    Parameters,
+    zero_parameters,
+)
+from stiffopt.closed_loop.polish import Polished, polish, polish_leading
+from stiffopt.closed_loop.simulation import CommandedRun
+from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter, bridge_gaps, derivative
+from stiffopt.discovery.settings import DEFAULT_TOLERANCE
+from stiffopt.recording.recording_set import RecordingSet
+from stiffopt.recording.run import RecordedRun
+from stiffopt.robot.body_tree import BodyTree
+from stiffopt.robot.robot import Robot
+
+# Cutoff of the filter of velocities that stretches begin with [Hz].
+_VELOCITY_CUTOFF = 12.0
+# Expected deviations of what no nominal value states, over the largest torque T of a joint, its
+# fastest velocity V, its stroke S and its inertia: dry friction T / 3, viscous T / V / 3, drag
+# T / V^2 / 10, slope T / S / 3, offset T / 20, rotor once the inertia.
+_DRY_SHARE, _VISCOUS_SHARE, _DRAG_SHARE, _SLOPE_SHARE, _OFFSET_SHARE = 0.3, 0.3, 0.1, 0.3, 0.05
+# Friction over torque of a gear in good repair, and error of an encoder's zero [rad].
+# Rotor inertia at the output over that of the links: of geared joints often several times.
+_ROTOR_SHARE = 3.0
+_LOAD_FRICTION_DEVIATION, _ZERO_DEVIATION = 0.15, 0.03
+# Of a gain that nobody states, relative, about the value that a fit begins with.
+_GAIN_DEVIATION = 1.0
+# Deviation of a delay [s].
+_DELAY_DEVIATION = 5e-3
+# Inertia of bodies, relative: centres of mass and masses are better known.
+_INERTIA_DEVIATION = 0.1
+# Motion of all training runs that a fit simulates at most, times joints [s]: more adds but time.
+_MAX_FIT_SECONDS = 120.0
+
+
+# Values of a robot that a set states, and the parameters that they are; a finding changes them by
+# more than so many of their tolerances.
+DRIVE_PARAMETERS = {"rotor_inertia": "armature", "viscous": "viscous", "coulomb": "coulomb"}
+_KEPT_DEVIATIONS = 1.5
+
+
+def build_loop(
+    recordings: RecordingSet,
+    runs: Sequence[CommandedRun],
+    tree: BodyTree,
+    added: AddedTorque | None = None,
+) -> CommandedArm:
+    """Return the closed loop of some bodies with a set's actuators and further torques."""
+    law, back = recordings.actuator, np.argsort(recordings.order)
+    assert law is not None
+    low = np.nanmin([np.nanmin(run.position, axis=0) for run in runs], axis=0)
+    high = np.nanmax([np.nanmax(run.position, axis=0) for run in runs], axis=0)
+    return CommandedArm(tree, law.reordered(back), 0.5 * (low + high), added)
+
+
+def is_commanded(run: RecordedRun) -> bool:
+    """Return whether a run holds commands and positions of all joints."""
+    if run.command is None or not run.usable:
+        return False
+    return bool(np.isfinite(run.command).any(axis=0).all())
+
+
+def commanded_run(recordings: RecordingSet, run: RecordedRun) -> CommandedRun:
+    """Return the commands and positions of a run in the joint order of the robot."""
+    assert run.command is not None
+    back = np.argsort(recordings.order)
+    low_pass = ZeroPhaseFilter(1.0 / run.step, min(_VELOCITY_CUTOFF, 0.2 / run.step))
+    smooth = low_pass.filter_motion(bridge_gaps(run.position))
+    return CommandedRun(
+        name=run.name,
+        time=run.time,
+        command=bridge_gaps(run.command)[:, back],
+        position=bridge_gaps(run.position)[:, back],
+        velocity=derivative(smooth, run.step)[:, back],
+    )
+
+
+def nominal_parameters(recordings: RecordingSet, robot: Robot) -> Parameters:
+    """Return friction, rotor inertia and delay of a robot as parameters of its closed loop."""
+    found = zero_parameters(robot.joint_names)
+    values = found.values
+    for key, name in DRIVE_PARAMETERS.items():
+        values[found.place(name)] = getattr(robot, key)
+    law = recordings.actuator
+    assert law is not None
+    values[-1] = law.delay if np.isfinite(law.delay) else 0.0
+    return found
+
+
+def expected_deviations(
+    recordings: RecordingSet, runs: Sequence[CommandedRun], loop: CommandedArm, prior: Parameters
+) -> np.ndarray:
+    """Return one standard deviation of every parameter, by the torques and speeds of the runs.
+
+    Friction and rotors that are stated, and that `prior` leaves as they are, keep their tolerance.
+    """
+    robot, law, tolerance = recordings.robot, loop.law, recordings.tolerance
+    error = np.vstack([run.command - run.position for run in runs])
+    velocity = np.vstack([run.velocity for run in runs])
+    stiffness = np.where(np.isfinite(law.stiffness), law.stiffness, 0.0)
+    torque = np.maximum(np.nanmax(np.abs(stiffness * error), axis=0), 1e-9)
+    speed = np.maximum(np.nanmax(np.abs(velocity), axis=0), 1e-6)
+    position = np.vstack([run.position for run in runs])
+    stroke = np.maximum(np.nanmax(position, axis=0) - np.nanmin(position, axis=0), 1e-6)
+    inertia = _joint_inertias(robot, loop.middle)
+    found = zero_parameters(robot.joint_names)
+    size = found.values
+    gain = law.tolerance
+    if law.estimated is not None:
+        gain = np.where(law.estimated, _GAIN_DEVIATION, gain)
+    for name, value in {
+        "gain": gain,
+        "damping": np.where(law.damping > 0.0, law.tolerance, 0.0),
+        "armature": _ROTOR_SHARE * inertia,
+        "viscous": _VISCOUS_SHARE * torque / speed,
+        "coulomb": _DRY_SHARE * torque,
+        "load_friction": _LOAD_FRICTION_DEVIATION,
+        "friction_slope": _SLOPE_SHARE * torque / stroke,
+        "drag": _DRAG_SHARE * torque / speed**2,
+        "offset": _OFFSET_SHARE * torque,
+        "zero": _ZERO_DEVIATION,
+    }.items():
+        size[found.place(name)] = value
+    for key, name in DRIVE_PARAMETERS.items():
+        if key not in recordings.unstated:
+            relative = getattr(tolerance, key)
+            relative = getattr(DEFAULT_TOLERANCE, key) if relative is None else relative
+            nominal, place = getattr(robot, key), found.place(name)
+            kept = np.abs(prior.of(name) - nominal) <= _KEPT_DEVIATIONS * relative * nominal
+            size[place] = np.where(kept, relative * nominal, size[place])
+    of_mass = DEFAULT_TOLERANCE.mass if tolerance.mass is None else tolerance.mass
+    of_centre = DEFAULT_TOLERANCE.com if tolerance.com is None else tolerance.com
+    assert of_mass is not None
+    assert of_centre is not None
+    for i, body in enumerate(robot.tree.bodies):
+        moment = body.mass * (of_centre + of_mass * float(np.linalg.norm(body.centre)))
+        about = _INERTIA_DEVIATION * float(np.trace(body.inertia)) / 3.0
+        each = [of_mass * body.mass, *[moment] * 3, *[about] * 3]
+        first = found.bodies.start + i * len(BODY_PARAMETERS)
+        size[first : first + len(BODY_PARAMETERS)] = each
+    # Without stated viscous friction nothing told the delay apart from it.
+    told = "viscous" not in recordings.unstated
+    size[-1] = law.delay_deviation if told and law.delay_deviation else _DELAY_DEVIATION
+    return size
+
+
+def _joint_inertias(robot: Robot, position: np.ndarray) -> np.ndarray:
+    """Return the inertia (n,) that each joint accelerates in one pose [kg m^2]."""
+    still, unit = np.zeros((robot.n, robot.n)), np.eye(robot.n)
+    pose = np.tile(position, (robot.n, 1))
+    bodies = robot.bodies_in_motion()
+    return np.diagonal(bodies.torque(pose, still, unit) - bodies.torque(pose, still, still))
+
+
+def fit_loop(
+    recordings: RecordingSet,
+    runs: Sequence[RecordedRun],
+    prior: Parameters,
+    say: Callable[[str], object] = lambda _: None,
+    *,
+    leading: bool = False,
+    tree: BodyTree | None = None,
+    added: AddedTorque | None = None,
+) -> tuple[CommandedArm, Polished] | None:
+    """Fit a closed loop to training runs, beginning with a prior; or the leading parameters alone.
+
+    None where a joint has no gain, which would not be held, or no command.
+    """
+    law = recordings.actuator
+    if law is None or not np.isfinite(law.stiffness).all():
+        return None
+    commanded = [commanded_run(recordings, run) for run in runs if is_commanded(run)]
+    if not commanded:
+        return None
+    loop = build_loop(recordings, commanded, tree or recordings.robot.tree, added)
+    deviations = expected_deviations(recordings, commanded, loop, prior)
+    fit = polish_leading if leading else polish
+    return loop, fit(loop, _limit_motion(commanded), prior, deviations, say)
+
+
+def _limit_motion(runs: Sequence[CommandedRun]) -> list[CommandedRun]:
+    """Return the beginnings of runs, together of the duration that a fit needs at most."""
+    each = _MAX_FIT_SECONDS / (len(runs) * runs[0].position.shape[1])
+    return [run.until(run.time[0] + each) for run in runs]

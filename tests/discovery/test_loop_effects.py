@@ -1,0 +1,82 @@
+"""Findings in the simulation from commands."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from servo_sets import ARMATURE, COULOMB, DELAY, KP, VISCOUS, write_servo_set
+
+from stiffopt.closed_loop.simulation import simulate
+from stiffopt.discovery.catalogue import effect
+from stiffopt.discovery.comparison.located_effect import (
+    EstimatedEffect,
+    Extension,
+    LocatedEffect,
+)
+from stiffopt.discovery.extended.value_changes import extended_model
+from stiffopt.discovery.loop_effects import robot_in_loop
+from stiffopt.discovery.loop_fit import build_loop, commanded_run, nominal_parameters
+from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
+from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.training import open_training_runs, prepare_training
+from stiffopt.recording.recording_set import RecordingSet, load_recordings
+
+SPRING = 3.0  # [N m/rad]
+
+
+@pytest.fixture(name="servo", scope="module")
+def servo_set(tmp_path_factory: pytest.TempPathFactory) -> RecordingSet:
+    """Pendulum on a servo with known gains."""
+    actuator = f"kp = [{KP}]\nkd = [0.0]\ndelay = {DELAY}"
+    return load_recordings(
+        write_servo_set(tmp_path_factory.mktemp("servo") / "set", actuator=actuator, runs=2)
+    )
+
+
+def simulated(recordings: RecordingSet, *found: EstimatedEffect) -> np.ndarray:
+    """Return positions (K,) of the training run, simulated with findings."""
+    own = resolve_actuator(recordings, open_training_runs(recordings))
+    training = prepare_training(own.recordings, Settings(), None, lambda _: None, own.runs)
+    model = extended_model(own.recordings, training.constants, Extension(effects=found))
+    robot, added, zeros = robot_in_loop(own.recordings, model)
+    run = commanded_run(own.recordings, own.runs[0])
+    loop = build_loop(own.recordings, [run], robot.tree, added)
+    values = nominal_parameters(own.recordings, robot)
+    for name, value in (("armature", ARMATURE), ("viscous", VISCOUS), ("coulomb", COULOMB)):
+        values.values[values.place(name)] = value
+    for place, zero in zeros.items():
+        values.values[values.place("zero")][place] = zero
+    quiet = replace(run, command=np.full_like(run.command, 0.8))
+    return simulate(loop, quiet, values).position[:, 0]
+
+
+def found(name: str, amplitudes: tuple[float, ...], shapes: tuple[float, ...]) -> EstimatedEffect:
+    located = LocatedEffect(effect=effect(name), joint=0, shapes=shapes)
+    return EstimatedEffect(located=located, amplitudes=amplitudes)
+
+
+def test_a_spring_holds_the_arm_back(servo: RecordingSet) -> None:
+    plain = simulated(servo)[-1]
+    held = simulated(servo, found("cable_spring", (SPRING, 0.0), (0.1,)))[-1]
+    weight = 0.75 * 9.81 * 0.14
+
+    def friction(q: float, spring: float) -> float:
+        return abs(KP * (0.8 - q) - weight * np.sin(q) - spring * (q - 0.1))
+
+    assert held < plain - 0.05
+    # Both rest where friction holds what is left.
+    assert friction(held, SPRING) <= 1.05 * COULOMB
+    assert friction(plain, 0.0) <= 1.05 * COULOMB
+
+
+def test_an_encoder_zero_moves_the_weight(servo: RecordingSet) -> None:
+    plain = simulated(servo)[-1]
+    turned = simulated(servo, found("joint_zero", (0.3,), (0.3,)))[-1]
+    assert turned < plain - 0.005
+
+
+def test_effects_with_memory_are_left_out(servo: RecordingSet) -> None:
+    plain = simulated(servo)
+    np.testing.assert_array_equal(plain, simulated(servo, found("gain_warmup", (0.2,), (100.0,))))
