@@ -239,14 +239,14 @@ class ElasticResponse:
         return found[0][0], found[1][0], found[2][0]
 
     def moved(self, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return response and velocity (K, n) to torques (K, n) that load few links.
+        """Return responses and velocities (m, K, n) to m torques (m, K, n) that load few links.
 
         As a call, without accelerations; links without torque are skipped.
         """
-        links = np.flatnonzero(torque.any(axis=0))
-        load = Load(links[None], torque[None][..., links])
+        links = np.flatnonzero(torque.any(axis=(0, 1)))
+        load = Load(np.tile(links, (len(torque), 1)), torque[..., links])
         z, velocity, _ = self._steps.march(load, None, accelerated=False)
-        return z[0], velocity[0]
+        return z, velocity
 
     def pushed(self, links: np.ndarray, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return response and velocity (m, K, n) to m torques (m, K), each on one link (m,)."""

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import islice
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from stiffopt.discovery.comparison.filtering import fill_missing
 from stiffopt.discovery.comparison.located_effect import (
     Extension,
     LocatedEffect,
+    channel_changes,
     effect_channel_changes,
 )
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
@@ -38,6 +40,11 @@ _BATCH_BYTES = 2**22
 _MAX_EARLIER = 4
 # Largest linearisation error of the links before a new linearisation, rms over the residual noise.
 MAX_LINEARISATION_ERROR = 0.3
+
+
+def _batch_size(run: PreparedRun) -> int:
+    """Return the number of link motions along a run that are computed together."""
+    return int(max(1, _BATCH_BYTES // run.signals.spring_torque.nbytes))
 
 
 @dataclass(eq=False)
@@ -177,16 +184,18 @@ class DesignMatrix:
 
     def _build_nominal_columns(self) -> _NominalColumns:
         sd, columns, known = self._unchanged_columns()
-        # A joint at rest, or links without a solution, have no column in a run. One column after
-        # another: a long run has no memory for all of them before decimation.
+        # A joint at rest, or links without a solution, have no column in a run. A few columns after
+        # others: a long run has no memory for all of them before decimation.
         for number, run in enumerate(self.runs):
             new = nuisance_columns(
                 run, self.robot, self.tolerance, self.bodies, lambda name: name not in known
             )
-            for each in new:
-                sd[each.name] = each.sd
-                rows = columns.setdefault(each.name, np.zeros(self.rows.size))
-                self.rows.fill_run(rows, number, *each.added.channels(run, self.robot))
+            while together := list(islice(new, _batch_size(run))):
+                changes = channel_changes([each.added for each in together], run, self.robot)
+                for each, change in zip(together, changes, strict=True):
+                    sd[each.name] = each.sd
+                    rows = columns.setdefault(each.name, np.zeros(self.rows.size))
+                    self.rows.fill_run(rows, number, *change)
         matrix = np.column_stack([*columns.values(), np.zeros((self.rows.size, 0))])
         return _NominalColumns(list(sd), np.array(list(sd.values())), matrix)
 
@@ -282,8 +291,7 @@ class DesignMatrix:
             if each.is_of_one_joint
             and each.key not in self._start_cache.keys() | self._recent_cache.keys()
         ]
-        longest = max(run.signals.spring_torque.nbytes for run in self.runs)
-        many = min(_RECENT_CACHE_SIZE // 2, max(1, _BATCH_BYTES // longest))
+        many = min(_RECENT_CACHE_SIZE // 2, *(_batch_size(run) for run in self.runs))
         for begin in range(0, min(len(asked), _RECENT_CACHE_SIZE // 2), many):
             part = asked[begin : begin + many]
             for each, columns in zip(part, self._joint_effect_pieces(part), strict=True):
@@ -308,7 +316,7 @@ class DesignMatrix:
 
     def _robot_effect_pieces(self, located: LocatedEffect) -> PieceColumns:
         """Return the columns of an effect of the robot or a link."""
-        per_run = [list(located.columns(run, self.robot)) for run in self.runs]
+        per_run = [located.columns(run, self.robot) for run in self.runs]
         rows = [
             self.rows.flatten([c[0] for c in each], [c[1] for c in each])
             for each in zip(*per_run, strict=True)

@@ -172,7 +172,7 @@ def _extend_to_first_order(
     """Return the run with an extension to first order."""
     assert run.vibration is not None
     change = extension_change(run, robot, extension)
-    torque, deflection = run.vibration.respond(change.link_torque, change.deflection)
+    ((torque, deflection),) = run.vibration.respond([(change.link_torque, change.deflection)])
     signals = replace(run.signals, drive_torque=run.signals.drive_torque + torque)
     return replace(run, signals=signals, added_deflection=run.added_deflection + deflection)
 
@@ -282,7 +282,7 @@ def linearise_run(
     own = springs.linearise(moved.links, softer, heavier, moved.vibration)
     moved = replace(moved, vibration=own, play=springs.play(moved.links))
     change = extension_change(moved, robot, found)
-    torque, deflection = moved.respond(robot, change.link_torque, change.deflection)
+    ((torque, deflection),) = moved.respond(robot, [(change.link_torque, change.deflection)])
     assert torque is not None
     assert deflection is not None
     if not start.empty:
