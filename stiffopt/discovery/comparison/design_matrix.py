@@ -49,11 +49,14 @@ def _batch_size(run: PreparedRun) -> int:
 
 @dataclass(eq=False)
 class _NominalColumns:
-    """Names, priors and columns (m, p) of the nominal values, and their products with others."""
+    """Names, priors and columns of the nominal values, and their products with others.
+
+    Columns (p, m) are kept once, their rows in the order of pieces.
+    """
 
     names: list[ValueName]
     sd: np.ndarray
-    matrix: np.ndarray
+    ordered: np.ndarray
     sums: PieceSums | None = None
     products: dict[tuple[object, ...], PieceProducts] = field(default_factory=dict)
 
@@ -166,13 +169,22 @@ class DesignMatrix:
         self.robot.torque_cache.clear()
 
     @property
-    def nuisance(self) -> tuple[list[ValueName], np.ndarray, np.ndarray]:
-        """Names, priors and columns (m, p) of the nominal values."""
+    def priors(self) -> tuple[list[ValueName], np.ndarray]:
+        """Names and priors of the nominal values."""
         nominal = self._cached_nominal
         sd = nominal.sd.copy()
         if self.bodies is not None:
             sd[: self.bodies.size] = self.bodies.ravel()
-        return nominal.names, sd, nominal.matrix
+        return nominal.names, sd
+
+    @property
+    def nuisance(self) -> np.ndarray:
+        """Columns (m, p) of the nominal values."""
+        return self.pieces.unorder(self._cached_nominal.ordered).T
+
+    def nominal_rows(self, values: np.ndarray) -> np.ndarray:
+        """Return the rows (m,) of nominal values (p,)."""
+        return self.pieces.unorder(values @ self._cached_nominal.ordered)
 
     @property
     def _cached_nominal(self) -> _NominalColumns:
@@ -196,8 +208,10 @@ class DesignMatrix:
                     sd[each.name] = each.sd
                     rows = columns.setdefault(each.name, np.zeros(self.rows.size))
                     self.rows.fill_run(rows, number, *change)
-        matrix = np.column_stack([*columns.values(), np.zeros((self.rows.size, 0))])
-        return _NominalColumns(list(sd), np.array(list(sd.values())), matrix)
+        ordered = np.empty((len(columns), self.rows.size))
+        for out, name in zip(ordered, sd, strict=True):
+            out[:] = self.pieces.order(columns.pop(name))
+        return _NominalColumns(list(sd), np.array(list(sd.values())), ordered)
 
     def _unchanged_columns(
         self,
@@ -211,8 +225,8 @@ class DesignMatrix:
             return {}, {}, set()
         known = {name for name in first.names if name.kind != LOAD_VALUE}
         columns = {
-            name: column if name in known else np.zeros_like(column)
-            for name, column in zip(first.names, first.matrix.T, strict=True)
+            name: self.pieces.unorder(column) if name in known else np.zeros_like(column)
+            for name, column in zip(first.names, first.ordered, strict=True)
         }
         return dict(zip(first.names, first.sd.tolist(), strict=True)), columns, known
 
@@ -249,6 +263,10 @@ class DesignMatrix:
         """Return columns (m, k) of an effect's amplitudes over their sizes."""
         return self.pieces.join(self._effect_pieces(located))
 
+    def effect_rows(self, located: LocatedEffect, values: np.ndarray) -> np.ndarray:
+        """Return the rows (m,) of an effect with amplitudes (k,) over their sizes."""
+        return self.pieces.join(self._effect_pieces(located).times(values))[:, 0]
+
     @cached_property
     def pieces(self) -> Pieces:
         """Pieces of the rows, one per channel and block."""
@@ -259,7 +277,7 @@ class DesignMatrix:
         """Sums of products of the columns of nominal values."""
         nominal = self._cached_nominal
         if nominal.sums is None:
-            nominal.sums = PieceSums(self.pieces, nominal.matrix, self.target)
+            nominal.sums = PieceSums(self.pieces, nominal.ordered, self.target)
         return nominal.sums
 
     def products(self, located: LocatedEffect) -> PieceProducts:
@@ -343,13 +361,12 @@ class DesignMatrix:
 
     def _linearisation_error(self, found: Extension, inflation: np.ndarray | None) -> float:
         """Return the rms over residual noise of link motion not included here."""
-        names, _, matrix = self.nuisance
+        names, _ = self.priors
         change = found.minus(self.found)
-        values = np.array([change.calibration.get(name, 0.0) for name in names])
-        rows = matrix @ values
+        rows = self.nominal_rows(np.array([change.calibration.get(name, 0.0) for name in names]))
         for each in change.effects:
             amplitudes = np.array(each.amplitudes) / self._amplitude_sizes(each.located)
-            rows = rows + self.effect_columns(each.located) @ amplitudes
+            rows += self.effect_rows(each.located, amplitudes)
         if inflation is not None:
             rows = rows / inflation[self.rows.channel]
         return float(np.sqrt(np.mean(rows**2)))
