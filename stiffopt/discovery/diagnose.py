@@ -91,6 +91,7 @@ from stiffopt.recording.decimation import (
 )
 from stiffopt.recording.joint_facts import joint_facts
 from stiffopt.recording.recording_set import RecordingSet, load_recordings, require_test_runs
+from stiffopt.recording.run import RecordedRun
 from stiffopt.recording.state_pair import StatePair, load_state_pair
 
 Say = Callable[[str], object]
@@ -217,11 +218,7 @@ def _run_diagnosis(
     base = _rescale_left_open(_rescale_left_open(base, clock), clock / every)
     recordings, runs = decimate_noise(recordings, every), [decimate_run(run, every) for run in runs]
     say("check units, signs and orders")
-    gate = SanityGate(recordings, runs)
-    doubted = gate.doubts
-    if doubted and not despite_doubts:
-        raise DoubtfulRecordings(recordings.path, doubted)
-    remarked = () if doubted or base is not None else gate.remarks
+    doubted, remarked = _check_recordings(recordings, runs, despite_doubts, base)
     training = prepare_training(recordings, settings, base, say, runs)
     facts = joint_facts(recordings, training.recorded)
     checks = effect_checks(recordings, facts, len(training.recorded), catalogue)
@@ -353,6 +350,20 @@ def _run_diagnosis(
 
     # Ctrl-C has no effect any more: all results exist.
     return complete_step(concluded)[0]
+
+
+def _check_recordings(
+    recordings: RecordingSet,
+    runs: Sequence[RecordedRun],
+    despite_doubts: bool,
+    base: ExtendedModel | None,
+) -> tuple[tuple[Doubt, ...], tuple[Doubt, ...]]:
+    """Return doubts and remarks; motions under other readings are kept no longer than here."""
+    gate = SanityGate(recordings, runs)
+    doubted = gate.doubts
+    if doubted and not despite_doubts:
+        raise DoubtfulRecordings(recordings.path, doubted)
+    return doubted, () if doubted or base is not None else gate.remarks
 
 
 def _rescale_left_open(base: ExtendedModel | None, rate: float) -> ExtendedModel | None:

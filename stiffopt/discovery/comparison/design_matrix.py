@@ -132,6 +132,7 @@ class DesignMatrix:
         for earlier in reversed(self._earlier):
             if earlier._linearisation_error(found, inflation) < near:
                 return earlier
+            earlier._release_steps()
         with np.errstate(over="ignore", invalid="ignore"):
             new = DesignMatrix(
                 self.robot, self.nominal_runs, self.noise, self.tolerance, self.start, found
@@ -156,6 +157,10 @@ class DesignMatrix:
         new.bodies, new._earlier = bodies, [new]
         return new
 
+    def restarted(self) -> DesignMatrix:
+        """Return the matrix without the linearisations that a search went through."""
+        return self.with_bodies(self.bodies)
+
     def _clear_effect_columns(self) -> None:
         """Free the memory of effect columns, which are recomputed when needed."""
         self._start_cache.clear()
@@ -163,10 +168,24 @@ class DesignMatrix:
         for nominal in self._nominal_by_freedom.values():
             nominal.products.clear()
 
+    def _release_steps(self) -> None:
+        """Free the memory of transition matrices, which are recomputed when needed."""
+        for run in self.runs:
+            if run.vibration is not None:
+                run.vibration.response.release_steps()
+
     def release_memory(self) -> None:
         """Free the memory of columns that are not needed after a search."""
         self._recent_cache.clear()
         self.robot.torque_cache.clear()
+
+    def release_effects(self) -> None:
+        """Free the memory of all effects of this linearisation and earlier ones."""
+        self.release_memory()
+        for each in self._earlier:
+            each._recent_cache.clear()
+            each._clear_effect_columns()
+            each._release_steps()
 
     @property
     def priors(self) -> tuple[list[ValueName], np.ndarray]:

@@ -58,7 +58,10 @@ def simulate_links(run: PreparedRun, robot: RobotModel, extension: Extension) ->
     if key not in run.extension_cache:
         while len(run.extension_cache) >= _MAX_CACHED_RUNS:
             run.extension_cache.pop(next(iter(run.extension_cache)))
-        run.extension_cache[key] = _simulate_with_fallback(run, robot, moving)
+        found = run.extension_cache[key] = _simulate_with_fallback(run, robot, moving)
+        assert found.vibration is not None
+        # What follows is linearised anew, about the motion found.
+        found.vibration.response.release_steps()
     return run.extension_cache[key]
 
 
