@@ -16,13 +16,16 @@ _RIPPLE_ORDERS = (1, 6)
 # Frequency over the sampling rate at which half of a wave is included, and exponent of the
 # roll-off: faster waves alias to slow ones, and the motor's inertia carries them, which its
 # recorded motion does not show.
-_HALF_SHARE_RATE, _ROLL_OFF_EXPONENT = 0.24, 8
+# The exponent is a power of two: so many squares.
+_HALF_SHARE_RATE, _ROLL_OFF_SQUARES = 0.24, 3
 
 
 def _sampled_share(signals: JointSignals, order: Quantity) -> Quantity:
     """Return the included share of a wave of this order of the joint angle."""
-    rate = order * signals.motor_velocity / (2.0 * np.pi)
-    return 1.0 / (1.0 + (rate * signals.dt / _HALF_SHARE_RATE) ** _ROLL_OFF_EXPONENT)
+    over = order * signals.motor_velocity * (signals.dt / (2.0 * np.pi * _HALF_SHARE_RATE))
+    for _ in range(_ROLL_OFF_SQUARES):
+        over = over * over
+    return 1.0 / (1.0 + over)
 
 
 def transmission_error_term(

@@ -23,6 +23,7 @@ from stiffopt.discovery.comparison.nuisance import (
     BODY_VALUES,
     LINK_MOVING_VALUES,
     SPRING_VALUES,
+    spring_deflection,
 )
 from stiffopt.discovery.comparison.prepared_run import PreparedRun, with_link_torque
 from stiffopt.discovery.comparison.vibration import LinkMotion, Vibration, slow_filter
@@ -126,13 +127,19 @@ def _solve_links(run: PreparedRun, robot: RobotModel, extension: Extension) -> P
         def added(
             links: LinkMotion, moved: PreparedRun = moved, weight: np.ndarray = weight
         ) -> tuple[np.ndarray, np.ndarray]:
-            here = replace(with_link_motion(moved, robot, links), play=springs.play(links))
-            change = extension_change(here, robot, sprung)
             known = len(links.position)
+            elastic = springs.motor[:known] - links.position - springs.play(links)
+            displaced = spring_deflection(
+                run.signals.constants, sprung.calibration, elastic, links.spring
+            )
+            torque = weight[:known]
+            if effects.effects:
+                change = extension_change(with_link_motion(moved, robot, links), robot, effects)
+                torque, displaced = torque + change.link_torque, displaced + change.deflection
             if isinstance(added_inertia, np.ndarray):
                 away = links.acceleration - moved.signals.link_acceleration[:known]
-                change.link_torque[:] += (added_inertia[:known] @ away[..., None])[..., 0]
-            return change.link_torque + weight[:known], change.deflection
+                torque = torque + (added_inertia[:known] @ away[..., None])[..., 0]
+            return torque, displaced
 
         links = (
             springs.solve(moved.links, vibration, begin, added, compliance_ratio)

@@ -120,6 +120,8 @@ def relative_compliance(run: PreparedRun, robot: RobotModel, extension: Extensio
     effects = tuple(e for e in extension.effects if not is_damping(e))
     if not any(e.effect.family == "elastic" for e in effects):
         effects = ()
+    if not effects and not extension.calibration:
+        return np.ones(run.torque.shape)
     step = _SLOPE_STEP * np.array([j.torque_rated for j in run.signals.constants.joints])
     steps = np.broadcast_to(step, run.torque.shape)
     instant = replace(extension, effects=tuple(e for e in effects if not e.effect.lags))

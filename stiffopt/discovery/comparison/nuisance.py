@@ -12,7 +12,7 @@ from stiffopt.discovery.comparison.located_effect import Contribution
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.comparison.value_name import ValueName
-from stiffopt.discovery.signals import PARAMETERS_PER_BODY
+from stiffopt.discovery.signals import PARAMETERS_PER_BODY, JointConstants, RobotConstants
 from stiffopt.recording.nominal import Tolerance
 
 # Relative standard deviation and width of the slope changes of a reducer over the torque.
@@ -230,32 +230,72 @@ def _drive_torque_column(run: PreparedRun, robot: RobotModel, kind: str, j: int)
 def _spring_columns(
     run: PreparedRun, j: int, sd: float, selected: NameFilter
 ) -> Iterator[JointColumn]:
-    signals, own = run.signals, ValueName("stiffness", j)
-    asked = [name for name in (own, *_knee_names(j)) if selected(name)]
-    if not asked or not np.any(signals.windup[:, j]):
-        return
-    if asked[0] == own:
+    signals = run.signals
+    elastic = signals.windup[:, j]
+    if run.vibration is not None:
         # A relative compliance scales the whole elastic deflection of vibrating links, without
         # play.
-        values = signals.windup[:, j]
-        if run.vibration is not None:
-            values = signals.motor_position[:, j] - signals.link_position[:, j]
-            values -= run.play[:, j] if isinstance(run.play, np.ndarray) else run.play
-        yield JointColumn(own, sd, "deflection", values)
-    yield from _knee_columns(run, j, asked)
+        elastic = signals.motor_position[:, j] - signals.link_position[:, j]
+        elastic -= run.play[:, j] if isinstance(run.play, np.ndarray) else run.play
+    joint, spring = signals.constants.joints[j], signals.spring_torque[:, j]
+    yield from _columns_of_spring(joint, elastic, spring, sd, selected)
+
+
+def spring_deflection(
+    constants: RobotConstants,
+    values: Mapping[ValueName, float],
+    elastic: np.ndarray,
+    spring: np.ndarray,
+) -> np.ndarray:
+    """Return the deflection (K, n) by nominal values of springs [rad].
+
+    Parameters
+    ----------
+    constants : RobotConstants
+    values : mapping of ValueName to float
+        Changes, of `SPRING_VALUES`.
+    elastic : array (K, n)
+        Elastic deflection of vibrating links [rad].
+    spring : array (K, n)
+        Torque of the springs [N m].
+    """
+    found = np.zeros_like(elastic)
+    asked = {name for name, value in values.items() if value}
+    for j, joint in enumerate(constants.joints if asked else ()):
+        for own in _columns_of_spring(joint, elastic[:, j], spring[:, j], 1.0, asked.__contains__):
+            found[:, j] += values[own.name] * own.values
+    return found
+
+
+def _columns_of_spring(
+    constants: JointConstants,
+    elastic: np.ndarray,
+    spring: np.ndarray,
+    sd: float,
+    selected: NameFilter,
+) -> Iterator[JointColumn]:
+    """Yield the columns of one spring with its elastic deflection and torque (K,)."""
+    j = constants.joint - 1
+    own = ValueName("stiffness", j)
+    asked = [name for name in (own, *_knee_names(j)) if selected(name)]
+    if not asked or not constants.elastic or not np.any(spring):
+        return
+    if asked[0] == own:
+        yield JointColumn(own, sd, "deflection", elastic)
+    yield from _knee_columns(constants, spring, asked)
 
 
 def _knee_names(j: int) -> list[ValueName]:
     return [ValueName(kind, j) for kind in ("T1", "rounding T1", "T2", "rounding T2")]
 
 
-def _knee_columns(run: PreparedRun, j: int, asked: Collection[ValueName]) -> Iterator[JointColumn]:
+def _knee_columns(
+    constants: JointConstants, spring: np.ndarray, asked: Collection[ValueName]
+) -> Iterator[JointColumn]:
     """Yield columns for torque and roundness of a reducer's slope changes."""
-    constants = run.signals.constants.joints[j]
     if constants.slopes is None or constants.corners is None:
         return
-    spring = np.ascontiguousarray(run.signals.spring_torque[:, j])
-    side, size = np.sign(spring), np.abs(spring)
+    j, side, size = constants.joint - 1, np.sign(spring), np.abs(spring)
     (k1, k2, k3), (t1, t2) = constants.slopes, constants.corners
     for kind, knee, before, after in (("T1", t1, k1, k2), ("T2", t2, k2, k3)):
         fall = 1.0 / before - 1.0 / after
