@@ -28,6 +28,11 @@ def _sampled_share(signals: JointSignals, order: Quantity) -> Quantity:
     return 1.0 / (1.0 + over)
 
 
+def _is_absent(*amplitudes: Quantity) -> bool:
+    """Return True where all amplitudes are the number zero, as those beside a unit amplitude."""
+    return all(isinstance(each, float) and each == 0.0 for each in amplitudes)
+
+
 def transmission_error_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
@@ -41,6 +46,8 @@ def transmission_error_term(
     for k, order in enumerate(_GEAR_ORDERS):
         turn = order * ratio * signals.motor_position
         a, b = amplitudes[2 * k], amplitudes[2 * k + 1]
+        if _is_absent(a, b):
+            continue
         shown = _sampled_share(signals, order * ratio)
         error = error + shown * (a * np.sin(turn) + b * np.cos(turn))
         slope = slope + shown * order * ratio * (a * np.cos(turn) - b * np.sin(turn))
@@ -55,8 +62,11 @@ def torque_ripple_term(
     turns = (constants.pole_pairs or 1.0) * constants.ratio
     ripple: Quantity = 0.0
     for k, order in enumerate(_RIPPLE_ORDERS):
+        a, b = amplitudes[2 * k], amplitudes[2 * k + 1]
+        if _is_absent(a, b):
+            continue
         turn = order * turns * signals.motor_position
-        wave = amplitudes[2 * k] * np.sin(turn) + amplitudes[2 * k + 1] * np.cos(turn)
+        wave = a * np.sin(turn) + b * np.cos(turn)
         ripple = ripple + _sampled_share(signals, order * turns) * wave
     return Term(drive_torque=ripple)
 

@@ -35,7 +35,7 @@ _BLOCK_SECONDS, _MAX_BLOCKS = 2.0, 8
 # and a number of the latest others.
 _START_CACHE_BYTES, _RECENT_CACHE_SIZE = 2**27, 64
 # Memory of link motions that are computed together [bytes].
-_BATCH_BYTES = 2**22
+_BATCH_BYTES = 2**21
 # Number of earlier linearisations in memory.
 _MAX_EARLIER = 4
 # Largest linearisation error of the links before a new linearisation, rms over the residual noise.
@@ -318,21 +318,27 @@ class DesignMatrix:
             return self._cache_columns(located, self._robot_effect_pieces(located))
         return self._cache_columns(located, self._joint_effect_pieces([located])[0])
 
-    def prepare_effects(self, effects: Sequence[LocatedEffect]) -> None:
-        """Compute columns of effects in advance; together is faster where links vibrate."""
+    def prepare_effects(self, effects: Sequence[LocatedEffect]) -> int:
+        """Compute columns of the first effects in advance; return their number.
+
+        Together is faster where links vibrate.
+        """
         if any(run.vibration is None for run in self.runs):
-            return
+            return len(effects)
+        first = effects[: _RECENT_CACHE_SIZE // 2]
         asked = [
             each
-            for each in effects
+            for each in first
             if each.is_of_one_joint
-            and each.key not in self._start_cache.keys() | self._recent_cache.keys()
+            and each.key not in self._start_cache
+            and each.key not in self._recent_cache
         ]
-        many = min(_RECENT_CACHE_SIZE // 2, *(_batch_size(run) for run in self.runs))
-        for begin in range(0, min(len(asked), _RECENT_CACHE_SIZE // 2), many):
+        many = min(_batch_size(run) for run in self.runs)
+        for begin in range(0, len(asked), many):
             part = asked[begin : begin + many]
             for each, columns in zip(part, self._joint_effect_pieces(part), strict=True):
                 self._cache_columns(each, columns)
+        return len(first)
 
     def _cache_columns(self, located: LocatedEffect, columns: PieceColumns) -> PieceColumns:
         """Store columns in the cache of initial shapes or of recent ones."""

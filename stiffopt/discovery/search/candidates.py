@@ -386,14 +386,20 @@ def scan(
             if about is not None and not located.is_adjacent(about):
                 continue
             by_place.setdefault((located.joint, located.link, located.run), []).append(located)
-        for tried in by_place.values():
-            if any(tried[0].same_place(other) for other in scorer.base):
-                continue
+        kept = [
+            tried
+            for tried in by_place.values()
+            if not any(tried[0].same_place(other) for other in scorer.base)
+        ]
+        waiting = [each for tried in kept for each in tried if each.possible(constants)]
+        ready = 0
+        for tried in kept:
             price = float(np.log(len(tried)))
-            scorer.comparison.columns.prepare_effects([e for e in tried if e.possible(constants)])
             found = []
             for each in tried:
                 tell(f"try {each.label}{place} ({pace.words(number)})")
+                if ready < len(waiting) and each is waiting[ready]:
+                    ready += scorer.comparison.columns.prepare_effects(waiting[ready:])
                 scored = scorer.score(each, price)
                 if scored is not None:
                     found.append(scored)
