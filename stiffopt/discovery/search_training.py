@@ -98,12 +98,14 @@ def _retry_quasi_static(
         return training, result
     say("the vibration differs from the model's: compare without vibration")
     answers = [(training, result)]
+    result.comparison.columns.release_effects()
     try:
         balanced = prepare_training(
             recordings, training.settings, base, say, training.recorded, vibrating=False
         )
         still = _search_once(recordings, balanced, asked, base, say)
         answers.append((balanced, still))
+        still.comparison.columns.release_effects()
         if still.effects and not (still.stopped or still.hurried):
             say("search with vibration from the findings without it")
             about = still.comparison.extension_of(still.fit)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
 from stiffopt.discovery.comparison.bands import choose_bands
 from stiffopt.discovery.comparison.channel_rows import KnownNoise, known_noise
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.design_matrix import MIN_RUNS_AS_BLOCKS
+from stiffopt.discovery.comparison.design_matrix import MIN_RUNS_AS_BLOCKS, DesignMatrix
 from stiffopt.discovery.comparison.filtering import PoseFilter, fill_missing
 from stiffopt.discovery.comparison.initial_states import estimate_initial_states
 from stiffopt.discovery.comparison.located_effect import Extension
@@ -94,6 +95,13 @@ class Training:
     suspects: Mapping[str, float] = field(default_factory=dict)
     leanings: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
+    @cached_property
+    def _columns(self) -> DesignMatrix:
+        """Design matrix that every search starts from."""
+        return DesignMatrix(
+            self.robot, self.runs, self.noise.channels, self.tolerance, self.start, Extension()
+        )
+
     def comparison(self) -> Comparison:
         """Return the comparison that a search starts from."""
         return Comparison(
@@ -105,6 +113,7 @@ class Training:
             box=self.box,
             least=self.least,
             suspects=self.suspects,
+            columns=self._columns.restarted(),
         )
 
 
@@ -237,7 +246,8 @@ def prepare_training(
     )
     if free or any(run.vibration is None for run in ready):
         return training
-    return replace(training, runs=estimate_initial_states(training.comparison()))
+    started = estimate_initial_states(training.comparison())
+    return training if started == training.runs else replace(training, runs=started)
 
 
 def _require_one_kind(recordings: RecordingSet, opened: Sequence[RecordedRun]) -> None:

@@ -183,14 +183,28 @@ class ElasticResponse:
         # Velocities over a typical rate, so that all states are of one size.
         self._unit = float(np.sqrt(np.max(np.abs(self.mobility @ self._stiffness))))
         damping = np.ascontiguousarray(rate, dtype=float)
-        given = Matrices(self.mobility, damping, self._stiffness, dt, self._unit)
-        self._steps: Steps = native.native_steps(given) or ArraySteps(given)
+        self._matrices = Matrices(self.mobility, damping, self._stiffness, dt, self._unit)
+        self._known_steps: Steps | None = None
+
+    @property
+    def _steps(self) -> Steps:
+        """Transition matrices, which take more memory than the motion itself."""
+        if self._known_steps is None:
+            given = self._matrices
+            self._known_steps = native.native_steps(given) or ArraySteps(given)
+        return self._known_steps
+
+    def release_steps(self) -> None:
+        """Free the transition matrices, which are recomputed when needed."""
+        self._known_steps = None
 
     def copy(self) -> ElasticResponse:
         """Return an independent copy whose stiffness may be changed."""
         new = copy(self)
         new._stiffness = self._stiffness.copy()
-        new._steps = self._steps.copy(new._stiffness)
+        new._matrices = replace(self._matrices, stiffness=new._stiffness)
+        if self._known_steps is not None:
+            new._known_steps = self._known_steps.copy(new._stiffness)
         return new
 
     def change_springs(self, samples: slice, stiffness: np.ndarray) -> None:
@@ -239,14 +253,14 @@ class ElasticResponse:
         return found[0][0], found[1][0], found[2][0]
 
     def moved(self, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return response and velocity (K, n) to torques (K, n) that load few links.
+        """Return responses and velocities (m, K, n) to m torques (m, K, n) that load few links.
 
         As a call, without accelerations; links without torque are skipped.
         """
-        links = np.flatnonzero(torque.any(axis=0))
-        load = Load(links[None], torque[None][..., links])
+        links = np.flatnonzero(torque.any(axis=(0, 1)))
+        load = Load(np.tile(links, (len(torque), 1)), torque[..., links])
         z, velocity, _ = self._steps.march(load, None, accelerated=False)
-        return z[0], velocity[0]
+        return z, velocity
 
     def pushed(self, links: np.ndarray, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return response and velocity (m, K, n) to m torques (m, K), each on one link (m,)."""

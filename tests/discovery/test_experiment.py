@@ -94,9 +94,7 @@ def test_separation_is_residual_of_rival_refit() -> None:
     single = Comparison(base.robot, [run], base.noise, base.tolerance)
     left = []
     fits = [base.fit((e,)) for e in (COULOMB, STRIBECK)]
-    columns = [
-        np.column_stack([single.nuisance[2], single.effect_columns(e)]) for e in (COULOMB, STRIBECK)
-    ]
+    columns = [single.stack_columns([e]) for e in (COULOMB, STRIBECK)]
     gap = columns[0] @ fits[0].posterior.mean - columns[1] @ fits[1].posterior.mean
     for own_columns, fit in zip(columns, fits, strict=True):
         root = np.linalg.inv(np.linalg.cholesky(fit.posterior.covariance))

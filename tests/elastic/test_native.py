@@ -118,7 +118,7 @@ def test_compiled_elastic_response_agrees_with_numpy(monkeypatch, n):
         return [
             *response(torque),
             *changed(torque[..., 0]),
-            *response.moved(torque[..., 1]),
+            *response.moved(np.moveaxis(torque, 2, 0)),
             *changed.pushed(np.array([n - 1, 0, 0]), torque[:, 0].T),
             *changed.driven(torque[..., 0], *torque[:2, :, 1], within),
             *response.free(random.normal(size=(2 * n, 2 * n))),

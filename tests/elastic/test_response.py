@@ -129,6 +129,6 @@ def test_response_without_acceleration_equals_a_call():
     )
     for torque in (random.normal(size=(COUNT, 2)), random.normal(size=(COUNT, 2)) * [0.0, 1.0]):
         z, velocity, _ = response(torque)
-        again, rate = response.moved(torque)
+        (again,), (rate,) = response.moved(torque[None])
         np.testing.assert_allclose(again, z, atol=1e-12 * np.max(np.abs(z)))
         np.testing.assert_allclose(rate, velocity, atol=1e-12 * np.max(np.abs(velocity)))

@@ -16,13 +16,21 @@ _RIPPLE_ORDERS = (1, 6)
 # Frequency over the sampling rate at which half of a wave is included, and exponent of the
 # roll-off: faster waves alias to slow ones, and the motor's inertia carries them, which its
 # recorded motion does not show.
-_HALF_SHARE_RATE, _ROLL_OFF_EXPONENT = 0.24, 8
+# The exponent is a power of two: so many squares.
+_HALF_SHARE_RATE, _ROLL_OFF_SQUARES = 0.24, 3
 
 
 def _sampled_share(signals: JointSignals, order: Quantity) -> Quantity:
     """Return the included share of a wave of this order of the joint angle."""
-    rate = order * signals.motor_velocity / (2.0 * np.pi)
-    return 1.0 / (1.0 + (rate * signals.dt / _HALF_SHARE_RATE) ** _ROLL_OFF_EXPONENT)
+    over = order * signals.motor_velocity * (signals.dt / (2.0 * np.pi * _HALF_SHARE_RATE))
+    for _ in range(_ROLL_OFF_SQUARES):
+        over = over * over
+    return 1.0 / (1.0 + over)
+
+
+def _is_absent(*amplitudes: Quantity) -> bool:
+    """Return True where all amplitudes are the number zero, as those beside a unit amplitude."""
+    return all(isinstance(each, float) and each == 0.0 for each in amplitudes)
 
 
 def transmission_error_term(
@@ -38,6 +46,8 @@ def transmission_error_term(
     for k, order in enumerate(_GEAR_ORDERS):
         turn = order * ratio * signals.motor_position
         a, b = amplitudes[2 * k], amplitudes[2 * k + 1]
+        if _is_absent(a, b):
+            continue
         shown = _sampled_share(signals, order * ratio)
         error = error + shown * (a * np.sin(turn) + b * np.cos(turn))
         slope = slope + shown * order * ratio * (a * np.cos(turn) - b * np.sin(turn))
@@ -52,8 +62,11 @@ def torque_ripple_term(
     turns = (constants.pole_pairs or 1.0) * constants.ratio
     ripple: Quantity = 0.0
     for k, order in enumerate(_RIPPLE_ORDERS):
+        a, b = amplitudes[2 * k], amplitudes[2 * k + 1]
+        if _is_absent(a, b):
+            continue
         turn = order * turns * signals.motor_position
-        wave = amplitudes[2 * k] * np.sin(turn) + amplitudes[2 * k + 1] * np.cos(turn)
+        wave = a * np.sin(turn) + b * np.cos(turn)
         ripple = ripple + _sampled_share(signals, order * turns) * wave
     return Term(drive_torque=ripple)
 

@@ -122,7 +122,7 @@ class ChannelRows:
                 continue
             scale = (self.noise.torque, self.noise.deflection)[kind]
             acted = np.flatnonzero(np.any(values, axis=0))
-            passed = run.low_pass.decimate(np.ascontiguousarray(values[:, acted]))
+            passed = run.low_pass.decimate(values[:, acted])
             for j, column in zip(acted, passed.T, strict=True):
                 where = places.rows[kind * self.n + j]
                 begin = begins[kind * self.n + j]
@@ -150,7 +150,7 @@ class ChannelRows:
         if not own:
             return
         run, places, begins = self.runs[number], self._places[number], self._first_rows[number]
-        passed = run.low_pass.decimate(np.stack([values for *_, values in own], axis=1))
+        passed = run.low_pass.decimate(np.stack([values for *_, values in own]).T)
         found: dict[int, np.ndarray] = {}
         for (kind, joint, column, _), values in zip(own, passed.T, strict=True):
             of_kind = kind == "deflection"

@@ -167,7 +167,7 @@ class Comparison:
 
     def extension_of(self, fit: Fit) -> Extension:
         """Return nominal values and effects of a fit."""
-        names = self.nuisance[0]
+        names, _ = self.priors
         sizes = [located.sizes(self.constants) for located in fit.effects]
         return Extension(
             calibration=dict(zip(names, fit.posterior.mean[: len(names)].tolist(), strict=True)),
@@ -235,11 +235,25 @@ class Comparison:
 
     # ---- weighted columns
 
-    @cached_property
-    def nuisance(self) -> tuple[list[ValueName], np.ndarray, np.ndarray]:
-        """Names, priors and weighted columns (m, p) of the nominal values."""
-        names, sd, columns = self.columns.nuisance
-        return names, sd, self._whiten_rows(columns)
+    @property
+    def priors(self) -> tuple[list[ValueName], np.ndarray]:
+        """Names and priors of the nominal values."""
+        return self.columns.priors
+
+    def stack_columns(self, effects: Sequence[LocatedEffect] = ()) -> np.ndarray:
+        """Return weighted columns (m, p) of nominal values and effects, as large as all signals."""
+        columns = [self.columns.nuisance, *(self.columns.effect_columns(e) for e in effects)]
+        return self._whiten_rows(np.column_stack(columns))
+
+    def model_rows(self, effects: Sequence[LocatedEffect], values: np.ndarray) -> np.ndarray:
+        """Return the weighted rows (m,) of nominal values and effects with values (p,)."""
+        begin = len(self.priors[0])
+        rows = self.columns.nominal_rows(values[:begin])
+        for located in effects:
+            end = begin + len(located.effect.amplitudes)
+            rows += self.columns.effect_rows(located, values[begin:end])
+            begin = end
+        return self._whiten_rows(rows)
 
     @cached_property
     def target(self) -> np.ndarray:
@@ -254,8 +268,7 @@ class Comparison:
         """Return the sums of nominal values and effects, and a function for further effects."""
         if self.columns.initial_state_columns.size:
             # Initial vibration couples all rows of a run.
-            _, _, nuisance = self.nuisance
-            columns = np.column_stack([nuisance, *(self.effect_columns(e) for e in effects)])
+            columns = self.stack_columns(effects)
             rows = BlockSums(columns, self.target, self.rows.block, self.blocks)
             return ModelSums(rows.own, lambda each: rows.added_sums(self.effect_columns(each)))
         pieces = self.columns.pieces
@@ -285,10 +298,8 @@ class Comparison:
 
     def fit(self, effects: Sequence[LocatedEffect] = (), *, boxed: bool = True) -> Fit:
         """Fit nuisance values and effects together; `boxed` bounds the nuisance values."""
-        _, sd, nuisance = self.nuisance
-        parts = [nuisance, *(self.effect_columns(e) for e in effects)]
-        columns = np.column_stack(parts)
-        prior = np.concatenate([sd, np.ones(columns.shape[1] - len(sd))])
+        _, sd = self.priors
+        prior = np.concatenate([sd, np.ones(sum(len(e.effect.amplitudes) for e in effects))])
         sums = self.sums(effects).own
         found = posterior(sums, prior, cross_validate=False)
         limits = np.full(len(prior), np.inf)
@@ -299,7 +310,7 @@ class Comparison:
             found = replace(found, mean=_solve_boxed(sums, prior, limits))
         if boxed and free:
             found = replace(found, mean=self._make_consistent(found.mean, sums, prior, limits))
-        residual = (self.target - columns @ found.mean) / self._row_weight
+        residual = (self.target - self.model_rows(effects, found.mean)) / self._row_weight
         return Fit(tuple(effects), found, residual, len(sd))
 
     def _make_consistent(

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import islice
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from stiffopt.discovery.comparison.filtering import fill_missing
 from stiffopt.discovery.comparison.located_effect import (
     Extension,
     LocatedEffect,
+    channel_changes,
     effect_channel_changes,
 )
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
@@ -33,20 +35,28 @@ _BLOCK_SECONDS, _MAX_BLOCKS = 2.0, 8
 # and a number of the latest others.
 _START_CACHE_BYTES, _RECENT_CACHE_SIZE = 2**27, 64
 # Memory of link motions that are computed together [bytes].
-_BATCH_BYTES = 2**22
+_BATCH_BYTES = 2**21
 # Number of earlier linearisations in memory.
 _MAX_EARLIER = 4
 # Largest linearisation error of the links before a new linearisation, rms over the residual noise.
 MAX_LINEARISATION_ERROR = 0.3
 
 
+def _batch_size(run: PreparedRun) -> int:
+    """Return the number of link motions along a run that are computed together."""
+    return int(max(1, _BATCH_BYTES // run.signals.spring_torque.nbytes))
+
+
 @dataclass(eq=False)
 class _NominalColumns:
-    """Names, priors and columns (m, p) of the nominal values, and their products with others."""
+    """Names, priors and columns of the nominal values, and their products with others.
+
+    Columns (p, m) are kept once, their rows in the order of pieces.
+    """
 
     names: list[ValueName]
     sd: np.ndarray
-    matrix: np.ndarray
+    ordered: np.ndarray
     sums: PieceSums | None = None
     products: dict[tuple[object, ...], PieceProducts] = field(default_factory=dict)
 
@@ -122,6 +132,7 @@ class DesignMatrix:
         for earlier in reversed(self._earlier):
             if earlier._linearisation_error(found, inflation) < near:
                 return earlier
+            earlier._release_steps()
         with np.errstate(over="ignore", invalid="ignore"):
             new = DesignMatrix(
                 self.robot, self.nominal_runs, self.noise, self.tolerance, self.start, found
@@ -146,6 +157,10 @@ class DesignMatrix:
         new.bodies, new._earlier = bodies, [new]
         return new
 
+    def restarted(self) -> DesignMatrix:
+        """Return the matrix without the linearisations that a search went through."""
+        return self.with_bodies(self.bodies)
+
     def _clear_effect_columns(self) -> None:
         """Free the memory of effect columns, which are recomputed when needed."""
         self._start_cache.clear()
@@ -153,19 +168,42 @@ class DesignMatrix:
         for nominal in self._nominal_by_freedom.values():
             nominal.products.clear()
 
+    def _release_steps(self) -> None:
+        """Free the memory of transition matrices, which are recomputed when needed."""
+        for run in self.runs:
+            if run.vibration is not None:
+                run.vibration.response.release_steps()
+
     def release_memory(self) -> None:
         """Free the memory of columns that are not needed after a search."""
         self._recent_cache.clear()
         self.robot.torque_cache.clear()
 
+    def release_effects(self) -> None:
+        """Free the memory of all effects of this linearisation and earlier ones."""
+        self.release_memory()
+        for each in self._earlier:
+            each._recent_cache.clear()
+            each._clear_effect_columns()
+            each._release_steps()
+
     @property
-    def nuisance(self) -> tuple[list[ValueName], np.ndarray, np.ndarray]:
-        """Names, priors and columns (m, p) of the nominal values."""
+    def priors(self) -> tuple[list[ValueName], np.ndarray]:
+        """Names and priors of the nominal values."""
         nominal = self._cached_nominal
         sd = nominal.sd.copy()
         if self.bodies is not None:
             sd[: self.bodies.size] = self.bodies.ravel()
-        return nominal.names, sd, nominal.matrix
+        return nominal.names, sd
+
+    @property
+    def nuisance(self) -> np.ndarray:
+        """Columns (m, p) of the nominal values."""
+        return self.pieces.unorder(self._cached_nominal.ordered).T
+
+    def nominal_rows(self, values: np.ndarray) -> np.ndarray:
+        """Return the rows (m,) of nominal values (p,)."""
+        return self.pieces.unorder(values @ self._cached_nominal.ordered)
 
     @property
     def _cached_nominal(self) -> _NominalColumns:
@@ -177,18 +215,22 @@ class DesignMatrix:
 
     def _build_nominal_columns(self) -> _NominalColumns:
         sd, columns, known = self._unchanged_columns()
-        # A joint at rest, or links without a solution, have no column in a run. One column after
-        # another: a long run has no memory for all of them before decimation.
+        # A joint at rest, or links without a solution, have no column in a run. A few columns after
+        # others: a long run has no memory for all of them before decimation.
         for number, run in enumerate(self.runs):
             new = nuisance_columns(
                 run, self.robot, self.tolerance, self.bodies, lambda name: name not in known
             )
-            for each in new:
-                sd[each.name] = each.sd
-                rows = columns.setdefault(each.name, np.zeros(self.rows.size))
-                self.rows.fill_run(rows, number, *each.added.channels(run, self.robot))
-        matrix = np.column_stack([*columns.values(), np.zeros((self.rows.size, 0))])
-        return _NominalColumns(list(sd), np.array(list(sd.values())), matrix)
+            while together := list(islice(new, _batch_size(run))):
+                changes = channel_changes([each.added for each in together], run, self.robot)
+                for each, change in zip(together, changes, strict=True):
+                    sd[each.name] = each.sd
+                    rows = columns.setdefault(each.name, np.zeros(self.rows.size))
+                    self.rows.fill_run(rows, number, *change)
+        ordered = np.empty((len(columns), self.rows.size))
+        for out, name in zip(ordered, sd, strict=True):
+            out[:] = self.pieces.order(columns.pop(name))
+        return _NominalColumns(list(sd), np.array(list(sd.values())), ordered)
 
     def _unchanged_columns(
         self,
@@ -202,8 +244,8 @@ class DesignMatrix:
             return {}, {}, set()
         known = {name for name in first.names if name.kind != LOAD_VALUE}
         columns = {
-            name: column if name in known else np.zeros_like(column)
-            for name, column in zip(first.names, first.matrix.T, strict=True)
+            name: self.pieces.unorder(column) if name in known else np.zeros_like(column)
+            for name, column in zip(first.names, first.ordered, strict=True)
         }
         return dict(zip(first.names, first.sd.tolist(), strict=True)), columns, known
 
@@ -240,6 +282,10 @@ class DesignMatrix:
         """Return columns (m, k) of an effect's amplitudes over their sizes."""
         return self.pieces.join(self._effect_pieces(located))
 
+    def effect_rows(self, located: LocatedEffect, values: np.ndarray) -> np.ndarray:
+        """Return the rows (m,) of an effect with amplitudes (k,) over their sizes."""
+        return self.pieces.join(self._effect_pieces(located).times(values))[:, 0]
+
     @cached_property
     def pieces(self) -> Pieces:
         """Pieces of the rows, one per channel and block."""
@@ -250,7 +296,7 @@ class DesignMatrix:
         """Sums of products of the columns of nominal values."""
         nominal = self._cached_nominal
         if nominal.sums is None:
-            nominal.sums = PieceSums(self.pieces, nominal.matrix, self.target)
+            nominal.sums = PieceSums(self.pieces, nominal.ordered, self.target)
         return nominal.sums
 
     def products(self, located: LocatedEffect) -> PieceProducts:
@@ -272,22 +318,27 @@ class DesignMatrix:
             return self._cache_columns(located, self._robot_effect_pieces(located))
         return self._cache_columns(located, self._joint_effect_pieces([located])[0])
 
-    def prepare_effects(self, effects: Sequence[LocatedEffect]) -> None:
-        """Compute columns of effects in advance; together is faster where links vibrate."""
+    def prepare_effects(self, effects: Sequence[LocatedEffect]) -> int:
+        """Compute columns of the first effects in advance; return their number.
+
+        Together is faster where links vibrate.
+        """
         if any(run.vibration is None for run in self.runs):
-            return
+            return len(effects)
+        first = effects[: _RECENT_CACHE_SIZE // 2]
         asked = [
             each
-            for each in effects
+            for each in first
             if each.is_of_one_joint
-            and each.key not in self._start_cache.keys() | self._recent_cache.keys()
+            and each.key not in self._start_cache
+            and each.key not in self._recent_cache
         ]
-        longest = max(run.signals.spring_torque.nbytes for run in self.runs)
-        many = min(_RECENT_CACHE_SIZE // 2, max(1, _BATCH_BYTES // longest))
-        for begin in range(0, min(len(asked), _RECENT_CACHE_SIZE // 2), many):
+        many = min(_batch_size(run) for run in self.runs)
+        for begin in range(0, len(asked), many):
             part = asked[begin : begin + many]
             for each, columns in zip(part, self._joint_effect_pieces(part), strict=True):
                 self._cache_columns(each, columns)
+        return len(first)
 
     def _cache_columns(self, located: LocatedEffect, columns: PieceColumns) -> PieceColumns:
         """Store columns in the cache of initial shapes or of recent ones."""
@@ -308,7 +359,7 @@ class DesignMatrix:
 
     def _robot_effect_pieces(self, located: LocatedEffect) -> PieceColumns:
         """Return the columns of an effect of the robot or a link."""
-        per_run = [list(located.columns(run, self.robot)) for run in self.runs]
+        per_run = [located.columns(run, self.robot) for run in self.runs]
         rows = [
             self.rows.flatten([c[0] for c in each], [c[1] for c in each])
             for each in zip(*per_run, strict=True)
@@ -335,13 +386,12 @@ class DesignMatrix:
 
     def _linearisation_error(self, found: Extension, inflation: np.ndarray | None) -> float:
         """Return the rms over residual noise of link motion not included here."""
-        names, _, matrix = self.nuisance
+        names, _ = self.priors
         change = found.minus(self.found)
-        values = np.array([change.calibration.get(name, 0.0) for name in names])
-        rows = matrix @ values
+        rows = self.nominal_rows(np.array([change.calibration.get(name, 0.0) for name in names]))
         for each in change.effects:
             amplitudes = np.array(each.amplitudes) / self._amplitude_sizes(each.located)
-            rows = rows + self.effect_columns(each.located) @ amplitudes
+            rows += self.effect_rows(each.located, amplitudes)
         if inflation is not None:
             rows = rows / inflation[self.rows.channel]
         return float(np.sqrt(np.mean(rows**2)))

@@ -23,6 +23,7 @@ from stiffopt.discovery.comparison.nuisance import (
     BODY_VALUES,
     LINK_MOVING_VALUES,
     SPRING_VALUES,
+    spring_deflection,
 )
 from stiffopt.discovery.comparison.prepared_run import PreparedRun, with_link_torque
 from stiffopt.discovery.comparison.vibration import LinkMotion, Vibration, slow_filter
@@ -58,7 +59,10 @@ def simulate_links(run: PreparedRun, robot: RobotModel, extension: Extension) ->
     if key not in run.extension_cache:
         while len(run.extension_cache) >= _MAX_CACHED_RUNS:
             run.extension_cache.pop(next(iter(run.extension_cache)))
-        run.extension_cache[key] = _simulate_with_fallback(run, robot, moving)
+        found = run.extension_cache[key] = _simulate_with_fallback(run, robot, moving)
+        assert found.vibration is not None
+        # What follows is linearised anew, about the motion found.
+        found.vibration.response.release_steps()
     return run.extension_cache[key]
 
 
@@ -123,13 +127,19 @@ def _solve_links(run: PreparedRun, robot: RobotModel, extension: Extension) -> P
         def added(
             links: LinkMotion, moved: PreparedRun = moved, weight: np.ndarray = weight
         ) -> tuple[np.ndarray, np.ndarray]:
-            here = replace(with_link_motion(moved, robot, links), play=springs.play(links))
-            change = extension_change(here, robot, sprung)
             known = len(links.position)
+            elastic = springs.motor[:known] - links.position - springs.play(links)
+            displaced = spring_deflection(
+                run.signals.constants, sprung.calibration, elastic, links.spring
+            )
+            torque = weight[:known]
+            if effects.effects:
+                change = extension_change(with_link_motion(moved, robot, links), robot, effects)
+                torque, displaced = torque + change.link_torque, displaced + change.deflection
             if isinstance(added_inertia, np.ndarray):
                 away = links.acceleration - moved.signals.link_acceleration[:known]
-                change.link_torque[:] += (added_inertia[:known] @ away[..., None])[..., 0]
-            return change.link_torque + weight[:known], change.deflection
+                torque = torque + (added_inertia[:known] @ away[..., None])[..., 0]
+            return torque, displaced
 
         links = (
             springs.solve(moved.links, vibration, begin, added, compliance_ratio)
@@ -172,7 +182,7 @@ def _extend_to_first_order(
     """Return the run with an extension to first order."""
     assert run.vibration is not None
     change = extension_change(run, robot, extension)
-    torque, deflection = run.vibration.respond(change.link_torque, change.deflection)
+    ((torque, deflection),) = run.vibration.respond([(change.link_torque, change.deflection)])
     signals = replace(run.signals, drive_torque=run.signals.drive_torque + torque)
     return replace(run, signals=signals, added_deflection=run.added_deflection + deflection)
 
@@ -282,7 +292,7 @@ def linearise_run(
     own = springs.linearise(moved.links, softer, heavier, moved.vibration)
     moved = replace(moved, vibration=own, play=springs.play(moved.links))
     change = extension_change(moved, robot, found)
-    torque, deflection = moved.respond(robot, change.link_torque, change.deflection)
+    ((torque, deflection),) = moved.respond(robot, [(change.link_torque, change.deflection)])
     assert torque is not None
     assert deflection is not None
     if not start.empty:

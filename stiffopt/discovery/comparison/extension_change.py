@@ -11,8 +11,10 @@ from stiffopt.discovery.comparison.located_effect import Contribution, Estimated
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.nuisance import (
     BODY_VALUES,
+    COMMAND_DELAY,
     body_parameter_changes,
-    nuisance_columns,
+    command_rate,
+    joint_columns,
 )
 from stiffopt.discovery.comparison.prepared_run import PreparedRun, with_link_torque
 from stiffopt.discovery.comparison.springs import SpringLaw, nominal_damping
@@ -55,12 +57,12 @@ class Change:
     deflection: np.ndarray
     reading: np.ndarray
 
-    def add(self, part: Contribution, times: float = 1.0) -> None:
+    def add(self, part: Contribution) -> None:
         """Add a contribution."""
         for name, total in vars(self).items():
             own = getattr(part, name)
             if own is not None:
-                total += times * own
+                total += own
 
 
 def extension_change(run: PreparedRun, robot: RobotModel, extension: Extension) -> Change:
@@ -72,10 +74,11 @@ def extension_change(run: PreparedRun, robot: RobotModel, extension: Extension) 
         parameters = body_parameter_changes(robot, values)
         change.link_torque[:] += run.signals.body_regressor.torque(parameters)
     others = values.keys() - bodies
-    if others:
-        for column in nuisance_columns(run, robot, _ALL_TOLERANCES, selected=others.__contains__):
-            # Knee columns come in groups, also for values that were not selected.
-            change.add(column.added, values.get(column.name, 0.0))
+    law = robot.recordings.actuator
+    if COMMAND_DELAY in others and law is not None and law.delay_deviation:
+        change.torque[:] += values[COMMAND_DELAY] * command_rate(run, robot)
+    for own in joint_columns(run, robot, _ALL_TOLERANCES, others.__contains__) if others else ():
+        getattr(change, own.field)[:, own.name.place] += values[own.name] * own.values
     for each in extension.effects:
         change.add(each.located.contribution(run, each.amplitudes))
     return change
@@ -117,6 +120,8 @@ def relative_compliance(run: PreparedRun, robot: RobotModel, extension: Extensio
     effects = tuple(e for e in extension.effects if not is_damping(e))
     if not any(e.effect.family == "elastic" for e in effects):
         effects = ()
+    if not effects and not extension.calibration:
+        return np.ones(run.torque.shape)
     step = _SLOPE_STEP * np.array([j.torque_rated for j in run.signals.constants.joints])
     steps = np.broadcast_to(step, run.torque.shape)
     instant = replace(extension, effects=tuple(e for e in effects if not e.effect.lags))

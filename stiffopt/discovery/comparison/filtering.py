@@ -82,14 +82,14 @@ class ZeroPhaseFilter:
         """
         step, length = self.step, len(self._kernel)
         begin = step * self.first_unpadded_row - self.settling
-        samples = np.ascontiguousarray(samples, dtype=float)
+        channels = np.ascontiguousarray(samples.T, dtype=float)
         count = max(0, -(-(len(samples) - length + 1 - begin) // step))
-        along, across = samples.strides
+        across, along = channels.strides
         # Overlapping windows without a copy; numpy's sliding_window_view takes longer than the
         # product.
         windows = np.ndarray(
-            (count, samples.shape[1], length),
-            buffer=samples,
+            (count, len(channels), length),
+            buffer=channels,
             offset=begin * along if count else 0,
             strides=(step * along, across, along),
         )

@@ -59,8 +59,7 @@ def _initial_state_changes(comparison: Comparison) -> list[np.ndarray | None]:
     None where the links would move by less than the linearisation error allowed.
     """
     columns = comparison.columns
-    names, _, nuisance = columns.nuisance
-    left = columns.target - nuisance @ comparison.fit().posterior.mean[: len(names)]
+    left = columns.target - columns.nominal_rows(comparison.fit().posterior.mean)
     rows, unknown = comparison.rows, columns.initial_state_columns
     sizes = np.linalg.solve(unknown.T @ unknown + np.eye(unknown.shape[1]), unknown.T @ left)
     usual = np.maximum(np.bincount(rows.channel) / len(comparison.runs), 1.0)

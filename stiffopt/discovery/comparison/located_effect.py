@@ -49,12 +49,24 @@ class Contribution:
     deflection: np.ndarray | None = None
     reading: np.ndarray | None = None
 
-    def channels(
-        self, run: PreparedRun, robot: RobotModel
-    ) -> tuple[np.ndarray | None, np.ndarray | None]:
-        """Return changes of drive torque and motor minus link angle, (K, n) each or None."""
-        torque, deflection = run.respond(robot, self.link_torque, self.deflection)
-        return _add_optional(self.torque, torque), _add_optional(self.reading, deflection)
+    @classmethod
+    def of_joint(cls, joint: int, like: np.ndarray, **values: np.ndarray) -> Contribution:
+        """Return a contribution to fields of one joint (from 0), zero in the others."""
+        return cls(**{name: _as_joint_column(own, like, joint) for name, own in values.items()})
+
+
+def channel_changes(
+    contributions: Sequence[Contribution], run: PreparedRun, robot: RobotModel
+) -> list[tuple[np.ndarray | None, np.ndarray | None]]:
+    """Return changes of drive torque and motor minus link angle, (K, n) each or None.
+
+    Vibrating links respond to all contributions together.
+    """
+    answers = run.respond(robot, [(each.link_torque, each.deflection) for each in contributions])
+    return [
+        (_add_optional(each.torque, torque), _add_optional(each.reading, deflection))
+        for each, (torque, deflection) in zip(contributions, answers, strict=True)
+    ]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -239,12 +251,10 @@ class LocatedEffect:
 
     def columns(
         self, run: PreparedRun, robot: RobotModel
-    ) -> Iterator[tuple[np.ndarray | None, np.ndarray | None]]:
-        """Yield the change of torque and deflection per unit of each amplitude."""
-        count = len(self.effect.amplitudes)
-        for i in range(count):
-            unit = [1.0 if k == i else 0.0 for k in range(count)]
-            yield self.contribution(run, unit).channels(run, robot)
+    ) -> list[tuple[np.ndarray | None, np.ndarray | None]]:
+        """Return the changes of torque and deflection per unit of each amplitude."""
+        units = np.eye(len(self.effect.amplitudes))
+        return channel_changes([self.contribution(run, unit) for unit in units], run, robot)
 
 
 def effect_channel_changes(

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.settings import fill_missing
 from stiffopt.discovery.signals import (
     HARMONICS_PER_JOINT,
@@ -27,6 +28,9 @@ from stiffopt.robot.batched_kinematics import (
     tool_jacobians,
 )
 from stiffopt.robot.frames import first_link_of
+
+# Step of a centre of mass for the slopes of inertial parameters [m].
+_CENTRE_STEP = 1e-5
 
 
 class RobotModel:
@@ -133,6 +137,19 @@ class RobotModel:
             )
         span = np.array([tool.min(axis=0), tool.max(axis=0)])
         return replace(base, joints=tuple(joints), tool_range=span)
+
+    @cached_property
+    def body_value_slopes(self) -> dict[ValueName, np.ndarray]:
+        """Changes (10,) of a body's inertial parameters per unit of mass and centre, by name."""
+        found = {}
+        for place, joint in enumerate(self.order):
+            body = self.arm.tree.bodies[joint]
+            now = body.inertial_parameters
+            found[ValueName("mass", place)] = now
+            for axis, shift in zip("xyz", _CENTRE_STEP * np.eye(3), strict=True):
+                moved = replace(body, centre=body.centre + shift).inertial_parameters
+                found[ValueName("com", place, axis)] = (moved - now) / _CENTRE_STEP
+        return found
 
     # ---- along a motion, (K, n) each, in the joint order of the set
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -12,9 +12,8 @@ from stiffopt.discovery.comparison.located_effect import Contribution
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.comparison.value_name import ValueName
-from stiffopt.discovery.signals import PARAMETERS_PER_BODY
+from stiffopt.discovery.signals import PARAMETERS_PER_BODY, JointConstants, RobotConstants
 from stiffopt.recording.nominal import Tolerance
-from stiffopt.robot.body_tree import Body
 
 # Relative standard deviation and width of the slope changes of a reducer over the torque.
 _RELATIVE_KNEE_SD = 0.08
@@ -142,10 +141,56 @@ def nuisance_columns(
                 yield NuisanceColumn(name, float(sd), Contribution(link_torque=torque))
     law = robot.recordings.actuator
     if law is not None and law.delay_deviation and selected(COMMAND_DELAY):
-        # A command that acts later gives less torque by its rate, which is that of the motion.
-        gains = np.where(np.isfinite(law.stiffness), law.stiffness, 0.0)
-        added = Contribution(gains * signals.motor_velocity)
+        added = Contribution(command_rate(run, robot))
         yield NuisanceColumn(COMMAND_DELAY, law.delay_deviation, added)
+    for own in joint_columns(run, robot, tolerance, selected):
+        like, values = signals.spring_torque, {own.field: own.values}
+        yield NuisanceColumn(
+            own.name, own.sd, Contribution.of_joint(own.name.place, like, **values)
+        )
+
+
+def command_rate(run: PreparedRun, robot: RobotModel) -> np.ndarray:
+    """Return the drive torque (K, n) per delay of commands [N m/s].
+
+    A command that acts later gives less torque by its rate, which is that of the motion.
+    """
+    law = robot.recordings.actuator
+    assert law is not None
+    gains = np.where(np.isfinite(law.stiffness), law.stiffness, 0.0)
+    return np.asarray(gains * run.signals.motor_velocity)
+
+
+@dataclass(frozen=True, eq=False)
+class JointColumn:
+    """Contribution of one nominal value to one joint.
+
+    Parameters
+    ----------
+    name : ValueName
+        Its place is the joint.
+    sd : float
+        Tolerance of the value, one standard deviation.
+    field : str
+        Field of `Contribution`.
+    values : array (K,)
+        Per unit of the value.
+    """
+
+    name: ValueName
+    sd: float
+    field: str
+    values: np.ndarray
+
+
+def joint_columns(
+    run: PreparedRun,
+    robot: RobotModel,
+    tolerance: Tolerance,
+    selected: NameFilter = accept_every_value,
+) -> Iterator[JointColumn]:
+    """Yield the columns of nominal values that act on one joint each, joint by joint."""
+    signals = run.signals
     for j in range(robot.n):
         for kind in _DRIVE_VALUES:
             sd, name = getattr(tolerance, kind), ValueName(kind, j)
@@ -154,23 +199,20 @@ def nuisance_columns(
                 and selected(name)
                 and np.any(values := _drive_torque_column(run, robot, kind, j))
             ):
-                yield NuisanceColumn(name, sd, Contribution(_in_joint(run, j, values)))
+                yield JointColumn(name, sd, "torque", values)
         if tolerance.stiffness:
             yield from _spring_columns(run, j, tolerance.stiffness, selected)
         name = ValueName("joint_damping", j)
         if tolerance.joint_damping and run.vibration is not None and selected(name):
             # Damping torque relieves the spring, which deflects less by it.
             nominal = signals.constants.joints[j].joint_damping
-            taken = nominal * (signals.motor_velocity - signals.link_velocity)[:, j]
-            added = Contribution(
-                deflection=_in_joint(run, j, -taken / run.vibration.stiffness[:, j])
-            )
-            yield NuisanceColumn(name, tolerance.joint_damping, added)
+            taken = nominal * (signals.motor_velocity[:, j] - signals.link_velocity[:, j])
+            relief = -taken / run.vibration.stiffness[:, j]
+            yield JointColumn(name, tolerance.joint_damping, "deflection", relief)
         name = ValueName("encoder_zero", j)
         if tolerance.encoder_zero and selected(name):
             values = np.ones(len(signals.time))
-            added = Contribution(reading=_in_joint(run, j, values))
-            yield NuisanceColumn(name, tolerance.encoder_zero, added)
+            yield JointColumn(name, tolerance.encoder_zero, "reading", values)
 
 
 def _drive_torque_column(run: PreparedRun, robot: RobotModel, kind: str, j: int) -> np.ndarray:
@@ -187,85 +229,104 @@ def _drive_torque_column(run: PreparedRun, robot: RobotModel, kind: str, j: int)
 
 def _spring_columns(
     run: PreparedRun, j: int, sd: float, selected: NameFilter
-) -> Iterator[NuisanceColumn]:
+) -> Iterator[JointColumn]:
     signals = run.signals
-    own = ValueName("stiffness", j)
-    if not any(selected(name) for name in (own, *_knee_names(j))):
-        return
-    if not np.any(signals.windup[:, j]):
-        return
-    # A relative compliance scales the whole elastic deflection of vibrating links, without play.
-    values = signals.windup[:, j]
+    elastic = signals.windup[:, j]
     if run.vibration is not None:
-        values = (signals.motor_position - signals.link_position - run.play)[:, j]
+        # A relative compliance scales the whole elastic deflection of vibrating links, without
+        # play.
+        elastic = signals.motor_position[:, j] - signals.link_position[:, j]
+        elastic -= run.play[:, j] if isinstance(run.play, np.ndarray) else run.play
+    joint, spring = signals.constants.joints[j], signals.spring_torque[:, j]
+    yield from _columns_of_spring(joint, elastic, spring, sd, selected)
 
-    if selected(own):
-        yield NuisanceColumn(own, sd, Contribution(deflection=_in_joint(run, j, values)))
-    yield from _knee_columns(run, j, selected)
+
+def spring_deflection(
+    constants: RobotConstants,
+    values: Mapping[ValueName, float],
+    elastic: np.ndarray,
+    spring: np.ndarray,
+) -> np.ndarray:
+    """Return the deflection (K, n) by nominal values of springs [rad].
+
+    Parameters
+    ----------
+    constants : RobotConstants
+    values : mapping of ValueName to float
+        Changes, of `SPRING_VALUES`.
+    elastic : array (K, n)
+        Elastic deflection of vibrating links [rad].
+    spring : array (K, n)
+        Torque of the springs [N m].
+    """
+    found = np.zeros_like(elastic)
+    asked = {name for name, value in values.items() if value}
+    for j, joint in enumerate(constants.joints if asked else ()):
+        for own in _columns_of_spring(joint, elastic[:, j], spring[:, j], 1.0, asked.__contains__):
+            found[:, j] += values[own.name] * own.values
+    return found
+
+
+def _columns_of_spring(
+    constants: JointConstants,
+    elastic: np.ndarray,
+    spring: np.ndarray,
+    sd: float,
+    selected: NameFilter,
+) -> Iterator[JointColumn]:
+    """Yield the columns of one spring with its elastic deflection and torque (K,)."""
+    j = constants.joint - 1
+    own = ValueName("stiffness", j)
+    asked = [name for name in (own, *_knee_names(j)) if selected(name)]
+    if not asked or not constants.elastic or not np.any(spring):
+        return
+    if asked[0] == own:
+        yield JointColumn(own, sd, "deflection", elastic)
+    yield from _knee_columns(constants, spring, asked)
 
 
 def _knee_names(j: int) -> list[ValueName]:
     return [ValueName(kind, j) for kind in ("T1", "rounding T1", "T2", "rounding T2")]
 
 
-def _in_joint(run: PreparedRun, j: int, values: np.ndarray) -> np.ndarray:
-    """Return a channel (K, n) with values in one joint and zeros in the others."""
-    column = np.zeros_like(run.signals.spring_torque)
-    column[:, j] = values
-    return np.asarray(column)
-
-
-def _knee_columns(run: PreparedRun, j: int, selected: NameFilter) -> Iterator[NuisanceColumn]:
+def _knee_columns(
+    constants: JointConstants, spring: np.ndarray, asked: Collection[ValueName]
+) -> Iterator[JointColumn]:
     """Yield columns for torque and roundness of a reducer's slope changes."""
-    constants = run.signals.constants.joints[j]
     if constants.slopes is None or constants.corners is None:
         return
-    if not any(selected(name) for name in _knee_names(j)):
-        return
-    spring = run.signals.spring_torque[:, j]
+    j, side, size = constants.joint - 1, np.sign(spring), np.abs(spring)
     (k1, k2, k3), (t1, t2) = constants.slopes, constants.corners
     for kind, knee, before, after in (("T1", t1, k1, k2), ("T2", t2, k2, k3)):
         fall = 1.0 / before - 1.0 / after
         width = _RELATIVE_KNEE_SD * knee
-        beyond = np.sign(spring) * np.clip((np.abs(spring) - knee) / width, 0.0, 1.0)
-        moved = Contribution(deflection=_in_joint(run, j, fall * knee * beyond))
-        yield NuisanceColumn(ValueName(kind, j), _RELATIVE_KNEE_SD, moved)
-        rounded = np.sign(spring) * fall * width * np.exp(-np.abs(np.abs(spring) - knee) / width)
-        round_knee = Contribution(deflection=_in_joint(run, j, rounded))
-        yield NuisanceColumn(ValueName(f"rounding {kind}", j), 1.0, round_knee)
+        moved, rounded = ValueName(kind, j), ValueName(f"rounding {kind}", j)
+        beyond = (size - knee) / width
+        if moved in asked:
+            values = fall * knee * (side * np.clip(beyond, 0.0, 1.0))
+            yield JointColumn(moved, _RELATIVE_KNEE_SD, "deflection", values)
+        if rounded in asked:
+            values = side * fall * width * np.exp(-np.abs(beyond))
+            yield JointColumn(rounded, 1.0, "deflection", values)
 
 
 def _body_columns(
     run: PreparedRun, robot: RobotModel, tolerance: Tolerance, selected: NameFilter
 ) -> Iterator[NuisanceColumn]:
     """Yield columns for mass and centre of mass of every body."""
-    for position, joint in enumerate(robot.order):
-        body = robot.arm.tree.bodies[joint]
-        for name, change in _body_parameter_slopes(position, body):
-            sd = getattr(tolerance, name.kind)
-            if sd and selected(name):
-                torque = run.signals.body_regressor.of_body(position) @ change
-                yield NuisanceColumn(name, sd, Contribution(link_torque=torque))
-
-
-def _body_parameter_slopes(position: int, body: Body) -> Iterator[tuple[ValueName, np.ndarray]]:
-    """Yield changes (10,) of a body's parameters per unit of mass and centre, by name."""
-    now = body.inertial_parameters
-    yield ValueName("mass", position), now
-    for axis in range(3):
-        shift = np.zeros(3)
-        shift[axis] = 1e-5
-        moved = replace(body, centre=body.centre + shift)
-        yield ValueName("com", position, "xyz"[axis]), (moved.inertial_parameters - now) / 1e-5
+    for name, change in robot.body_value_slopes.items():
+        sd = getattr(tolerance, name.kind)
+        if sd and selected(name):
+            torque = run.signals.body_regressor.of_body(name.place) @ change
+            yield NuisanceColumn(name, sd, Contribution(link_torque=torque))
 
 
 def body_parameter_changes(robot: RobotModel, values: Mapping[ValueName, float]) -> np.ndarray:
     """Return changes of all inertial parameters (n, 10) by nominal values of given names."""
     change = [values.get(name, 0.0) for name in all_body_parameter_names(robot)]
     found = np.array(change).reshape(robot.n, PARAMETERS_PER_BODY)
-    for position, joint in enumerate(robot.order):
-        for name, slope in _body_parameter_slopes(position, robot.arm.tree.bodies[joint]):
-            found[position] += values.get(name, 0.0) * slope
+    for name, slope in robot.body_value_slopes.items():
+        found[name.place] += values.get(name, 0.0) * slope
     return found
 
 

@@ -34,6 +34,10 @@ class PieceColumns:
     parts: tuple[np.ndarray, ...]
     width: int
 
+    def times(self, values: np.ndarray) -> PieceColumns:
+        """Return one column: the sum of these times values (k,)."""
+        return PieceColumns(self.acted, tuple((part @ values)[:, None] for part in self.parts), 1)
+
     @property
     def nbytes(self) -> int:
         """Memory of the columns."""
@@ -119,14 +123,21 @@ class Pieces:
         ordered = np.zeros((len(self._order), columns.width))
         for q, part in zip(columns.acted, columns.parts, strict=True):
             ordered[self._slices[q]] = part
+        return self.unorder(ordered.T).T
+
+    def order(self, columns: np.ndarray) -> np.ndarray:
+        """Return rows (..., m) in the order of pieces."""
+        return columns[..., self._order]
+
+    def unorder(self, ordered: np.ndarray) -> np.ndarray:
+        """Return rows (..., m) in their own order again."""
         out = np.empty_like(ordered)
-        out[self._order] = ordered
+        out[..., self._order] = ordered
         return out
 
-    def cut(self, columns: np.ndarray) -> list[np.ndarray]:
-        """Return the rows of columns (m, ...) in every piece."""
-        ordered = columns[self._order]
-        return [ordered[part] for part in self._slices]
+    def cut(self, ordered: np.ndarray) -> list[np.ndarray]:
+        """Return the rows of every piece, views of rows (..., m) in the order of pieces."""
+        return [ordered[..., part] for part in self._slices]
 
 
 class PieceSums:
@@ -135,15 +146,16 @@ class PieceSums:
     Parameters
     ----------
     pieces : Pieces
-    columns : array (m, p)
-        Columns of the nominal values over the stated noise.
+    columns : array (p, m)
+        Columns of the nominal values over the stated noise, rows in the order of pieces.
     target : array (m,)
+        In the order of rows.
     """
 
     def __init__(self, pieces: Pieces, columns: np.ndarray, target: np.ndarray) -> None:
         self.pieces = pieces
-        self._transposed = [part.T.copy() for part in pieces.cut(columns)]
-        self._target = pieces.cut(target)
+        self._transposed = pieces.cut(columns)
+        self._target = pieces.cut(pieces.order(target))
         self.gram = np.array([c @ c.T for c in self._transposed])
         self.moment = np.array([c @ y for c, y in zip(self._transposed, self._target, strict=True)])
         self.square = np.array([float(y @ y) for y in self._target])

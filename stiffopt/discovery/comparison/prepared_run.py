@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from math import comb
 
@@ -216,26 +216,31 @@ class PreparedRun:
         return Springs(robot, s.motor_position, s.motor_velocity, s.dt, damping, laws)
 
     def respond(
-        self, robot: RobotModel, link_torque: np.ndarray | None, deflection: np.ndarray | None
-    ) -> tuple[np.ndarray | None, np.ndarray | None]:
-        """Return changes of torque and deflection between motor and link (K, n), or None.
+        self,
+        robot: RobotModel,
+        loads: Sequence[tuple[np.ndarray | None, np.ndarray | None]],
+    ) -> list[tuple[np.ndarray | None, np.ndarray | None]]:
+        """Return changes of torque and deflection between motor and link (K, n), or None, by load.
 
         Parameters
         ----------
         robot : RobotModel
-        link_torque : array (K, n) or None
-            Added torque on the links [N m].
-        deflection : array (K, n) or None
-            Displacement of the springs' ends [rad].
+        loads : sequence of (array (K, n) or None, array (K, n) or None)
+            Added torque on the links [N m], and displacement of the springs' ends [rad].
         """
-        if link_torque is None and deflection is None:
-            return None, None
         if self.vibration is not None:
-            return self.vibration.respond(link_torque, deflection)
-        if link_torque is None:
-            return None, deflection
-        wound = robot.compliance(self.signals.spring_torque) * link_torque
-        return link_torque, wound if deflection is None else wound + deflection
+            return self.vibration.respond(loads)
+        if all(link_torque is None for link_torque, _ in loads):
+            return list(loads)
+        compliance = robot.compliance(self.signals.spring_torque)
+        found: list[tuple[np.ndarray | None, np.ndarray | None]] = []
+        for link_torque, deflection in loads:
+            wound = deflection
+            if link_torque is not None:
+                wound = compliance * link_torque
+                wound = wound if deflection is None else wound + deflection
+            found.append((link_torque, wound))
+        return found
 
 
 def prepare_run(

@@ -7,6 +7,7 @@ response about that motion.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -175,21 +176,31 @@ class Vibration:
         return np.asarray(needed + springs + dampers)
 
     def respond(
-        self, link_torque: np.ndarray | None, deflection: np.ndarray | None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the change of torque and deflection (K, n) between motor and link.
+        self, loads: Sequence[tuple[np.ndarray | None, np.ndarray | None]]
+    ) -> list[tuple[np.ndarray | None, np.ndarray | None]]:
+        """Return the changes of torque and deflection (K, n) between motor and link, by load.
+
+        Loads are integrated together. A load of nothing changes nothing: None.
 
         Parameters
         ----------
-        link_torque : array (K, n) or None
-            Added torque on the links [N m].
-        deflection : array (K, n) or None
-            Displacement of the springs' ends [rad].
+        loads : sequence of (array (K, n) or None, array (K, n) or None)
+            Added torque on the links [N m], and displacement of the springs' ends [rad].
         """
-        pushed = 0.0 if deflection is None else self.stiffness * deflection
-        needed = pushed if link_torque is None else pushed + link_torque
-        z, velocity = self.response.moved(-np.asarray(needed))
-        return -self.stiffness * z - pushed - self.damping * velocity, -z
+        acting = [k for k, load in enumerate(loads) if any(part is not None for part in load)]
+        pushed = np.zeros((len(acting), *self.stiffness.shape))
+        needed = np.empty_like(pushed)
+        for own, whole, k in zip(pushed, needed, acting, strict=True):
+            link_torque, deflection = loads[k]
+            if deflection is not None:
+                np.multiply(self.stiffness, deflection, out=own)
+            np.add(own, 0.0 if link_torque is None else link_torque, out=whole)
+        z, velocity = self.response.moved(-needed)
+        torque = -self.stiffness * z - pushed - self.damping * velocity
+        found: list[tuple[np.ndarray | None, np.ndarray | None]] = [(None, None)] * len(loads)
+        for k, changed, moved in zip(acting, torque, -z, strict=True):
+            found[k] = changed, moved
+        return found
 
     def respond_at_joints(
         self, joints: np.ndarray, link_torque: np.ndarray, deflection: np.ndarray

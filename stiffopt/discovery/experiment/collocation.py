@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.located_effect import LocatedEffect, channel_changes
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.comparison.value_name import ValueName
@@ -120,7 +120,8 @@ class _DifferenceFormula:
                 np.eye(len(located.effect.amplitudes)), located.sizes(self.constants), strict=True
             ):
                 torque, deflection = self._effect_channels(located, unit * size)
-                own = located.contribution(run, unit * size).channels(run, self.robot)
+                change = located.contribution(run, unit * size)
+                (own,) = channel_changes([change], run, self.robot)
                 for formula, term in zip((torque, deflection), own, strict=True):
                     along = self._evaluate_along(formula, run)
                     pointwise = np.zeros_like(along) if term is None else term

@@ -50,7 +50,7 @@ class Separation:
         others: Sequence[LocatedEffect] = (),
     ) -> None:
         self.comparison = comparison
-        names = comparison.nuisance[0]
+        names, _ = comparison.priors
         self.first, self.second = (
             _Explanation(names, effects, comparison.fit(effects))
             for effects in ((first, *others), (second, *others))
@@ -100,8 +100,8 @@ class Separation:
         )
 
     def _parameter_columns(self, here: Comparison, each: _Explanation) -> np.ndarray:
-        names, _, matrix = here.nuisance
-        own = dict(zip(names, matrix.T, strict=True))
+        names, _ = here.priors
+        own = dict(zip(names, here.stack_columns().T, strict=True))
         nothing = np.zeros(here.rows.size)
         # A stationary joint has no column of friction.
         nuisance = [own.get(name, nothing) for name in each.names]

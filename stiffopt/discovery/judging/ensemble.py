@@ -124,11 +124,12 @@ class _Member:
     def __init__(
         self, comparison: Comparison, selected: Sequence[Selected], signs: np.ndarray
     ) -> None:
-        _, sd, nuisance = comparison.nuisance
-        parts = [comparison.effect_columns(each.located) for each in selected]
+        _, sd = comparison.priors
+        located = [each.located for each in selected]
         self._selected, self._signs, self._target = selected, signs, comparison.target
-        self._columns = np.column_stack([nuisance, *parts])
-        self._owner = np.repeat(np.arange(-1, len(parts)), [len(sd), *(p.shape[1] for p in parts)])
+        self._columns = comparison.stack_columns(located)
+        counts = [len(each.effect.amplitudes) for each in located]
+        self._owner = np.repeat(np.arange(-1, len(counts)), [len(sd), *counts])
         self._prior = np.concatenate([sd, np.ones(len(self._owner) - len(sd))])
         self._rivals = [
             [comparison.effect_columns(rival) for rival, _ in each.rivals] for each in selected

@@ -218,10 +218,9 @@ def _predict_blocks(
 
     Both over the stated noise.
     """
-    _, sd, nuisance = comparison.nuisance
-    parts = [comparison.effect_columns(e) for e in effects]
-    columns = np.column_stack([nuisance, *parts])
-    prior = np.concatenate([sd, np.ones(sum(p.shape[1] for p in parts))])
+    _, sd = comparison.priors
+    columns = comparison.stack_columns(effects)
+    prior = np.concatenate([sd, np.ones(columns.shape[1] - len(sd))])
     sums = BlockSums(columns, comparison.target, block, int(block.max()) + 1)
     gram, moment, square = (x.sum(axis=0) for x in (sums.gram, sums.moment, sums.square))
     residual = np.empty_like(comparison.target)
@@ -236,9 +235,9 @@ def _predict_blocks(
         mean = posterior(rest, prior, cross_validate=False).mean
         residual[own] = comparison.target[own] - columns[own] @ mean
         begin = len(sd)
-        for index, part in enumerate(parts):
-            end = begin + part.shape[1]
-            added[index, own] = part[own] @ mean[begin:end]
+        for index, located in enumerate(effects):
+            end = begin + len(located.effect.amplitudes)
+            added[index, own] = columns[own, begin:end] @ mean[begin:end]
             begin = end
     weight = comparison.inflation[comparison.rows.channel]
     return residual * weight, added * weight

@@ -69,7 +69,7 @@ def mode_shifts(comparison: Comparison, fit: Fit) -> tuple[ModeShift, ...]:
     if run.vibration is None or nominal.vibration is None:
         return ()
     middle = len(run.time) // 2
-    names = comparison.nuisance[0]
+    names, _ = comparison.priors
     places = [names.index(ValueName("stiffness", j)) for j in range(comparison.robot.n)]
     spread = fit.posterior.covariance[np.ix_(places, places)]
     before, _ = nominal.vibration.modes(middle)

@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 # more.
 _KNOT_COUNT = 8
 _MAX_REGRESSORS = 3
+# Number of phases of waves in memory at a time.
+_MAX_PHASES = 2**17
 _MIN_RELATIVE_GAIN = 0.03
 # Least ratio of the residual of the dominant run to that of any other.
 _DOMINANT_RUN_RATIO = 5.0
@@ -358,6 +360,16 @@ def _predict_blocks(columns: np.ndarray, target: np.ndarray, block: np.ndarray) 
     return out
 
 
+def _wave_power(residual: np.ndarray, time: np.ndarray, frequencies: np.ndarray) -> np.ndarray:
+    """Return the squares (f,) that a wave of each frequency removes from a residual (m,)."""
+    turns = 2.0 * np.pi * frequencies[:, None] * time
+    waves = np.stack([np.sin(turns), np.cos(turns)], axis=1)
+    moments = waves @ residual
+    # A block with few samples can make the normal equations singular.
+    inverse = np.linalg.pinv(waves @ waves.swapaxes(1, 2), hermitian=True)
+    return np.asarray(np.einsum("fi,fij,fj->f", moments, inverse, moments))
+
+
 def _find_period(
     residual: np.ndarray, block: np.ndarray, time: np.ndarray
 ) -> tuple[float, float] | None:
@@ -375,11 +387,9 @@ def _find_period(
     power = np.zeros(len(frequencies))
     for b in np.unique(block):
         own = block == b
-        y, t = residual[own], time[own]
-        for i, f in enumerate(frequencies):
-            wave = np.column_stack([np.sin(2 * np.pi * f * t), np.cos(2 * np.pi * f * t)])
-            # A block with few samples can make the normal equations singular.
-            power[i] += float((wave.T @ y) @ np.linalg.lstsq(wave.T @ wave, wave.T @ y)[0])
+        many = max(1, _MAX_PHASES // int(own.sum()))
+        for part in (slice(k, k + many) for k in range(0, len(frequencies), many)):
+            power[part] += _wave_power(residual[own], time[own], frequencies[part])
     best = int(np.argmax(power))
     excess = float(np.sum(residual**2)) - len(residual)
     blocks = len(np.unique(block))

@@ -73,8 +73,8 @@ class OpenChannel:
         n = comparison.robot.n
         self.joint = channel % n
         self.kind = "torque" if channel < n else "deflection"
-        _, sd, nuisance = comparison.nuisance
-        known = np.column_stack([nuisance, *(comparison.effect_columns(e) for e in effects)])
+        _, sd = comparison.priors
+        known = comparison.stack_columns(effects)
         prior = np.concatenate([sd, np.ones(known.shape[1] - len(sd))])
         own = comparison.rows.channel == channel
         self.rows, other = np.flatnonzero(own), np.flatnonzero(~own)

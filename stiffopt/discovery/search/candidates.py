@@ -88,7 +88,7 @@ class Scorer:
 
     def __init__(self, comparison: Comparison, base: Sequence[LocatedEffect] = ()) -> None:
         self.comparison, self.base = comparison, tuple(base)
-        _, sd, _ = comparison.nuisance
+        _, sd = comparison.priors
         self._sums = comparison.sums(self.base)
         amplitudes = self._sums.own.moment.shape[1] - len(sd)
         self._prior = np.concatenate([sd, np.ones(amplitudes)])
@@ -98,13 +98,12 @@ class Scorer:
         self._known_evidence: dict[tuple[object, ...], float] = {}
 
     @cached_property
-    def _base_columns(self) -> np.ndarray:
-        parts = (self.comparison.effect_columns(e) for e in self.base)
-        return np.column_stack([self.comparison.nuisance[2], *parts])
-
-    @cached_property
     def _base_residual(self) -> np.ndarray:
-        return np.asarray(self.comparison.target - self._base_columns @ self.start.mean)
+        return self._residual_beside(self.start.mean)
+
+    def _residual_beside(self, values: np.ndarray) -> np.ndarray:
+        """Return what the base model with values (p,) leaves of the target (m,)."""
+        return np.asarray(self.comparison.target - self.comparison.model_rows(self.base, values))
 
     @cached_property
     def by_block(self) -> np.ndarray:
@@ -168,7 +167,7 @@ class Scorer:
 
     def nuisance_with(self, located: LocatedEffect) -> np.ndarray:
         """Return the nominal values fitted beside an effect."""
-        _, sd, _ = self.comparison.nuisance
+        _, sd = self.comparison.priors
         found, _ = self._fit_within_bounds(located, self._sums.added_sums(located))
         return (self.start.mean if found is None else found.base())[: len(sd)]
 
@@ -226,7 +225,7 @@ class Scorer:
         Only channels that it acts on count: others improve indirectly, through nominal values.
         """
         added = self.comparison.effect_columns(located)
-        residual = self.comparison.target - self._base_columns @ base_mean - added @ mean
+        residual = self._residual_beside(base_mean) - added @ mean
         acted_on = np.sum(added**2, axis=1)
         channels = self.comparison.rows.channel
         size = 2 * self.comparison.robot.n
@@ -267,7 +266,7 @@ class Scorer:
     @cached_property
     def _base_contributions(self) -> list[tuple[LocatedEffect, np.ndarray]]:
         """Base effects with their contributions (m,), except values that every joint has."""
-        begin, found = len(self.comparison.nuisance[1]), []
+        begin, found = len(self.comparison.priors[1]), []
         for located in self.base:
             columns = self.comparison.effect_columns(located)
             values = self.start.mean[begin : begin + columns.shape[1]]
@@ -387,14 +386,20 @@ def scan(
             if about is not None and not located.is_adjacent(about):
                 continue
             by_place.setdefault((located.joint, located.link, located.run), []).append(located)
-        for tried in by_place.values():
-            if any(tried[0].same_place(other) for other in scorer.base):
-                continue
+        kept = [
+            tried
+            for tried in by_place.values()
+            if not any(tried[0].same_place(other) for other in scorer.base)
+        ]
+        waiting = [each for tried in kept for each in tried if each.possible(constants)]
+        ready = 0
+        for tried in kept:
             price = float(np.log(len(tried)))
-            scorer.comparison.columns.prepare_effects([e for e in tried if e.possible(constants)])
             found = []
             for each in tried:
                 tell(f"try {each.label}{place} ({pace.words(number)})")
+                if ready < len(waiting) and each is waiting[ready]:
+                    ready += scorer.comparison.columns.prepare_effects(waiting[ready:])
                 scored = scorer.score(each, price)
                 if scored is not None:
                     found.append(scored)

@@ -193,11 +193,11 @@ def _stack_columns(
     comparison: Comparison, effects: Sequence[LocatedEffect]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return all columns, their priors, and the index of each column's effect (-1: nominal)."""
-    _, sd, nuisance = comparison.nuisance
-    parts = [comparison.effect_columns(e) for e in effects]
-    owner = np.repeat(np.arange(-1, len(effects)), [len(sd), *(part.shape[1] for part in parts)])
+    _, sd = comparison.priors
+    counts = [len(e.effect.amplitudes) for e in effects]
+    owner = np.repeat(np.arange(-1, len(effects)), [len(sd), *counts])
     prior = np.concatenate([sd, np.ones(len(owner) - len(sd))])
-    return np.column_stack([nuisance, *parts]), prior, owner
+    return comparison.stack_columns(effects), prior, owner
 
 
 class CrossValidation:

@@ -33,7 +33,7 @@ def passes_thresholds(candidate: Candidate, scorer: Scorer) -> bool:
 
 def _prior_relief(candidate: Candidate, scorer: Scorer) -> float:
     """Return the log prior that the nominal values regain beside the effect."""
-    _, sd, _ = scorer.comparison.nuisance
+    _, sd = scorer.comparison.priors
     count = len(sd)
     without = scorer.start.mean[:count] / sd
     within = scorer.nuisance_with(candidate.located) / sd

@@ -28,7 +28,7 @@ def values_outside_tolerance(
 
     Without bounds: bounded values push others, which take over their part, to their bounds.
     """
-    names, tolerances, _ = comparison.nuisance
+    names, tolerances = comparison.priors
     found = comparison.fit(effects, boxed=False).posterior
     count = len(names)
     deviations = np.sqrt(np.diag(found.covariance)[:count])

@@ -245,20 +245,19 @@ def estimate_parameters(comparison: Comparison, effects: Sequence[LocatedEffect]
     Shapes are linearised numerically about their fitted values.
     """
     fit = comparison.fit(effects)
-    names, prior_sd, nuisance = comparison.nuisance
-    columns = [comparison.effect_columns(e) for e in effects]
+    names, prior_sd = comparison.priors
     sizes = tuple(e.sizes(comparison.constants) for e in effects)
     scaled = fit.amplitudes()
     shape_sizes = tuple(_shape_sizes(e) for e in effects)
     slopes, begin = [], 0
-    for located, own, steps in zip(effects, columns, shape_sizes, strict=True):
-        amplitudes = scaled[begin : begin + own.shape[1]]
-        begin += own.shape[1]
+    for located, steps in zip(effects, shape_sizes, strict=True):
+        amplitudes = scaled[begin : begin + len(located.effect.amplitudes)]
+        begin += len(amplitudes)
         for i, step in enumerate(steps):
             slopes.append(_shape_slope(comparison, located, amplitudes, i, step))
-    matrix = np.column_stack([nuisance, *columns, *slopes])
+    matrix = np.column_stack([comparison.stack_columns(effects), *slopes])
     prior = np.concatenate([prior_sd, np.ones(len(scaled)), np.full(len(slopes), _SHAPE_PRIOR)])
-    del columns, slopes
+    del slopes
     blocks = number_stretches(comparison)
     covariance, spread = _jackknife_covariance(comparison, matrix, prior, blocks)
     between = covariance
@@ -320,24 +319,23 @@ def jackknife_significance(
         cannot be extrapolated to other motions.
     """
     fit = comparison.fit(effects)
-    _, prior_sd, nuisance = comparison.nuisance
-    columns = [comparison.effect_columns(e) for e in effects]
+    _, prior_sd = comparison.priors
     amplitudes = fit.amplitudes()
     slopes, begin = [], 0
-    for located, own in zip(effects, columns, strict=True):
-        values = amplitudes[begin : begin + own.shape[1]]
-        begin += own.shape[1]
+    for located in effects:
+        values = amplitudes[begin : begin + len(located.effect.amplitudes)]
+        begin += len(values)
         if located.effect.has_distinctive:
             for i, step in enumerate(_shape_sizes(located)):
                 slopes.append(_shape_slope(comparison, located, values, i, step))
     prior = np.concatenate([prior_sd, np.ones(len(amplitudes)), np.full(len(slopes), _SHAPE_PRIOR)])
-    matrix = np.column_stack([nuisance, *columns, *slopes])
+    matrix = np.column_stack([comparison.stack_columns(effects), *slopes])
     _, spread = _jackknife_covariance(comparison, matrix, prior, number_stretches(comparison))
     together, single, begin = [], [], 0
-    for located, own in zip(effects, columns, strict=True):
-        values = amplitudes[begin : begin + own.shape[1]]
-        rows = slice(len(prior_sd) + begin, len(prior_sd) + begin + own.shape[1])
-        begin += own.shape[1]
+    for located in effects:
+        values = amplitudes[begin : begin + len(located.effect.amplitudes)]
+        rows = slice(len(prior_sd) + begin, len(prior_sd) + begin + len(values))
+        begin += len(values)
         together.append(_deviations_from_zero(values, spread[rows, rows])[0])
         telling = (
             located.effect.distinctive_amplitudes
