@@ -109,6 +109,8 @@ class Form:
         False for formulas with comparisons, which have no complex derivative.
     unscreened : bool
         True where no smooth function of the signal resembles it: with memory, or periodic.
+    has_memory : bool
+        True where the value depends on earlier values of the signal.
     resembles : str
         Known physics of such a form, for sentences; "" where there is none.
     """
@@ -121,6 +123,7 @@ class Form:
     in_signal: bool = False
     analytic: bool = True
     unscreened: bool = False
+    has_memory: bool = False
     resembles: str = ""
 
     @cached_property
@@ -203,6 +206,7 @@ def _frequency_bounds(r: SignalRange) -> tuple[float, float]:
 
 _SCALE_SHAPE = FormShape(name="s", unit="signal", **_scale(0.1, 0.3, 1.0))
 _PLACE_SHAPE = FormShape(name="c", unit="signal", **_centre(0.15, 0.35, 0.5, 0.65, 0.85))
+_HINGE_POWER_SHAPE = FormShape(name="n", unit="", **_fixed((1.5, 3.0), 1.0, 5.0))
 FORMS = {
     each.name: each
     for each in (
@@ -291,6 +295,13 @@ FORMS = {
             resembles="a part that is touched or left at one place",
         ),
         Form(
+            name="bend",
+            formulas=("np.tanh((x - c) / s)",),
+            words="with the {x} from one value on, both ways, up to a limit",
+            shapes=(_PLACE_SHAPE, FormShape(name="s", unit="signal", **_width(0.15, 0.4, 1.0))),
+            resembles="a hose or cable at rest at one place, which gives way",
+        ),
+        Form(
             name="bump",
             formulas=("np.exp(-0.5 * ((x - c) / s) ** 2)",),
             words="near one value of the {x}",
@@ -311,6 +322,20 @@ FORMS = {
             words="in proportion to the {x} below one value",
             shapes=(_PLACE_SHAPE,),
             in_signal=True,
+            resembles="a cable or spring that tightens up to one place",
+        ),
+        Form(
+            name="power_above",
+            formulas=("np.exp(n * np.log(0.5 * (x - c + np.sqrt((x - c) ** 2 + 1e-8))))",),
+            words="with a power of the {x} above one value",
+            shapes=(_PLACE_SHAPE, _HINGE_POWER_SHAPE),
+            resembles="a cable or spring that tightens from one place on",
+        ),
+        Form(
+            name="power_below",
+            formulas=("np.exp(n * np.log(0.5 * (c - x + np.sqrt((x - c) ** 2 + 1e-8))))",),
+            words="with a power of the {x} below one value",
+            shapes=(_PLACE_SHAPE, _HINGE_POWER_SHAPE),
             resembles="a cable or spring that tightens up to one place",
         ),
         Form(
@@ -346,7 +371,19 @@ FORMS = {
             shapes=(FormShape(name="T", unit="s", **_fixed((0.05, 0.2, 1.0), 0.01, 10.0)),),
             in_signal=True,
             unscreened=True,
+            has_memory=True,
             resembles="a viscous coupling or a creeping material",
+        ),
+        Form(
+            name="slip",
+            formulas=("(x - lag(x, T, dt))",),
+            words="with the {x} relative to something that follows late by a time constant",
+            symmetry="odd",
+            shapes=(FormShape(name="T", unit="s", **_fixed((0.05, 0.2, 1.0), 0.01, 10.0)),),
+            in_signal=True,
+            unscreened=True,
+            has_memory=True,
+            resembles="a liquid or a loose ring that is taken along",
         ),
         Form(
             name="sprung",
@@ -364,6 +401,7 @@ FORMS = {
             ),
             in_signal=True,
             unscreened=True,
+            has_memory=True,
             resembles="something loose: a pendulum, a hose or a liquid",
         ),
         Form(
@@ -382,6 +420,7 @@ FORMS = {
             in_signal=True,
             analytic=False,
             unscreened=True,
+            has_memory=True,
             resembles="a seal or cable that sticks before it slides",
         ),
     )

@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from stiffopt.discovery.effect import Amplitude, Effect, RobotChange, Shape, Term
+from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.discovery.laws.forms import FORMS, Form, SignalRange
 from stiffopt.discovery.laws.sources import LawSource
 from stiffopt.discovery.signals import JointSignals, RobotSignals
@@ -86,7 +86,7 @@ class Law:
         From 0.
     place : {"drive_torque", "link_torque", "deflection"}
     factors : tuple of Factor
-        At most three; at most one of them has several formulas.
+        At most three, at most one of them with several formulas; none for a constant.
     """
 
     joint: int
@@ -135,7 +135,7 @@ class Law:
     ) -> list[Quantity]:
         """Return the value (K,) per unit of every amplitude."""
         left = list(self.shapes if shapes is None else shapes)
-        found: list[Quantity] = [1.0]
+        found: list[Quantity] = [1.0] if self.factors else [1.0 + 0.0 * signals.time]
         for factor in self.factors:
             own = [left.pop(0) for _ in factor.own.shapes]
             values = factor.values(signals, own)
@@ -165,7 +165,7 @@ class Law:
     @property
     def name(self) -> str:
         """Name as an effect: place, joint and signals."""
-        parts = []
+        parts = [] if self.factors else ["constant"]
         for factor in self.factors:
             signal = re.sub(r"\W+", "", factor.source.symbol.replace("sg(", "sign_"))
             parts.append(signal if factor.form == "linear" else f"{factor.form}_{signal}")
@@ -199,6 +199,8 @@ class Law:
 
     def formulas(self, *, code: bool) -> list[str]:
         """Return the formula of every amplitude: Python code, or symbols for an equation."""
+        if not self.factors:
+            return ["(1.0 + 0.0 * signals.time)" if code else "1"]
         names = list(self.shape_names)
         found = [""]
         for factor in self.factors:
@@ -224,6 +226,8 @@ class Law:
         """Channel and dependence in words."""
         parts = [f.own.words.format(x=f.source.words) for f in self.factors]
         where = _PLACE_WORDS[self.place].format(self.joint + 1)
+        if not self.factors:
+            return f"{where} is shifted by a constant"
         return f"{where} changes {', and '.join(parts)}"
 
 
@@ -312,15 +316,6 @@ def law_effect(law: Law, amplitudes: Sequence[float]) -> Effect:
             )
         ),
         separate=describe_test(law),
-        change_robot=_leave_robot,
-    )
-
-
-def _leave_robot(robot: object, finding: object, joint: int, constants: object) -> RobotChange:
-    """Return no changed robot: that of a planner has no place for a law."""
-    return RobotChange(
-        None,
-        "a law beyond the catalogue, which the planner's robot has no place for: keep a margin",
     )
 
 
