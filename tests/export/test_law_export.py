@@ -1,4 +1,4 @@
-"""Laws beyond the catalogue in an exported MJCF: values that joints have there, and the rest said."""
+"""Laws beyond the catalogue in an exported MJCF: values that joints have there, and the rest."""
 
 import xml.etree.ElementTree as ET
 

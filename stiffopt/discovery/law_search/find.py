@@ -28,7 +28,12 @@ from stiffopt.discovery.search.joint_fit import passes_thresholds, prune_effects
 from stiffopt.discovery.search.rivals import Selected, tempering_width
 from stiffopt.discovery.search.search import SearchResult
 from stiffopt.discovery.search.uncertainty import estimate_parameters
-from stiffopt.discovery.thresholds import CONFIRMED_DEVIATIONS, FAINT_RATIO, RIVAL_LOG_ODDS
+from stiffopt.discovery.thresholds import (
+    CONFIRMED_DEVIATIONS,
+    FAINT_RATIO,
+    PARAMETER_LOG_PRICE,
+    RIVAL_LOG_ODDS,
+)
 
 # Share of the excess in parts left out from which a free function is kept as a table.
 MIN_KEPT_SHARE = 0.3
@@ -258,11 +263,12 @@ class _State:
         return sorted(found, key=lambda c: c >= n)
 
     def _findings_at(self, channel: int) -> list[LocatedEffect]:
-        """Return the findings of a channel that a law could take the place of."""
+        """Return the findings at a channel's joint that a law could take the place of."""
         return [
             each.located
             for each in self.kept
-            if each.channel == channel and self._is_replaceable(each)
+            if each.channel % self.comparison.robot.n == channel % self.comparison.robot.n
+            and self._is_replaceable(each)
         ]
 
     def _is_replaceable(self, selected: Selected) -> bool:
@@ -349,7 +355,6 @@ class _State:
         A torque acts on the motor, or on the link, which winds up the joint too.
         """
         scorer = Scorer(comparison, self.effects)
-        size = len(comparison.target)
         found: list[_Ranked] = []
         for each in fitted:
             places = [each.law.place]
@@ -360,11 +365,10 @@ class _State:
                 located = self._named(law, each.fit.amplitudes.tolist())
                 candidate = scorer.score(located)
                 if candidate is not None:
-                    price = 0.5 * len(law.shapes) * np.log(size)
                     rows = comparison.effect_columns(located) @ candidate.amplitudes
+                    price = 0.5 * len(law.shapes) * np.log(len(rows))
                     found.append(_Ranked(candidate.evidence - float(price), law, located, rows))
-        width = tempering_width(max((each.evidence for each in found), default=0.0))
-        odds = {id(each): each.evidence / width + each.law.log_prior for each in found}
+        odds = dict(zip(map(id, found), self._log_odds(found), strict=True))
         kept: list[_Ranked] = []
         for own in sorted(found, key=lambda each: -odds[id(each)]):
             if kept and odds[id(kept[0])] - odds[id(own)] >= RIVAL_LOG_ODDS:
@@ -372,6 +376,18 @@ class _State:
             if not any(own.is_same_as(other) for other in kept):
                 kept.append(own)
         return kept
+
+    def _log_odds(self, ranked: Sequence[_Ranked]) -> np.ndarray:
+        """Return log odds of laws among one another, on the scale of rivals of the catalogue."""
+        width = tempering_width(max((each.evidence for each in ranked), default=0.0))
+        return np.array(
+            [
+                each.evidence / width
+                + each.law.log_prior(self.comparison.robot.n)
+                - PARAMETER_LOG_PRICE * each.law.parameter_count
+                for each in ranked
+            ]
+        )
 
     def answer(self, result: SearchResult) -> SearchResult:
         """Return the result with the law, and without effects that it makes superfluous."""
@@ -385,9 +401,7 @@ class _State:
             scored = Scorer(self.comparison, others).score(located)
             if scored is None:
                 continue
-            evidence = np.array([each.evidence for each in self._ranked])
-            priors = np.array([each.law.log_prior for each in self._ranked])
-            own, *theirs = softmax(evidence / tempering_width(evidence.max()) + priors).tolist()
+            own, *theirs = softmax(self._log_odds(self._ranked)).tolist()
             rivals = [each.located for each in self._ranked[1:]]
             selected.append(
                 Selected(

@@ -12,6 +12,7 @@ from stiffopt.discovery.law_search.fit_law import FittedLaw, as_fitted, fit_shap
 from stiffopt.discovery.law_search.free_function import (
     FreeTerm,
     best_sum,
+    carriers,
     screen,
     screen_products,
 )
@@ -105,9 +106,9 @@ def _is_short_of(channel: OpenChannel, found: Sequence[FittedLaw], left: float) 
 
 
 def _fit_unscreened(channel: OpenChannel) -> list[FittedLaw]:
-    """Return fitted laws of forms that no spline of a signal resembles."""
+    """Return fitted laws that no spline suggests: carriers alone, with memory, periodic."""
     j = channel.joint
-    laws = [Law(j, _place_of(channel), ())]
+    laws = [Law(j, _place_of(channel), carrier.factors) for carrier in carriers(channel)]
     for source in channel.sources:
         if source.joint in (j, None):
             every = _laws_of(channel, (), source)
@@ -183,10 +184,10 @@ def beats(
     the catalogue and of laws alike.
     """
     left, own = channel.square - best.fit.removed, best.law
-    parameters = own.amplitude_count + len(own.shapes)
-    odds = _log_odds(channel, left, named, findings, parameters)
+    odds = _log_odds(channel, left, named, findings, own.parameter_count)
     width = tempering_width(_gain(channel, channel.square, left))
-    return odds + own.log_prior - np.log(best.tried) / width > RIVAL_LOG_ODDS
+    prior = own.log_prior(channel.comparison.robot.n) - np.log(best.tried) / width
+    return bool(odds + prior > RIVAL_LOG_ODDS)
 
 
 def _gain(channel: OpenChannel, before: float, after: float) -> float:

@@ -17,8 +17,6 @@ from stiffopt.discovery.laws.sources import LawSource
 from stiffopt.discovery.signals import JointSignals, RobotSignals
 from stiffopt.symbolic import Quantity
 
-# Log prior odds against each signal of another joint: one of ten or so, which move alike.
-FOREIGN_PRICE = 2.5
 # Family of the effects that are laws.
 LAW_FAMILY = "law"
 
@@ -108,11 +106,23 @@ class Law:
         """Joint, signals and forms, whatever the shapes."""
         return (self.joint, tuple((factor.source, factor.form) for factor in self.factors))
 
-    @property
-    def log_prior(self) -> float:
-        """Logarithm of its prior probability over that of a law of the joint's own signals."""
+    def log_prior(self, joints: int) -> float:
+        """Return the log prior probability over that of a law of the joint's own signals.
+
+        A signal is as likely to be the joint's own as to be of all others together.
+
+        Parameters
+        ----------
+        joints : int
+            Number of joints of the robot.
+        """
         foreign = {f.source for f in self.factors if f.source.joint not in (None, self.joint)}
-        return -FOREIGN_PRICE * len(foreign)
+        return -len(foreign) * float(np.log(max(joints - 1, 1)))
+
+    @property
+    def parameter_count(self) -> int:
+        """Number of amplitudes and shapes."""
+        return self.amplitude_count + len(self.shapes)
 
     @property
     def amplitude_count(self) -> int:
