@@ -17,7 +17,7 @@ from stiffopt.discovery.law_search.free_function import (
     screen_products,
 )
 from stiffopt.discovery.law_search.open_channel import OpenChannel
-from stiffopt.discovery.laws.forms import FORMS
+from stiffopt.discovery.laws.forms import FORMS, SignalRange
 from stiffopt.discovery.laws.law import Factor, Law, Place
 from stiffopt.discovery.laws.sources import LawSource
 from stiffopt.discovery.search.rivals import tempering_width
@@ -83,6 +83,7 @@ def search_channel(channel: OpenChannel) -> ChannelLaw:
         found = _ranked([*found, *_fit_pairs(channel, products)])
     if found and _is_short_of(channel, found, left):
         found = _ranked([*found, *_add_factor(channel, found[0])])
+    found = _ranked([*found, *_generalise(channel, found[:_MAX_NEAR])])
     best = found[0] if found else None
     explained = 0.0 if best is None else channel.share(best.left)
     attainable = channel.share(left)
@@ -128,15 +129,21 @@ def _fit_pairs(channel: OpenChannel, terms: Sequence[FreeTerm]) -> list[FittedLa
 
 def _laws_of(channel: OpenChannel, base: Sequence[Factor], source: LawSource) -> list[Law]:
     """Return the laws of one signal beside given factors, with all initial shapes."""
-    extent = channel.extent(source)
-    if "wave" in source.own.forms:
-        extent = replace(extent, peaks=channel.frequencies(source))
+    extent = _extent_of(channel, source)
     return [
         Law(channel.joint, _place_of(channel), (*base, factor))
         for form in source.own.forms
         for factor in Factor(source, form).starts(extent)
         if sum(len(FORMS[f.form].formulas) > 1 for f in (*base, factor)) <= 1
     ]
+
+
+def _extent_of(channel: OpenChannel, source: LawSource) -> SignalRange:
+    """Return the range of a signal; of a clock with the likeliest frequencies."""
+    extent = channel.extent(source)
+    if "wave" in source.own.forms:
+        return replace(extent, peaks=channel.frequencies(source))
+    return extent
 
 
 def _place_of(channel: OpenChannel) -> Place:
@@ -155,6 +162,18 @@ def _fit_best(channel: OpenChannel, laws: Sequence[Law]) -> list[FittedLaw]:
             best[law.structure] = scored
     head = _ranked(best.values())[:_MAX_REFINED]
     return _ranked([fit_shapes(channel, each.law, each.tried) for each in head])
+
+
+def _generalise(channel: OpenChannel, found: Sequence[FittedLaw]) -> list[FittedLaw]:
+    """Return the best laws with one form in place of which a more general one is fitted."""
+    general = []
+    for each in found:
+        for number, factor in enumerate(each.law.factors):
+            if factor.own.general:
+                own = factor.generalised(_extent_of(channel, factor.source))
+                factors = (*each.law.factors[:number], own, *each.law.factors[number + 1 :])
+                general.append((replace(each.law, factors=factors), each.tried))
+    return [fit_shapes(channel, law, tried + len(general)) for law, tried in general]
 
 
 def _add_factor(channel: OpenChannel, found: FittedLaw) -> list[FittedLaw]:
@@ -185,9 +204,7 @@ def beats(
     """
     left, own = channel.square - best.fit.removed, best.law
     odds = _log_odds(channel, left, named, findings, own.parameter_count)
-    width = tempering_width(_gain(channel, channel.square, left))
-    prior = own.log_prior(channel.comparison.robot.n) - np.log(best.tried) / width
-    return bool(odds + prior > RIVAL_LOG_ODDS)
+    return odds + own.log_prior(channel.comparison.robot.n) > RIVAL_LOG_ODDS
 
 
 def _gain(channel: OpenChannel, before: float, after: float) -> float:

@@ -111,6 +111,8 @@ class Form:
         True where no smooth function of the signal resembles it: with memory, or periodic.
     has_memory : bool
         True where the value depends on earlier values of the signal.
+    general : str
+        Name of a form of which this one is a special case; fitted where this one holds.
     resembles : str
         Known physics of such a form, for sentences; "" where there is none.
     """
@@ -124,6 +126,7 @@ class Form:
     analytic: bool = True
     unscreened: bool = False
     has_memory: bool = False
+    general: str = ""
     resembles: str = ""
 
     @cached_property
@@ -206,6 +209,10 @@ def _frequency_bounds(r: SignalRange) -> tuple[float, float]:
 
 _SCALE_SHAPE = FormShape(name="s", unit="signal", **_scale(0.1, 0.3, 1.0))
 _PLACE_SHAPE = FormShape(name="c", unit="signal", **_centre(0.15, 0.35, 0.5, 0.65, 0.85))
+_ORDER_SHAPE = FormShape(name="k", unit="per signal", starts=_orders, bounds=_order_bounds)
+_FREQUENCY_SHAPE = FormShape(
+    name="f", unit="Hz", starts=lambda r: r.peaks, bounds=_frequency_bounds
+)
 _HINGE_POWER_SHAPE = FormShape(name="n", unit="", **_fixed((1.5, 3.0), 1.0, 5.0))
 FORMS = {
     each.name: each
@@ -314,6 +321,7 @@ FORMS = {
             words="in proportion to the {x} above one value",
             shapes=(_PLACE_SHAPE,),
             in_signal=True,
+            general="power_above",
             resembles="a cable or spring that tightens from one place on",
         ),
         Form(
@@ -322,6 +330,7 @@ FORMS = {
             words="in proportion to the {x} below one value",
             shapes=(_PLACE_SHAPE,),
             in_signal=True,
+            general="power_below",
             resembles="a cable or spring that tightens up to one place",
         ),
         Form(
@@ -342,7 +351,21 @@ FORMS = {
             name="harmonic",
             formulas=("np.cos(k * x)", "np.sin(k * x)"),
             words="periodically in the {x}",
-            shapes=(FormShape(name="k", unit="per signal", starts=_orders, bounds=_order_bounds),),
+            shapes=(_ORDER_SHAPE,),
+            unscreened=True,
+            general="harmonic_overtone",
+            resembles="teeth, rollers or magnets passing at that order",
+        ),
+        Form(
+            name="harmonic_overtone",
+            formulas=(
+                "np.cos(k * x)",
+                "np.sin(k * x)",
+                "np.cos(2.0 * k * x)",
+                "np.sin(2.0 * k * x)",
+            ),
+            words="periodically in the {x}, with an overtone",
+            shapes=(_ORDER_SHAPE,),
             unscreened=True,
             resembles="teeth, rollers or magnets passing at that order",
         ),
@@ -350,9 +373,21 @@ FORMS = {
             name="wave",
             formulas=("np.cos(2.0 * np.pi * f * x)", "np.sin(2.0 * np.pi * f * x)"),
             words="periodically in the {x}",
-            shapes=(
-                FormShape(name="f", unit="Hz", starts=lambda r: r.peaks, bounds=_frequency_bounds),
+            shapes=(_FREQUENCY_SHAPE,),
+            unscreened=True,
+            general="wave_overtone",
+            resembles="a pump or fan that runs by itself",
+        ),
+        Form(
+            name="wave_overtone",
+            formulas=(
+                "np.cos(2.0 * np.pi * f * x)",
+                "np.sin(2.0 * np.pi * f * x)",
+                "np.cos(4.0 * np.pi * f * x)",
+                "np.sin(4.0 * np.pi * f * x)",
             ),
+            words="periodically in the {x}, with an overtone",
+            shapes=(_FREQUENCY_SHAPE,),
             unscreened=True,
             resembles="a pump or fan that runs by itself",
         ),

@@ -7,13 +7,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
+from string import ascii_uppercase
 from typing import Literal
 
 import numpy as np
 
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.discovery.laws.forms import FORMS, Form, SignalRange
-from stiffopt.discovery.laws.sources import LawSource
+from stiffopt.discovery.laws.sources import SOURCE_KINDS, LawSource
 from stiffopt.discovery.signals import JointSignals, RobotSignals
 from stiffopt.symbolic import Quantity
 
@@ -66,6 +67,14 @@ class Factor:
         """Return the derivative (K,) of every formula by every shape."""
         return self.own.derivatives(self.source.value(signals), signals.dt, self.shapes)
 
+    def generalised(self, extent: SignalRange) -> Factor:
+        """Return the factor in its more general form, from its own shapes."""
+        known = {s.name: value for s, value in zip(self.own.shapes, self.shapes, strict=True)}
+        first = next(Factor(self.source, self.own.general).starts(extent))
+        names = [shape.name for shape in first.own.shapes]
+        shapes = [known.get(n, v) for n, v in zip(names, first.shapes, strict=True)]
+        return replace(first, shapes=tuple(shapes))
+
     def starts(self, extent: SignalRange) -> Iterator[Factor]:
         """Yield the factor with every combination of initial shapes, and with their bounds."""
         bounds = tuple(shape.bounds(extent) for shape in self.own.shapes)
@@ -107,17 +116,20 @@ class Law:
         return (self.joint, tuple((factor.source, factor.form) for factor in self.factors))
 
     def log_prior(self, joints: int) -> float:
-        """Return the log prior probability over that of a law of the joint's own signals.
+        """Return the log prior probability over that of a constant.
 
-        A signal is as likely to be the joint's own as to be of all others together.
+        Every kind of signal is as likely as any other, and as likely to be the joint's own as to be
+        of all others together: that is what brevity is worth.
 
         Parameters
         ----------
         joints : int
             Number of joints of the robot.
         """
-        foreign = {f.source for f in self.factors if f.source.joint not in (None, self.joint)}
-        return -len(foreign) * float(np.log(max(joints - 1, 1)))
+        signals = {factor.source for factor in self.factors}
+        foreign = [each for each in signals if each.joint not in (None, self.joint)]
+        kinds, places = len(SOURCE_KINDS), max(joints - 1, 1)
+        return -float(len(signals) * np.log(kinds) + len(foreign) * np.log(places))
 
     @property
     def parameter_count(self) -> int:
@@ -184,7 +196,7 @@ class Law:
     @property
     def amplitude_names(self) -> tuple[str, ...]:
         """Names of the amplitudes."""
-        return ("A",) if self.amplitude_count == 1 else ("A", "B")
+        return tuple(ascii_uppercase[: self.amplitude_count])
 
     @property
     def shape_names(self) -> tuple[str, ...]:

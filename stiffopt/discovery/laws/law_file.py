@@ -73,7 +73,7 @@ def _format_law(
     amplitudes: Sequence[float],
     reported: Mapping[str, tuple[float, float]],
 ) -> str:
-    units = dict(zip(law.amplitude_names, [law.amplitude_unit] * 2, strict=False))
+    units = dict.fromkeys(law.amplitude_names, law.amplitude_unit)
     units |= dict(zip(law.shape_names, law.shape_units, strict=True))
     values = [
         f"{key} = {value!r} +- {sd:.2g} {units.get(key, '')}".rstrip()

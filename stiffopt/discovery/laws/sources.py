@@ -44,8 +44,6 @@ _PLACE_FORMS = (
     "bump",
     "hinge_above",
     "hinge_below",
-    "power_above",
-    "power_below",
 )
 _SIGNED_FORMS = (
     "linear",
