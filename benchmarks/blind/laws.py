@@ -41,11 +41,6 @@ SEVERITIES = (1.0, 1.5, 3.0, 6.0)
 WITH_CATALOGUE = 1.0 / 3.0
 TIMEOUT = 900.0  # [s]
 MOVING = 0.03  # slower than this, dry friction has no definite value [rad/s]
-# Effects that the link encoders show; all others, the torque.
-IN_THE_LINK = frozenset(
-    {"softening_by_heat", "backlash", "stiffness_linear", "k1_softening", "preload_loss"}
-    | {"belt_creep", "hysteresis", "transmission_error", "encoder_offset", "encoder_skew"}
-)
 # A function is found within this error over the range met, root mean square over its own.
 CLOSE = 0.1
 
@@ -159,37 +154,42 @@ def _function_errors(store: Store, name: str, true: dict[str, Any]) -> dict[str,
     """Error by role of the effects of an answer, over the range that was met.
 
     Nominal values within tolerance count on neither side: what the simulator added to the healthy
-    robot is compared with what the findings add to the nominal model.
+    robot is compared with what the findings add to the nominal model, in that channel of the joint,
+    torque or link angle, where the true effect is larger over the noise.
     """
-    kind = "link_position" if true["effect"] in IN_THE_LINK else "torque"
-    column = f"{'ql' if kind == 'link_position' else 'tau'}{true['joint']}"
     exact, joint = store.oracle_predictions(name), true["joint"] - 1
     recordings = load_recordings(store.case(name))
     model = load_extended(store.answer(name) / "extended.toml")
     training = prepare_training(recordings, Settings())
+    noise = training.noise.channels
+    kinds = (
+        ("torque", f"tau{true['joint']}", noise.torque[joint]),
+        ("link_position", f"ql{true['joint']}", noise.deflection[joint]),
+    )
     found = Extension(effects=model.extension.effects)
-    sums: dict[str, list[float]] = {}
+    # By role and kind: squares of the error and of the true effect, over the noise.
+    sums: dict[str, np.ndarray] = {}
     for entry in recordings.with_role("test", "extrapolate"):
         run = recordings.open(entry)
         predictor = Predictor(
             training.robot, run, model.scaled(training.constants), training.settings
         )
         before, after = predictor.predict_each([(), (found,)])
-        added = (getattr(after, kind) - getattr(before, kind))[:, joint]
-        meant = (
-            np.load(exact / f"pred_{run.name}.npz")[column]
-            - np.load(exact / f"healthy_{run.name}.npz")[column]
-        )
-        count = min(len(added), len(meant))
-        moving = np.ones(count, dtype=bool)
-        if kind == "torque":
-            moving = np.abs(predictor.velocity[:count, joint]) >= MOVING
-        wrong, whole = sums.setdefault(run.role, [0.0, 0.0])
-        sums[run.role] = [
-            wrong + float(np.sum((added[:count] - meant[:count])[moving] ** 2)),
-            whole + float(np.sum(meant[:count][moving] ** 2)),
-        ]
-    return {role: float(np.sqrt(a / max(b, 1e-300))) for role, (a, b) in sums.items()}
+        truth, healthy = (np.load(exact / f"{key}_{run.name}.npz") for key in ("pred", "healthy"))
+        own = sums.setdefault(run.role, np.zeros((2, 2)))
+        for row, (kind, column, scale) in zip(own, kinds, strict=True):
+            added = (getattr(after, kind) - getattr(before, kind))[:, joint]
+            meant = truth[column] - healthy[column]
+            count = min(len(added), len(meant))
+            moving = np.ones(count, dtype=bool)
+            if kind == "torque":
+                moving = np.abs(predictor.velocity[:count, joint]) >= MOVING
+            wrong = (added[:count] - meant[:count])[moving] / scale
+            row += float(wrong @ wrong), float(np.sum((meant[:count][moving] / scale) ** 2))
+    seen = int(np.argmax(sum(own[:, 1] for own in sums.values())))
+    return {
+        role: float(np.sqrt(own[seen, 0] / max(own[seen, 1], 1e-300))) for role, own in sums.items()
+    }
 
 
 def page(rows: list[Scored], key: Key) -> str:

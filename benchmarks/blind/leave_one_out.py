@@ -27,8 +27,12 @@ from .laws import CLOSE, ROBOT_SHARES, ROBOTS, WORK, Scored, score
 from .mix import CATALOGUE, Plan
 from .store import Store, whole_folder, write_json, write_text
 
-# What no law of a joint's signals can be: of one run, of the sensors' clocks, of the whole robot.
-NO_LAW = frozenset({"encoder_zero_change", "run_clock", "clock_drift", "time_delay", "saturation"})
+# What no law of a joint's signals can be: values that differ from run to run without a signal, the
+# sensors' clocks, the whole robot.
+NO_LAW = frozenset(
+    {"encoder_zero_change", "run_clock", "clock_drift", "time_delay", "saturation"}
+    | {"friction_drift", "gain_drift"}
+)
 
 
 def left_out() -> list[str]:

@@ -12,7 +12,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.certificate.rigid_body import link_torques, rigid_body_history, tool_positions
+from stiffopt.certificate.rigid_body import (
+    added_torques,
+    link_torques,
+    rigid_body_history,
+    tool_positions,
+)
 from stiffopt.certificate.violations import find_drive_violations, find_violations
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.error_propagation import propagate_error
@@ -66,7 +71,7 @@ def assess(
     force = _process_forces(problem, motion, times)
     process = np.einsum("kij,ki->kj", body.jacobian, force)
     spring_torque = body.link_torque - process
-    torque = _drive_torque(robot, spring_torque, velocity, acceleration)
+    torque = _drive_torque(robot, spring_torque, position, velocity, acceleration)
 
     windup, static = joint_windup(robot, spring_torque), joint_windup(robot, body.gravity_torque)
     # Without a process force the intermediate load case is one of the two others.
@@ -161,7 +166,7 @@ def drive_history(
             spring_torque = body.link_torque - np.einsum("kij,ki->kj", body.jacobian, force)
         else:
             spring_torque = link_torques(robot, *moved)
-    torque = _drive_torque(robot, spring_torque, velocity, acceleration)
+    torque = _drive_torque(robot, spring_torque, position, velocity, acceleration)
     return DriveHistory(times, position, velocity, acceleration, jerk, torque), spring_torque
 
 
@@ -190,13 +195,21 @@ def _spring_side_motion(
 
 
 def _drive_torque(
-    robot: Robot, spring_torque: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray
+    robot: Robot,
+    spring_torque: np.ndarray,
+    position: np.ndarray,
+    velocity: np.ndarray,
+    acceleration: np.ndarray,
 ) -> np.ndarray:
     """Return the drive torques (K, n) [N m], rotors and friction included."""
     # Rounding of a velocity that is zero must not switch dry friction on.
     direction = np.where(np.abs(velocity) > _STANDSTILL_SPEED, np.sign(velocity), 0.0)
     friction = robot.coulomb * direction + robot.viscous * velocity
-    return np.asarray(spring_torque + robot.rotor_inertia * acceleration + friction)
+    torque = np.asarray(spring_torque + robot.rotor_inertia * acceleration + friction)
+    if robot.added_torques:
+        motion = position, velocity, acceleration, spring_torque
+        torque += added_torques(robot, motion, direction, in_spring=False)
+    return torque
 
 
 def _split_deflection(

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
 
+from stiffopt.robot.added_torque import MotionState, sum_added_torques
 from stiffopt.robot.rigid_body import inverse_dynamics_along, without_rotors
 
 if TYPE_CHECKING:
@@ -180,7 +181,8 @@ class RigidBodyHistory:
     Parameters
     ----------
     link_torque : array (K, n) [N m]
-        Inverse dynamics of links and payload, without rotors and friction.
+        Inverse dynamics of links and payload, without rotors and friction; with added torques of
+        the links.
     gravity_torque : array (K, n) [N m]
         At rest in the same pose.
     tool : array (K, 3) [m]
@@ -209,6 +211,10 @@ def rigid_body_history(
         gravity_torque[block] = holding_torques(joints, weight)
         jacobian[block] = point_jacobian(joints, tool.joint, point)
     link_torque = inverse_dynamics_along(model, position, velocity, acceleration)
+    if robot.added_torques:
+        still = np.zeros_like(position)
+        gravity_torque += _link_torques_added(robot, position, still, still, gravity_torque)
+        link_torque += _link_torques_added(robot, position, velocity, acceleration, link_torque)
     return RigidBodyHistory(link_torque, gravity_torque, along, jacobian)
 
 
@@ -216,7 +222,39 @@ def link_torques(
     robot: Robot, position: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray
 ) -> np.ndarray:
     """Return `RigidBodyHistory.link_torque` alone; arrays (K, n)."""
-    return inverse_dynamics_along(without_rotors(robot.model), position, velocity, acceleration)
+    torque = inverse_dynamics_along(without_rotors(robot.model), position, velocity, acceleration)
+    if robot.added_torques:
+        torque += _link_torques_added(robot, position, velocity, acceleration, torque)
+    return torque
+
+
+def _link_torques_added(robot: Robot, *motion: np.ndarray) -> np.ndarray:
+    return added_torques(robot, motion, np.sign(motion[1]), in_spring=True)
+
+
+def added_torques(
+    robot: Robot, motion: Sequence[np.ndarray], direction: np.ndarray, *, in_spring: bool
+) -> np.ndarray:
+    """Return the robot's added torques in the springs, or of the drives alone (K, n) [N m].
+
+    Parameters
+    ----------
+    robot : Robot
+    motion : sequence of four arrays (K, n)
+        Position, velocity, acceleration, torque in the springs.
+    direction : array (K, n)
+        Sign of the velocity.
+    in_spring : bool
+    """
+    position, velocity, acceleration, load = (list(each.T) for each in motion)
+    state = MotionState(
+        position=position,
+        velocity=velocity,
+        acceleration=acceleration,
+        direction=list(direction.T),
+        load=load,
+    )
+    return np.stack(sum_added_torques(robot.added_torques, state, in_spring=in_spring), axis=1)
 
 
 def tool_positions(robot: Robot, position: np.ndarray) -> np.ndarray:

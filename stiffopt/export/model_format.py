@@ -98,7 +98,7 @@ def read_diagnosed_robot(
     zeros[loaded.order] = joint_zeros(model)
     left_out = tuple(
         each for each in planner.left_out if not each.startswith(("torque_gain", "joint_zero"))
-    )
+    ) + tuple(each.label for each in planner.robot.added_torques)
     found = DiagnosedRobot(
         name=model.name,
         nominal=loaded.robot,

@@ -21,6 +21,7 @@ from stiffopt.dynamics.deflection import (
 from stiffopt.dynamics.friction import drive_torque, dry_friction_width
 from stiffopt.dynamics.kinematics import point_jacobian
 from stiffopt.errors import ProblemError
+from stiffopt.robot.added_torque import MotionState, sum_added_torques
 from stiffopt.symbolic import Quantity
 
 if TYPE_CHECKING:
@@ -83,13 +84,59 @@ class StageModel:
         """Build the spring torques from the model's motion."""
         tool = self.robot.tool
         force = self.process_force if np.any(self.process_force) else None
-        return spring_torques(
+        bodies = spring_torques(
             self.robot.tree,
             tool.joint,
             tool.offset,
             *self.link,
             force,
         )
+        if not self.robot.added_torques:
+            return bodies
+        state = self._motion_state(*self.link, bodies.motion)
+        rest = state.at_rest(ca.vertsplit(bodies.gravity))
+        moving, still = (
+            ca.vertcat(*sum_added_torques(self.robot.added_torques, each, in_spring=True))
+            for each in (state, rest)
+        )
+        # Without a process force the two stay one expression: the process part is exactly zero.
+        motion, gravity = bodies.motion + moving, bodies.gravity + still
+        return SpringTorques(
+            gravity=gravity,
+            motion=motion,
+            spring=motion if bodies.spring is bodies.motion else bodies.spring + moving,
+            held=gravity if bodies.held is bodies.gravity else bodies.held + still,
+        )
+
+    def _motion_state(
+        self,
+        position: Quantity,
+        velocity: Quantity,
+        acceleration: Quantity,
+        load: Quantity,
+        side: float = 0.0,
+    ) -> MotionState:
+        """Return the motion as added torques take it, its direction shifted as an envelope's is."""
+        place = velocity / ca.DM(dry_friction_width(self.robot.velocity_max)) + 2.0 * side
+        parts = (position, velocity, acceleration, ca.tanh(place), load)
+        return MotionState(
+            **dict(
+                zip(
+                    ("position", "velocity", "acceleration", "direction", "load"),
+                    (ca.vertsplit(ca.SX(part)) for part in parts),
+                    strict=True,
+                )
+            )
+        )
+
+    def _added_drive_torque(self, side: float = 0.0) -> Quantity:
+        """Added torques of the drives alone (n,) [N m]; 0 without any."""
+        added = self.robot.added_torques
+        if not added:
+            return 0.0
+        motion = self.position, self.velocity, self.acceleration
+        state = self._motion_state(*motion, self.torques.spring, side)
+        return ca.vertcat(*sum_added_torques(added, state, in_spring=False))
 
     @property
     def computed_torques(self) -> Quantity:
@@ -107,7 +154,7 @@ class StageModel:
     @cached_property
     def drive_torque(self) -> Quantity:
         """Torque of the drives (n,) [N m]."""
-        return drive_torque(
+        return self._added_drive_torque() + drive_torque(
             self.torques.spring,
             self.velocity,
             self.acceleration,
@@ -128,7 +175,7 @@ class StageModel:
         dry = ca.DM(self.robot.coulomb)
         width = ca.DM(dry_friction_width(self.robot.velocity_max))
         share = ca.tanh(self.velocity / width / widening)
-        torque = self._drive_torque_without_dry_friction + dry * share
+        torque = self._drive_torque_without_dry_friction + self._added_drive_torque() + dry * share
         return torque**2 + (1.0 - creeping) * dry**2 * (1.0 - share**2)
 
     @property
@@ -154,7 +201,7 @@ class StageModel:
         width = dry_friction_width(self.robot.velocity_max)
         place = self.velocity / ca.DM(width) + 2.0 * side
         dry = ca.DM(self.robot.coulomb) * ca.tanh(place)
-        return self._drive_torque_without_dry_friction + dry
+        return self._drive_torque_without_dry_friction + self._added_drive_torque(side) + dry
 
     @cached_property
     def tool_velocity(self) -> Quantity:

@@ -15,6 +15,7 @@ from stiffopt.drivetrain.bearing import OutputBearing
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.drivetrain.tables import OwnEntries
 from stiffopt.errors import RobotError
+from stiffopt.robot.added_torque import AddedTorque
 from stiffopt.robot.body_tree import BodyTree, body_tree
 from stiffopt.robot.frames import LinkFrame, link_frame, named_frame
 from stiffopt.robot.held_joints import HeldJoint
@@ -89,6 +90,8 @@ class Robot:
     payload : array (10,), optional
         Inertial parameters (mass, first moments, inertia) of the payload in the axes of the flange;
         included in the model.
+    added_torques : tuple of AddedTorque
+        Torques beyond rigid bodies and friction.
     own : mapping of kind to mapping of name to row
         Parts of the user's catalogue, which take precedence over those of the package.
 
@@ -121,6 +124,7 @@ class Robot:
     payload: np.ndarray | None = None
     bearings: tuple[OutputBearing | None, ...] = ()
     held: tuple[HeldJoint, ...] = ()
+    added_torques: tuple[AddedTorque, ...] = ()
     # Not compared: parts in use are in the chains, others have no effect.
     own: OwnEntries = field(default_factory=dict, compare=False)
 

@@ -32,7 +32,15 @@ from stiffopt.discovery.user_effects import (
 from stiffopt.errors import InputFileError
 
 EXTENT = SignalRange(low=-0.7, high=0.9, duration=6.0, rate=20.0, peaks=(0.7,))
-EVERY = [(kind, form) for kind, own in SOURCE_KINDS.items() for form in own.forms]
+
+
+def forms_of(kind: str) -> list[str]:
+    """Forms of a signal, and those that they are special cases of."""
+    own = SOURCE_KINDS[kind].forms
+    return [*own, *(FORMS[form].general for form in own if FORMS[form].general)]
+
+
+EVERY = [(kind, form) for kind in SOURCE_KINDS for form in forms_of(kind)]
 SIGN = Factor(LawSource("direction", 4), "linear")
 
 
@@ -50,7 +58,7 @@ def test_every_form_of_every_signal_is_a_valid_effect(kind: str, form: str) -> N
 @pytest.mark.parametrize("name", [name for name, form in FORMS.items() if form.shapes])
 def test_slopes_by_shapes_agree_with_differences(name: str) -> None:
     signals = sample_signals(count=200)
-    kind = next(k for k, own in SOURCE_KINDS.items() if name in own.forms)
+    kind = next(k for k in SOURCE_KINDS if name in forms_of(k))
     law = law_with(kind, name)
     own = Factor(law.factors[-1].source, name)
     x = np.asarray(own.source.value(signals))
@@ -73,7 +81,7 @@ def test_slopes_by_shapes_agree_with_differences(name: str) -> None:
 def test_the_equation_alone_gives_the_torque(kind: str, form: str) -> None:
     signals = sample_signals()
     law = law_with(kind, form)
-    amplitudes = [1.37, -0.61][: law.amplitude_count]
+    amplitudes = [1.37, -0.61, 0.4, 0.2][: law.amplitude_count]
     text = law.equation.partition(" += ")[2]
     # What another simulator has: symbols, numbers, and the definitions on the page.
     space = {name: getattr(np, name) for name in ("tanh", "exp", "log", "abs", "sqrt", "sign")}
@@ -166,6 +174,41 @@ def test_friction_by_the_angle_of_another_joint_is_found() -> None:
     sources = {factor.source for factor in found.best.law.factors}
     assert sources == {LawSource("direction", 4), LawSource("position", 1)}
     assert found.explained > 0.95
+
+
+def test_the_briefest_law_is_found_and_not_a_product_that_contains_it() -> None:
+    found = search_channel(KnownChannel(lambda s: 3.0 * s.motor_direction[:, 4]))
+    assert found.best is not None
+    assert found.best.law.factors == (SIGN,)
+
+
+def test_a_constant_is_a_law() -> None:
+    found = search_channel(KnownChannel(lambda s: 2.0 + 0.0 * s.time))
+    assert found.best is not None
+    assert found.best.law.equation == "tau_5 += A * 1"
+
+
+def test_a_form_becomes_more_general_where_the_data_ask_for_it() -> None:
+    def content(signals, power):
+        return 100.0 * np.maximum(signals.motor_position[:, 1] + 0.2, 0.0) ** power
+
+    for power, form in ((1.0, "hinge_above"), (2.5, "power_above")):
+        found = search_channel(KnownChannel(lambda s, n=power: content(s, n)))
+        assert found.best is not None
+        (factor,) = found.best.law.factors
+        assert factor.form == form
+    assert factor.shapes == pytest.approx((-0.2, 2.5), abs=0.1)
+
+
+def test_an_overtone_is_found_beside_its_wave() -> None:
+    def content(signals):
+        turn = 2.0 * np.pi * 1.3 * signals.session_time
+        return 9.0 * np.sin(turn) + 1.8 * np.cos(2.0 * turn)
+
+    found = search_channel(KnownChannel(content))
+    assert found.best is not None
+    assert found.best.law.factors[0].form == "wave_overtone"
+    assert found.best.fit.amplitudes == pytest.approx([0.0, 9.0, 1.8, 0.0], abs=0.2)
 
 
 def test_shapes_are_fitted_to_their_true_values() -> None:

@@ -20,6 +20,8 @@ from stiffopt.discovery.comparison.inertial_parameters import body_parameter_nam
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, LocatedEffect
 from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.extended.model import ExtendedModel, load_extended, require_same_robot
+from stiffopt.discovery.laws.law import law_of
+from stiffopt.discovery.laws.robot_change import law_change
 from stiffopt.discovery.signals import JointConstants
 from stiffopt.discovery.user_effects import load_effects
 from stiffopt.drivetrain.chain import Chain
@@ -151,9 +153,12 @@ class _RobotUpdate:
         """Add one finding to the robot, or to the list of those left out."""
         located = estimated.located
         own = next((j for j in (located.joint, located.link) if j is not None), len(self.place) - 1)
-        change = located.effect.change_robot
+        change, law = located.effect.change_robot, law_of(located.effect)
         changed = None
-        if change is not None:
+        if law is not None:
+            law = law.with_shapes(located.shapes)
+            changed = law_change(self.robot, law, estimated.amplitudes, self.place, located.label)
+        elif change is not None:
             constants = joint_constants(self.model, own, self.own_chains[self.place[own]])
             changed = change(self.robot, estimated, self.place[own], constants)
         if changed is None:

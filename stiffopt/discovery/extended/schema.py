@@ -50,7 +50,7 @@ class LawSection(Section):
     place: Annotated[
         Literal["drive_torque", "link_torque", "deflection"], Doc("What the law adds to.")
     ]
-    factors: Annotated[tuple[LawFactorSection, ...], Field(min_length=1), Doc("At most three.")]
+    factors: Annotated[tuple[LawFactorSection, ...], Doc("At most three; none for a constant.")]
 
 
 class ResidualSection(Section):

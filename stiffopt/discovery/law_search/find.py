@@ -17,6 +17,7 @@ from stiffopt.discovery.law_search.open_channel import OpenChannel
 from stiffopt.discovery.law_search.search import (
     ChannelLaw,
     beats,
+    may_beat,
     search_channel,
 )
 from stiffopt.discovery.laws.law import LAW_FAMILY, Law, law_effect
@@ -24,16 +25,18 @@ from stiffopt.discovery.laws.table import ResidualTable
 from stiffopt.discovery.search.candidates import Scorer
 from stiffopt.discovery.search.cross_validation import select_predictive
 from stiffopt.discovery.search.joint_fit import passes_thresholds, prune_effects
-from stiffopt.discovery.search.rivals import Selected
+from stiffopt.discovery.search.rivals import Selected, tempering_width
 from stiffopt.discovery.search.search import SearchResult
 from stiffopt.discovery.search.uncertainty import estimate_parameters
-from stiffopt.discovery.thresholds import CONFIRMED_DEVIATIONS, FAINT_RATIO
+from stiffopt.discovery.thresholds import (
+    CONFIRMED_DEVIATIONS,
+    FAINT_RATIO,
+    PARAMETER_LOG_PRICE,
+    RIVAL_LOG_ODDS,
+)
 
 # Share of the excess in parts left out from which a free function is kept as a table.
 MIN_KEPT_SHARE = 0.3
-# Log evidence within which laws are told apart no better than 20 to one, and the share of the
-# evidence by which inexact forms overestimate it.
-_FAMILY_LOG_ODDS, _FAMILY_TEMPERING = 3.0, 0.01
 # Relative difference of two functions, root mean square over the range met, below which they are
 # one law.
 SAME_FUNCTION = 0.07
@@ -142,8 +145,10 @@ def find_laws(result: SearchResult, say: Callable[[str], object]) -> LawSearch:
     if comparison.after_model or result.stopped:
         return LawSearch(result=result)
     refused: dict[int, ChannelLaw] = {}
+    closed: set[int] = set()
     laws: list[FoundLaw] = []
     irreplaceable: set[tuple[object, ...]] = set()
+    open_names: tuple[str, ...] = ()
     while len(laws) < MAX_LAWS:
         kept, left = assess_findings(result)
         if left is not None and (left.brief or left.alone is not None):
@@ -154,12 +159,15 @@ def find_laws(result: SearchResult, say: Callable[[str], object]) -> LawSearch:
         waiting = state.searched_channels(
             {c for c in range(2 * n) if channel_name(c, n) in open_names}
         )
-        number = next((c for c in waiting if c not in refused), None)
+        number = next((c for c in waiting if c not in refused and c not in closed), None)
         if number is None or len(refused) >= _MAX_REFUSED:
             break
         name = channel_name(number, n)
         say(f"search {name} for a law that no catalogue has")
         outcome = state.search(number, is_open=name in open_names)
+        if outcome is None:
+            closed.add(number)
+            continue
         found = None if outcome.best is None else state.add(outcome)
         if state.restored:
             # The law stood beside these, not for them: searched again with them in place.
@@ -174,7 +182,11 @@ def find_laws(result: SearchResult, say: Callable[[str], object]) -> LawSearch:
     return LawSearch(
         result=result,
         laws=tuple(laws),
-        refused=tuple(_describe_refusal(each, comparison.robot.n) for each in refused.values()),
+        refused=tuple(
+            _describe_refusal(each, comparison.robot.n)
+            for number, each in refused.items()
+            if channel_name(number, comparison.robot.n) in open_names
+        ),
     )
 
 
@@ -232,20 +244,32 @@ class _State:
         self._dropped: list[LocatedEffect] = []
 
     def searched_channels(self, unexplained: set[int]) -> list[int]:
-        """Return unexplained channels, and those whose findings may stand for a law.
+        """Return channels that hold more than noise, and those whose findings may stand for a law.
 
-        Torques come first, then the worst: a torque on a link winds up its joint too, a deflection
-        does not change the torque.
+        A channel with findings that explain it is searched in their place alone. Torques come
+        first, then the worst: a torque on a link winds up its joint too, a deflection does not
+        change the torque.
         """
         fit, n = self.comparison.fit(self.effects), self.comparison.robot.n
         beyond = np.nan_to_num(self.comparison.channel_ratio(fit.residual) / self.comparison.least)
-        joints = {each.channel % n for each in self.kept if self._is_replaceable(each)}
+        named = {each.channel % n for each in self.kept if not each.located.calibrated}
         found = [
             int(c)
             for c in np.argsort(-beyond)
-            if beyond[c] > FAINT_RATIO and (c in unexplained or c % n in joints)
+            if c in unexplained
+            or self._findings_at(int(c))
+            or (beyond[c] > FAINT_RATIO and c % n not in named)
         ]
         return sorted(found, key=lambda c: c >= n)
+
+    def _findings_at(self, channel: int) -> list[LocatedEffect]:
+        """Return the findings at a channel's joint that a law could take the place of."""
+        return [
+            each.located
+            for each in self.kept
+            if each.channel % self.comparison.robot.n == channel % self.comparison.robot.n
+            and self._is_replaceable(each)
+        ]
 
     def _is_replaceable(self, selected: Selected) -> bool:
         """Return True for a finding that a law could take the place of."""
@@ -255,24 +279,25 @@ class _State:
             return False
         return located.key not in self._irreplaceable
 
-    def search(self, number: int, *, is_open: bool) -> ChannelLaw:
-        """Search a channel for a law in place of its findings or, where it is open, beside them."""
-        n = self.comparison.robot.n
-        own = [
-            each.located
-            for each in self.kept
-            if each.channel % n == number % n and self._is_replaceable(each)
-        ]
+    def search(self, number: int, *, is_open: bool) -> ChannelLaw | None:
+        """Search a channel for a law in place of its findings or, where it is open, beside them.
+
+        None where no law could be likelier than findings that explain the channel.
+        """
+        own = self._findings_at(number)
         beside = OpenChannel(self.comparison, self.effects, number)
         if own:
             others = [e for e in self.effects if e not in own]
             apart = OpenChannel(self.comparison, others, number)
-            outcome = search_channel(apart)
-            if outcome.best is not None and beats(apart, outcome.best, beside.square, own):
-                self.effects, self._dropped = others, own
-                return outcome
+            if may_beat(apart, beside.square, own):
+                outcome = search_channel(apart)
+                if outcome.best is not None and beats(apart, outcome.best, beside.square, own):
+                    self.effects, self._dropped = others, own
+                    return outcome
+                if not is_open:
+                    return replace(outcome, best=None)
             if not is_open:
-                return replace(outcome, best=None, refusal="findings of the catalogue do as well")
+                return None
         return search_channel(beside)
 
     def add(self, outcome: ChannelLaw) -> FoundLaw | None:
@@ -330,7 +355,6 @@ class _State:
         A torque acts on the motor, or on the link, which winds up the joint too.
         """
         scorer = Scorer(comparison, self.effects)
-        size = len(comparison.target)
         found: list[_Ranked] = []
         for each in fitted:
             places = [each.law.place]
@@ -341,18 +365,29 @@ class _State:
                 located = self._named(law, each.fit.amplitudes.tolist())
                 candidate = scorer.score(located)
                 if candidate is not None:
-                    price = 0.5 * len(law.shapes) * np.log(size)
                     rows = comparison.effect_columns(located) @ candidate.amplitudes
+                    price = 0.5 * len(law.shapes) * np.log(len(rows))
                     found.append(_Ranked(candidate.evidence - float(price), law, located, rows))
-        width = _width(max((each.evidence for each in found), default=0.0))
-        odds = {id(each): each.evidence / width + each.law.log_prior for each in found}
+        odds = dict(zip(map(id, found), self._log_odds(found), strict=True))
         kept: list[_Ranked] = []
         for own in sorted(found, key=lambda each: -odds[id(each)]):
-            if kept and odds[id(kept[0])] - odds[id(own)] >= _FAMILY_LOG_ODDS:
+            if kept and odds[id(kept[0])] - odds[id(own)] >= RIVAL_LOG_ODDS:
                 break
             if not any(own.is_same_as(other) for other in kept):
                 kept.append(own)
         return kept
+
+    def _log_odds(self, ranked: Sequence[_Ranked]) -> np.ndarray:
+        """Return log odds of laws among one another, on the scale of rivals of the catalogue."""
+        width = tempering_width(max((each.evidence for each in ranked), default=0.0))
+        return np.array(
+            [
+                each.evidence / width
+                + each.law.log_prior(self.comparison.robot.n)
+                - PARAMETER_LOG_PRICE * each.law.parameter_count
+                for each in ranked
+            ]
+        )
 
     def answer(self, result: SearchResult) -> SearchResult:
         """Return the result with the law, and without effects that it makes superfluous."""
@@ -366,9 +401,7 @@ class _State:
             scored = Scorer(self.comparison, others).score(located)
             if scored is None:
                 continue
-            evidence = np.array([each.evidence for each in self._ranked])
-            priors = np.array([each.law.log_prior for each in self._ranked])
-            own, *theirs = softmax(evidence / _width(evidence.max()) + priors).tolist()
+            own, *theirs = softmax(self._log_odds(self._ranked)).tolist()
             rivals = [each.located for each in self._ranked[1:]]
             selected.append(
                 Selected(
@@ -399,8 +432,3 @@ def _is_determined(
     """
     estimate = estimate_parameters(comparison, effects)
     return estimate.amplitude_deviations(list(effects).index(law)) >= CONFIRMED_DEVIATIONS
-
-
-def _width(evidence: float) -> float:
-    """Return the unit in which evidences of laws differ: inexact forms overestimate them."""
-    return max(1.0, _FAMILY_TEMPERING * evidence)

@@ -64,9 +64,9 @@ def log_evidence(channel: OpenChannel, left: float, parameters: int, tried: int)
 
 def as_fitted(channel: OpenChannel, law: Law, fit: Fitted, tried: int) -> FittedLaw:
     """Return a law with its evidence."""
-    parameters = law.amplitude_count + len(law.shapes)
     left = channel.square - fit.removed
-    evidence = log_evidence(channel, left, parameters, tried) + law.log_prior
+    evidence = log_evidence(channel, left, law.parameter_count, tried)
+    evidence += law.log_prior(channel.comparison.robot.n)
     return FittedLaw(law, fit, tried, evidence)
 
 

@@ -12,14 +12,16 @@ from stiffopt.discovery.law_search.fit_law import FittedLaw, as_fitted, fit_shap
 from stiffopt.discovery.law_search.free_function import (
     FreeTerm,
     best_sum,
+    carriers,
     screen,
     screen_products,
 )
 from stiffopt.discovery.law_search.open_channel import OpenChannel
-from stiffopt.discovery.laws.forms import FORMS
+from stiffopt.discovery.laws.forms import FORMS, SignalRange
 from stiffopt.discovery.laws.law import Factor, Law, Place
 from stiffopt.discovery.laws.sources import LawSource
-from stiffopt.discovery.thresholds import NAMED_EVIDENCE
+from stiffopt.discovery.search.rivals import tempering_width
+from stiffopt.discovery.thresholds import NAMED_EVIDENCE, RIVAL_LOG_ODDS
 
 # Pairs of carrier and signal whose forms are tried: the best ones that explain at least this share
 # of what the best one does.
@@ -31,9 +33,6 @@ _ENOUGH_SHARE = 0.97
 # Least share of the excess that a law explains in blocks left out, over all of it and over what
 # free functions of any signals explain there.
 MIN_EXPLAINED, MIN_SHARE_OF_FREE = 0.5, 0.85
-# A law takes the place of a finding of the catalogue where this leaves so large a share of the
-# excess: less comes from formulas that nature follows nearly.
-MIN_LEFT_SHARE = 0.08
 # Laws, the best one among them, that are compared over all channels.
 _MAX_NEAR = 6
 
@@ -84,6 +83,7 @@ def search_channel(channel: OpenChannel) -> ChannelLaw:
         found = _ranked([*found, *_fit_pairs(channel, products)])
     if found and _is_short_of(channel, found, left):
         found = _ranked([*found, *_add_factor(channel, found[0])])
+    found = _ranked([*found, *_generalise(channel, found[:_MAX_NEAR])])
     best = found[0] if found else None
     explained = 0.0 if best is None else channel.share(best.left)
     attainable = channel.share(left)
@@ -107,9 +107,9 @@ def _is_short_of(channel: OpenChannel, found: Sequence[FittedLaw], left: float) 
 
 
 def _fit_unscreened(channel: OpenChannel) -> list[FittedLaw]:
-    """Return fitted laws of forms that no spline of a signal resembles."""
+    """Return fitted laws that no spline suggests: carriers alone, with memory, periodic."""
     j = channel.joint
-    laws = []
+    laws = [Law(j, _place_of(channel), carrier.factors) for carrier in carriers(channel)]
     for source in channel.sources:
         if source.joint in (j, None):
             every = _laws_of(channel, (), source)
@@ -129,16 +129,25 @@ def _fit_pairs(channel: OpenChannel, terms: Sequence[FreeTerm]) -> list[FittedLa
 
 def _laws_of(channel: OpenChannel, base: Sequence[Factor], source: LawSource) -> list[Law]:
     """Return the laws of one signal beside given factors, with all initial shapes."""
-    extent = channel.extent(source)
-    if "wave" in source.own.forms:
-        extent = replace(extent, peaks=channel.frequencies(source))
-    place: Place = "drive_torque" if channel.kind == "torque" else "deflection"
+    extent = _extent_of(channel, source)
     return [
-        Law(channel.joint, place, (*base, factor))
+        Law(channel.joint, _place_of(channel), (*base, factor))
         for form in source.own.forms
         for factor in Factor(source, form).starts(extent)
         if sum(len(FORMS[f.form].formulas) > 1 for f in (*base, factor)) <= 1
     ]
+
+
+def _extent_of(channel: OpenChannel, source: LawSource) -> SignalRange:
+    """Return the range of a signal; of a clock with the likeliest frequencies."""
+    extent = channel.extent(source)
+    if "wave" in source.own.forms:
+        return replace(extent, peaks=channel.frequencies(source))
+    return extent
+
+
+def _place_of(channel: OpenChannel) -> Place:
+    return "drive_torque" if channel.kind == "torque" else "deflection"
 
 
 def _fit_best(channel: OpenChannel, laws: Sequence[Law]) -> list[FittedLaw]:
@@ -155,6 +164,18 @@ def _fit_best(channel: OpenChannel, laws: Sequence[Law]) -> list[FittedLaw]:
     return _ranked([fit_shapes(channel, each.law, each.tried) for each in head])
 
 
+def _generalise(channel: OpenChannel, found: Sequence[FittedLaw]) -> list[FittedLaw]:
+    """Return the best laws with one form in place of which a more general one is fitted."""
+    general = []
+    for each in found:
+        for number, factor in enumerate(each.law.factors):
+            if factor.own.general:
+                own = factor.generalised(_extent_of(channel, factor.source))
+                factors = (*each.law.factors[:number], own, *each.law.factors[number + 1 :])
+                general.append((replace(each.law, factors=factors), each.tried))
+    return [fit_shapes(channel, law, tried + len(general)) for law, tried in general]
+
+
 def _add_factor(channel: OpenChannel, found: FittedLaw) -> list[FittedLaw]:
     """Return laws with one more factor, or with a fitted form in place of a carrier."""
     if found.law.amplitude_count > 1 or len(found.law.factors) > 2:
@@ -168,20 +189,41 @@ def _ranked(found: Iterable[FittedLaw]) -> list[FittedLaw]:
     return sorted(found, key=lambda each: -each.evidence)
 
 
+def may_beat(channel: OpenChannel, named: float, findings: Sequence[LocatedEffect]) -> bool:
+    """Return True where a law that leaves nothing but noise would beat findings, see `beats`."""
+    return _log_odds(channel, float(len(channel.target)), named, findings, 1) > RIVAL_LOG_ODDS
+
+
 def beats(
     channel: OpenChannel, best: FittedLaw, named: float, findings: Sequence[LocatedEffect]
 ) -> bool:
     """Return True where a law in place of findings, which leave the squares `named`, is likelier.
 
-    Of one finding only where it leaves much: nature follows formulas of the catalogue nearly.
+    By the odds that tell rivals of the catalogue apart: nature follows formulas nearly, those of
+    the catalogue and of laws alike.
     """
+    left, own = channel.square - best.fit.removed, best.law
+    odds = _log_odds(channel, left, named, findings, own.parameter_count)
+    return odds + own.log_prior(channel.comparison.robot.n) > RIVAL_LOG_ODDS
+
+
+def _gain(channel: OpenChannel, before: float, after: float) -> float:
+    """Return the log likelihood gained where squares fall; those within the noise do not count."""
     m = len(channel.target)
-    gain = 0.5 * m * np.log(max(named, m) / max(best.left, m))
-    fewer = sum(len(e.effect.amplitudes) + len(e.shapes) for e in findings)
-    fewer -= best.law.amplitude_count + len(best.law.shapes)
-    if len(findings) == 1 and channel.share(named) > 1.0 - MIN_LEFT_SHARE:
-        return False
-    return bool(gain + 0.5 * fewer * np.log(m) > NAMED_EVIDENCE)
+    return float(0.5 * m * np.log(max(before, m) / max(after, m)))
+
+
+def _log_odds(
+    channel: OpenChannel,
+    left: float,
+    named: float,
+    findings: Sequence[LocatedEffect],
+    parameters: int,
+) -> float:
+    """Return the tempered log odds of a law that leaves some squares over findings."""
+    fewer = sum(len(e.effect.amplitudes) + len(e.shapes) for e in findings) - parameters
+    ahead = _gain(channel, named, left) + 0.5 * fewer * np.log(len(channel.target))
+    return float(ahead / tempering_width(_gain(channel, channel.square, left)))
 
 
 def _refuse(channel: OpenChannel, best: FittedLaw, attainable: float) -> str:

@@ -109,6 +109,10 @@ class Form:
         False for formulas with comparisons, which have no complex derivative.
     unscreened : bool
         True where no smooth function of the signal resembles it: with memory, or periodic.
+    has_memory : bool
+        True where the value depends on earlier values of the signal.
+    general : str
+        Name of a form of which this one is a special case; fitted where this one holds.
     resembles : str
         Known physics of such a form, for sentences; "" where there is none.
     """
@@ -121,6 +125,8 @@ class Form:
     in_signal: bool = False
     analytic: bool = True
     unscreened: bool = False
+    has_memory: bool = False
+    general: str = ""
     resembles: str = ""
 
     @cached_property
@@ -203,6 +209,11 @@ def _frequency_bounds(r: SignalRange) -> tuple[float, float]:
 
 _SCALE_SHAPE = FormShape(name="s", unit="signal", **_scale(0.1, 0.3, 1.0))
 _PLACE_SHAPE = FormShape(name="c", unit="signal", **_centre(0.15, 0.35, 0.5, 0.65, 0.85))
+_ORDER_SHAPE = FormShape(name="k", unit="per signal", starts=_orders, bounds=_order_bounds)
+_FREQUENCY_SHAPE = FormShape(
+    name="f", unit="Hz", starts=lambda r: r.peaks, bounds=_frequency_bounds
+)
+_HINGE_POWER_SHAPE = FormShape(name="n", unit="", **_fixed((1.5, 3.0), 1.0, 5.0))
 FORMS = {
     each.name: each
     for each in (
@@ -291,6 +302,13 @@ FORMS = {
             resembles="a part that is touched or left at one place",
         ),
         Form(
+            name="bend",
+            formulas=("np.tanh((x - c) / s)",),
+            words="with the {x} from one value on, both ways, up to a limit",
+            shapes=(_PLACE_SHAPE, FormShape(name="s", unit="signal", **_width(0.15, 0.4, 1.0))),
+            resembles="a hose or cable at rest at one place, which gives way",
+        ),
+        Form(
             name="bump",
             formulas=("np.exp(-0.5 * ((x - c) / s) ** 2)",),
             words="near one value of the {x}",
@@ -303,6 +321,7 @@ FORMS = {
             words="in proportion to the {x} above one value",
             shapes=(_PLACE_SHAPE,),
             in_signal=True,
+            general="power_above",
             resembles="a cable or spring that tightens from one place on",
         ),
         Form(
@@ -311,13 +330,42 @@ FORMS = {
             words="in proportion to the {x} below one value",
             shapes=(_PLACE_SHAPE,),
             in_signal=True,
+            general="power_below",
+            resembles="a cable or spring that tightens up to one place",
+        ),
+        Form(
+            name="power_above",
+            formulas=("np.exp(n * np.log(0.5 * (x - c + np.sqrt((x - c) ** 2 + 1e-8))))",),
+            words="with a power of the {x} above one value",
+            shapes=(_PLACE_SHAPE, _HINGE_POWER_SHAPE),
+            resembles="a cable or spring that tightens from one place on",
+        ),
+        Form(
+            name="power_below",
+            formulas=("np.exp(n * np.log(0.5 * (c - x + np.sqrt((x - c) ** 2 + 1e-8))))",),
+            words="with a power of the {x} below one value",
+            shapes=(_PLACE_SHAPE, _HINGE_POWER_SHAPE),
             resembles="a cable or spring that tightens up to one place",
         ),
         Form(
             name="harmonic",
             formulas=("np.cos(k * x)", "np.sin(k * x)"),
             words="periodically in the {x}",
-            shapes=(FormShape(name="k", unit="per signal", starts=_orders, bounds=_order_bounds),),
+            shapes=(_ORDER_SHAPE,),
+            unscreened=True,
+            general="harmonic_overtone",
+            resembles="teeth, rollers or magnets passing at that order",
+        ),
+        Form(
+            name="harmonic_overtone",
+            formulas=(
+                "np.cos(k * x)",
+                "np.sin(k * x)",
+                "np.cos(2.0 * k * x)",
+                "np.sin(2.0 * k * x)",
+            ),
+            words="periodically in the {x}, with an overtone",
+            shapes=(_ORDER_SHAPE,),
             unscreened=True,
             resembles="teeth, rollers or magnets passing at that order",
         ),
@@ -325,9 +373,21 @@ FORMS = {
             name="wave",
             formulas=("np.cos(2.0 * np.pi * f * x)", "np.sin(2.0 * np.pi * f * x)"),
             words="periodically in the {x}",
-            shapes=(
-                FormShape(name="f", unit="Hz", starts=lambda r: r.peaks, bounds=_frequency_bounds),
+            shapes=(_FREQUENCY_SHAPE,),
+            unscreened=True,
+            general="wave_overtone",
+            resembles="a pump or fan that runs by itself",
+        ),
+        Form(
+            name="wave_overtone",
+            formulas=(
+                "np.cos(2.0 * np.pi * f * x)",
+                "np.sin(2.0 * np.pi * f * x)",
+                "np.cos(4.0 * np.pi * f * x)",
+                "np.sin(4.0 * np.pi * f * x)",
             ),
+            words="periodically in the {x}, with an overtone",
+            shapes=(_FREQUENCY_SHAPE,),
             unscreened=True,
             resembles="a pump or fan that runs by itself",
         ),
@@ -346,7 +406,19 @@ FORMS = {
             shapes=(FormShape(name="T", unit="s", **_fixed((0.05, 0.2, 1.0), 0.01, 10.0)),),
             in_signal=True,
             unscreened=True,
+            has_memory=True,
             resembles="a viscous coupling or a creeping material",
+        ),
+        Form(
+            name="slip",
+            formulas=("(x - lag(x, T, dt))",),
+            words="with the {x} relative to something that follows late by a time constant",
+            symmetry="odd",
+            shapes=(FormShape(name="T", unit="s", **_fixed((0.05, 0.2, 1.0), 0.01, 10.0)),),
+            in_signal=True,
+            unscreened=True,
+            has_memory=True,
+            resembles="a liquid or a loose ring that is taken along",
         ),
         Form(
             name="sprung",
@@ -364,6 +436,7 @@ FORMS = {
             ),
             in_signal=True,
             unscreened=True,
+            has_memory=True,
             resembles="something loose: a pendulum, a hose or a liquid",
         ),
         Form(
@@ -382,6 +455,7 @@ FORMS = {
             in_signal=True,
             analytic=False,
             unscreened=True,
+            has_memory=True,
             resembles="a seal or cable that sticks before it slides",
         ),
     )

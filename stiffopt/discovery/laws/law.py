@@ -7,18 +7,17 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
+from string import ascii_uppercase
 from typing import Literal
 
 import numpy as np
 
-from stiffopt.discovery.effect import Amplitude, Effect, RobotChange, Shape, Term
+from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.discovery.laws.forms import FORMS, Form, SignalRange
-from stiffopt.discovery.laws.sources import LawSource
+from stiffopt.discovery.laws.sources import SOURCE_KINDS, LawSource
 from stiffopt.discovery.signals import JointSignals, RobotSignals
 from stiffopt.symbolic import Quantity
 
-# Log prior odds against each signal of another joint: one of ten or so, which move alike.
-FOREIGN_PRICE = 2.5
 # Family of the effects that are laws.
 LAW_FAMILY = "law"
 
@@ -68,6 +67,14 @@ class Factor:
         """Return the derivative (K,) of every formula by every shape."""
         return self.own.derivatives(self.source.value(signals), signals.dt, self.shapes)
 
+    def generalised(self, extent: SignalRange) -> Factor:
+        """Return the factor in its more general form, from its own shapes."""
+        known = {s.name: value for s, value in zip(self.own.shapes, self.shapes, strict=True)}
+        first = next(Factor(self.source, self.own.general).starts(extent))
+        names = [shape.name for shape in first.own.shapes]
+        shapes = [known.get(n, v) for n, v in zip(names, first.shapes, strict=True)]
+        return replace(first, shapes=tuple(shapes))
+
     def starts(self, extent: SignalRange) -> Iterator[Factor]:
         """Yield the factor with every combination of initial shapes, and with their bounds."""
         bounds = tuple(shape.bounds(extent) for shape in self.own.shapes)
@@ -86,7 +93,7 @@ class Law:
         From 0.
     place : {"drive_torque", "link_torque", "deflection"}
     factors : tuple of Factor
-        At most three; at most one of them has several formulas.
+        At most three, at most one of them with several formulas; none for a constant.
     """
 
     joint: int
@@ -108,11 +115,26 @@ class Law:
         """Joint, signals and forms, whatever the shapes."""
         return (self.joint, tuple((factor.source, factor.form) for factor in self.factors))
 
+    def log_prior(self, joints: int) -> float:
+        """Return the log prior probability over that of a constant.
+
+        Every kind of signal is as likely as any other, and as likely to be the joint's own as to be
+        of all others together: that is what brevity is worth.
+
+        Parameters
+        ----------
+        joints : int
+            Number of joints of the robot.
+        """
+        signals = {factor.source for factor in self.factors}
+        foreign = [each for each in signals if each.joint not in (None, self.joint)]
+        kinds, places = len(SOURCE_KINDS), max(joints - 1, 1)
+        return -float(len(signals) * np.log(kinds) + len(foreign) * np.log(places))
+
     @property
-    def log_prior(self) -> float:
-        """Logarithm of its prior probability over that of a law of the joint's own signals."""
-        foreign = {f.source for f in self.factors if f.source.joint not in (None, self.joint)}
-        return -FOREIGN_PRICE * len(foreign)
+    def parameter_count(self) -> int:
+        """Number of amplitudes and shapes."""
+        return self.amplitude_count + len(self.shapes)
 
     @property
     def amplitude_count(self) -> int:
@@ -135,7 +157,7 @@ class Law:
     ) -> list[Quantity]:
         """Return the value (K,) per unit of every amplitude."""
         left = list(self.shapes if shapes is None else shapes)
-        found: list[Quantity] = [1.0]
+        found: list[Quantity] = [1.0] if self.factors else [1.0 + 0.0 * signals.time]
         for factor in self.factors:
             own = [left.pop(0) for _ in factor.own.shapes]
             values = factor.values(signals, own)
@@ -165,7 +187,7 @@ class Law:
     @property
     def name(self) -> str:
         """Name as an effect: place, joint and signals."""
-        parts = []
+        parts = [] if self.factors else ["constant"]
         for factor in self.factors:
             signal = re.sub(r"\W+", "", factor.source.symbol.replace("sg(", "sign_"))
             parts.append(signal if factor.form == "linear" else f"{factor.form}_{signal}")
@@ -174,7 +196,7 @@ class Law:
     @property
     def amplitude_names(self) -> tuple[str, ...]:
         """Names of the amplitudes."""
-        return ("A",) if self.amplitude_count == 1 else ("A", "B")
+        return tuple(ascii_uppercase[: self.amplitude_count])
 
     @property
     def shape_names(self) -> tuple[str, ...]:
@@ -199,6 +221,8 @@ class Law:
 
     def formulas(self, *, code: bool) -> list[str]:
         """Return the formula of every amplitude: Python code, or symbols for an equation."""
+        if not self.factors:
+            return ["(1.0 + 0.0 * signals.time)" if code else "1"]
         names = list(self.shape_names)
         found = [""]
         for factor in self.factors:
@@ -224,6 +248,8 @@ class Law:
         """Channel and dependence in words."""
         parts = [f.own.words.format(x=f.source.words) for f in self.factors]
         where = _PLACE_WORDS[self.place].format(self.joint + 1)
+        if not self.factors:
+            return f"{where} is shifted by a constant"
         return f"{where} changes {', and '.join(parts)}"
 
 
@@ -312,15 +338,6 @@ def law_effect(law: Law, amplitudes: Sequence[float]) -> Effect:
             )
         ),
         separate=describe_test(law),
-        change_robot=_leave_robot,
-    )
-
-
-def _leave_robot(robot: object, finding: object, joint: int, constants: object) -> RobotChange:
-    """Return no changed robot: that of a planner has no place for a law."""
-    return RobotChange(
-        None,
-        "a law beyond the catalogue, which the planner's robot has no place for: keep a margin",
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 
 from stiffopt.discovery.laws.law import Law, describe_test, resembled
@@ -57,14 +58,8 @@ def law_file_text(name: str, laws: Sequence[WrittenLaw]) -> str:
         Recording set.
     laws : sequence of (name, Law, amplitudes, reported values)
     """
-    used = sorted(
-        {
-            factor.form
-            for _, law, _, _ in laws
-            for factor in law.factors
-            if factor.form in ("lag", "sprung", "stop")
-        }
-    )
+    formulas = " ".join(each for _, law, _, _ in laws for each in law.formulas(code=True))
+    used = sorted(set(re.findall(r"\b(lag|sprung|stop)\(", formulas)))
     operators = f"from stiffopt.discovery.laws.operators import {', '.join(used)}\n" if used else ""
     parts = [_HEAD_TEMPLATE.format(name=name, operators=operators)]
     parts += [_format_law(number, *each) for number, each in enumerate(laws, start=1)]
@@ -78,7 +73,7 @@ def _format_law(
     amplitudes: Sequence[float],
     reported: Mapping[str, tuple[float, float]],
 ) -> str:
-    units = dict(zip(law.amplitude_names, [law.amplitude_unit] * 2, strict=False))
+    units = dict.fromkeys(law.amplitude_names, law.amplitude_unit)
     units |= dict(zip(law.shape_names, law.shape_units, strict=True))
     values = [
         f"{key} = {value!r} +- {sd:.2g} {units.get(key, '')}".rstrip()

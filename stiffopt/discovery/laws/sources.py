@@ -35,7 +35,16 @@ class SourceKind:
     per_joint: bool = True
 
 
-_PLACE_FORMS = ("linear", "offset", "step", "step_down", "bump", "hinge_above", "hinge_below")
+_PLACE_FORMS = (
+    "linear",
+    "offset",
+    "step",
+    "step_down",
+    "bend",
+    "bump",
+    "hinge_above",
+    "hinge_below",
+)
 _SIGNED_FORMS = (
     "linear",
     "magnitude",
@@ -59,7 +68,7 @@ SOURCE_KINDS = {
         symbol="w_{}",
         unit="rad/s",
         words="speed of joint {}",
-        forms=(*_SIGNED_FORMS, "lag"),
+        forms=(*_SIGNED_FORMS, "lag", "slip"),
     ),
     "direction": SourceKind(
         attribute="motor_direction",
@@ -73,14 +82,21 @@ SOURCE_KINDS = {
         symbol="a_{}",
         unit="rad/s^2",
         words="acceleration of joint {}",
-        forms=("linear", "magnitude", "saturating", "lag", "sprung"),
+        forms=("linear", "magnitude", "saturating", "sprung"),
     ),
     "load": SourceKind(
         attribute="spring_torque",
         symbol="T_{}",
         unit="N m",
         words="load of joint {}",
-        forms=(*_SIGNED_FORMS, "hinge_above", "hinge_below", "lag"),
+        forms=(*_SIGNED_FORMS, "hinge_above", "hinge_below", "lag", "stop"),
+    ),
+    "drive": SourceKind(
+        attribute="drive_torque",
+        symbol="u_{}",
+        unit="N m",
+        words="drive torque of joint {}",
+        forms=("linear",),
     ),
     "temperature": SourceKind(
         attribute="temperature_rise",
@@ -95,6 +111,14 @@ SOURCE_KINDS = {
         unit="s",
         words="time since power-on",
         forms=("linear", "decay", "wave"),
+        per_joint=False,
+    ),
+    "run_time": SourceKind(
+        attribute="time",
+        symbol="t",
+        unit="s",
+        words="time since the begin of the motion",
+        forms=("linear", "decay"),
         per_joint=False,
     ),
     "height": SourceKind(
@@ -160,7 +184,7 @@ class LawSource:
 
     def is_of_joint(self, joint: int) -> bool:
         """Return True where the signals of one joint are enough to know it."""
-        return self.joint == joint or self.kind == "session_time"
+        return self.joint == joint or self.kind in ("session_time", "run_time")
 
     def value(self, signals: RobotSignals | JointSignals) -> Quantity:
         """Return the signal (K,)."""

@@ -122,7 +122,9 @@ def law_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding) -
     law = law_of(finding.effect)
     if law is None:
         return None
-    sources = [f.source for f in law.factors if f.source.kind != "direction"]
+    sources = [f.source for f in law.factors if f.source.kind != "direction"] or [
+        LawSource("position", law.joint)
+    ]
     added = finding_contribution(diagnosis, finding, rows)
     residual = rows.after + added
     factor, unit = scale(float(np.quantile(np.abs(residual), 0.95)), rows.unit)
@@ -130,7 +132,7 @@ def law_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding) -
     sampled = diagnosis.search.comparison.rows.sample_signal
     with figure_style():
         figure = Figure(figsize=(WIDTH, 3.2))
-        grid = figure.subplots(1, max(len(sources), 1), sharey=True, squeeze=False)[0]
+        grid = figure.subplots(1, len(sources), sharey=True, squeeze=False)[0]
         for axes, source in zip(grid, dict.fromkeys(sources), strict=False):
             values = sampled(partial(_signal_of, source))
             label = f"{source.words} [{source.own.unit}]" if source.own.unit else source.words
