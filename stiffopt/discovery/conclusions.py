@@ -20,15 +20,13 @@ from stiffopt.discovery.experiment.design import ExperimentPlan
 from stiffopt.discovery.judging.explained_shares import MismatchShare, variance_explained
 from stiffopt.discovery.judging.unexplained import ChannelVerdict, Unexplained, channel_name
 from stiffopt.discovery.laws.law import LAW_FAMILY
-from stiffopt.discovery.search.cross_validation import held_out_shares
+from stiffopt.discovery.search.cross_validation import left_out_gains
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.uncertainty import (
     Estimate,
     null_probability,
 )
 from stiffopt.discovery.thresholds import (
-    MISFIT_ODDS,
-    MISFIT_RATIO,
     OPEN_RATIO,
     OPEN_SHARE,
     UNSTATED_DEVIATIONS,
@@ -49,7 +47,6 @@ def build_findings(
     kept: Sequence[Selected],
     parameters: Estimate,
     training: Training,
-    after: np.ndarray,
     again: np.ndarray,
 ) -> tuple[Finding, ...]:
     """Return the findings with probabilities and parameters.
@@ -62,8 +59,6 @@ def build_findings(
     parameters : Estimate
         Joint estimate of the same effects.
     training : Training
-    after : array (2 n,)
-        Normalised residual of every channel, with the effects.
     again : array (e,)
         Share of the perturbation ensemble in which each is named again.
     """
@@ -71,14 +66,13 @@ def build_findings(
     shares = variance_explained(
         comparison, tuple(s.located for s in kept), tuple(s.channel for s in kept)
     )
-    refitted = held_out_shares(comparison, tuple(s.located for s in kept))
+    gains = left_out_gains(comparison, tuple(s.located for s in kept))
     findings = []
     for index, (selected, share) in enumerate(zip(kept, shares, strict=True)):
         if selected.located.calibrated and parameters.min_deviations(index) < UNSTATED_DEVIATIONS:
             continue
         located, effect = selected.located, selected.located.effect
-        open_ = after[selected.channel] > MISFIT_RATIO
-        misfit = MISFIT_ODDS * (1.0 - refitted[index]) if open_ else 0.0
+        unknown = gains[index].open_share
         values = parameters.parameters(index, located.constants(constants))
         chance = max(
             parameters.p_value(index),
@@ -86,7 +80,9 @@ def build_findings(
         )
         # The mean of few runs differs between two states by chance, at any of the joints.
         places = n if effect.only_in and located.joint is not None else 1
-        misfit = 1.0 - (1.0 - max(misfit, _null_share(chance, places))) * float(again[index])
+        sure = gains[index].support if located.run is None else 1.0
+        sure *= float(again[index])
+        misfit = 1.0 - (1.0 - max(unknown, _null_share(chance, places))) * sure
         findings.append(
             Finding(
                 estimated=parameters.effects[index],
