@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -40,6 +40,8 @@ if TYPE_CHECKING:
 _SMALL_SHARE = 1e-3
 # Two-sided p-value of one standard deviation: a value beyond it is zero within its deviation.
 _ONE_DEVIATION = float(2.0 * special.ndtr(-1.0))
+# P-value of an effect without a determined value: as likely as not.
+_UNDETERMINED_P_VALUE = 0.5
 
 
 def build_findings(
@@ -74,9 +76,20 @@ def build_findings(
         located, effect = selected.located, selected.located.effect
         unknown = gains[index].open_share
         values = parameters.parameters(index, located.constants(constants))
+        before = parameters.prior_deviations(index, located.constants(constants))
+        reported = tuple(
+            Parameter(
+                name=name,
+                value=value,
+                sd=sd,
+                unit=located.unit_of(name, constants),
+                prior_sd=before[name],
+            )
+            for name, (value, sd) in values.items()
+        )
         chance = max(
             parameters.p_value(index),
-            _reported_p_value(parameters.effects[index], values, located.constants(constants)),
+            _reported_p_value(parameters.effects[index], reported, located.constants(constants)),
         )
         # The mean of few runs differs between two states by chance, at any of the joints.
         places = n if effect.only_in and located.joint is not None else 1
@@ -90,10 +103,7 @@ def build_findings(
                 probability=(1.0 - misfit) * selected.probability,
                 misfit=misfit,
                 rivals=build_rivals(selected, 1.0 - misfit),
-                parameters=tuple(
-                    Parameter(name=name, value=value, sd=sd, unit=located.unit_of(name, constants))
-                    for name, (value, sd) in values.items()
-                ),
+                parameters=reported,
                 where=effect.signature,
                 channel=channel_name(selected.channel, n),
                 variance_explained=share,
@@ -115,22 +125,23 @@ def _null_share(chance: float, places: int = 1) -> float:
 
 
 def _reported_p_value(
-    found: EstimatedEffect, values: Mapping[str, tuple[float, float]], constants: Constants
+    found: EstimatedEffect, reported: Sequence[Parameter], constants: Constants
 ) -> float:
-    """Return the p-value of the reported sizes of an effect; 0 where none is zero without it.
+    """Return the p-value of the reported sizes of an effect.
 
-    A size is a value that falls with the amplitudes; a place, a factor or a ratio is none.
+    A size is a value that falls with the amplitudes; a place, a factor or a ratio is none. Without
+    a size the effect is told by values of which one at least has to be determined.
     """
     located = found.located
     smaller = tuple(_SMALL_SHARE * amplitude for amplitude in found.amplitudes)
     small = located.effect.parameters(smaller, located.shapes, constants)
     ratios = [
-        abs(value) / sd
-        for name, (value, sd) in values.items()
-        if sd > 0.0 and abs(small[name]) <= 2.0 * _SMALL_SHARE * abs(value)
+        abs(each.value) / each.sd
+        for each in reported
+        if each.sd > 0.0 and abs(small[each.name]) <= 2.0 * _SMALL_SHARE * abs(each.value)
     ]
     if not ratios:
-        return 0.0
+        return 0.0 if any(each.determined for each in reported) else _UNDETERMINED_P_VALUE
     return min(1.0, 2.0 * len(ratios) * float(special.ndtr(-max(ratios))))
 
 
