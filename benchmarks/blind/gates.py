@@ -6,6 +6,7 @@ Gates are taken out here, from outside, so that the tool itself has no switch fo
 # ruff: noqa: E501  one gate a line
 from __future__ import annotations
 
+import dataclasses
 import functools
 import importlib
 from collections.abc import Callable, Iterator, Sequence
@@ -133,7 +134,7 @@ GATES = tuple(
         ("pruned", "pruning", (f"{_SEARCH}.search:prune_effects",), _all, None),
         ("confirmed", "jackknife over stretches", _CONFIRMED, _all, None),
         ("local", "exemption of brief effects", (f"{_E}:_is_locally_supported",), _always(False), None),
-        ("held_out", "share in folds left out, tolerances stated", (f"{_E}:held_out_shares",), lambda _, c, e: (1.0,) * len(e), lambda found, *_: min(found, default=1.0) < 0.01),
+        ("held_out", "share in folds left out, tolerances stated", (f"{_E}:left_out_gains",), lambda gate, c, e: tuple(dataclasses.replace(each, share=1.0) for each in gate(c, e)), lambda found, *_: min((each.share for each in found), default=1.0) < 0.01),
         ("nominal", "exemption by nominal values", (f"{_E}:_is_supported_by_nominal",), _always(False), None),
         ("predictive", "prediction of folds left out, tolerances not stated", _PREDICTIVE, _all, None),
         ("cancelling", "effects that cancel others", (f"{_SEARCH}.cross_validation:drop_cancelling",), _all, None),

@@ -213,7 +213,7 @@ def _state_finding(diagnosis: Diagnosis, finding: Finding) -> Statement:
         certainty=finding.certainty,
         probability=format_probability(finding.probability),
         action=_describe_remedy(diagnosis, finding, named, where),
-        values=tuple(f"{p.name} = {pm(p.value, p.sd, p.unit)}" for p in named.values()),
+        values=tuple(f"{p.name} = {p.text}" for p in named.values()),
         rivals=tuple(
             f"{r.located.effect.title} of {place(diagnosis, r.located)}"
             f" ({format_probability(r.probability)})"
@@ -268,6 +268,8 @@ def fill(
         if len(names) > 1:
             return _format_together([named[name] for name in names])
         own = named[key]
+        if not own.determined:
+            return "an undetermined amount"
         size = own.value if signed else abs(own.value)
         if share:
             return f"{pm(100.0 * size, 100.0 * own.sd, '')} %"

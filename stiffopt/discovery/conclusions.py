@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,15 +20,13 @@ from stiffopt.discovery.experiment.design import ExperimentPlan
 from stiffopt.discovery.judging.explained_shares import MismatchShare, variance_explained
 from stiffopt.discovery.judging.unexplained import ChannelVerdict, Unexplained, channel_name
 from stiffopt.discovery.laws.law import LAW_FAMILY
-from stiffopt.discovery.search.cross_validation import held_out_shares
+from stiffopt.discovery.search.cross_validation import left_out_gains
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.uncertainty import (
     Estimate,
     null_probability,
 )
 from stiffopt.discovery.thresholds import (
-    MISFIT_ODDS,
-    MISFIT_RATIO,
     OPEN_RATIO,
     OPEN_SHARE,
     UNSTATED_DEVIATIONS,
@@ -42,6 +40,8 @@ if TYPE_CHECKING:
 _SMALL_SHARE = 1e-3
 # Two-sided p-value of one standard deviation: a value beyond it is zero within its deviation.
 _ONE_DEVIATION = float(2.0 * special.ndtr(-1.0))
+# P-value of an effect without a determined value: as likely as not.
+_UNDETERMINED_P_VALUE = 0.5
 
 
 def build_findings(
@@ -49,7 +49,6 @@ def build_findings(
     kept: Sequence[Selected],
     parameters: Estimate,
     training: Training,
-    after: np.ndarray,
     again: np.ndarray,
 ) -> tuple[Finding, ...]:
     """Return the findings with probabilities and parameters.
@@ -62,8 +61,6 @@ def build_findings(
     parameters : Estimate
         Joint estimate of the same effects.
     training : Training
-    after : array (2 n,)
-        Normalised residual of every channel, with the effects.
     again : array (e,)
         Share of the perturbation ensemble in which each is named again.
     """
@@ -71,22 +68,34 @@ def build_findings(
     shares = variance_explained(
         comparison, tuple(s.located for s in kept), tuple(s.channel for s in kept)
     )
-    refitted = held_out_shares(comparison, tuple(s.located for s in kept))
+    gains = left_out_gains(comparison, tuple(s.located for s in kept))
     findings = []
     for index, (selected, share) in enumerate(zip(kept, shares, strict=True)):
         if selected.located.calibrated and parameters.min_deviations(index) < UNSTATED_DEVIATIONS:
             continue
         located, effect = selected.located, selected.located.effect
-        open_ = after[selected.channel] > MISFIT_RATIO
-        misfit = MISFIT_ODDS * (1.0 - refitted[index]) if open_ else 0.0
+        unknown = gains[index].open_share
         values = parameters.parameters(index, located.constants(constants))
+        before = parameters.prior_deviations(index, located.constants(constants))
+        reported = tuple(
+            Parameter(
+                name=name,
+                value=value,
+                sd=sd,
+                unit=located.unit_of(name, constants),
+                prior_sd=before[name],
+            )
+            for name, (value, sd) in values.items()
+        )
         chance = max(
             parameters.p_value(index),
-            _reported_p_value(parameters.effects[index], values, located.constants(constants)),
+            _reported_p_value(parameters.effects[index], reported, located.constants(constants)),
         )
         # The mean of few runs differs between two states by chance, at any of the joints.
         places = n if effect.only_in and located.joint is not None else 1
-        misfit = 1.0 - (1.0 - max(misfit, _null_share(chance, places))) * float(again[index])
+        sure = gains[index].support if located.run is None else 1.0
+        sure *= float(again[index])
+        misfit = 1.0 - (1.0 - max(unknown, _null_share(chance, places))) * sure
         findings.append(
             Finding(
                 estimated=parameters.effects[index],
@@ -94,10 +103,7 @@ def build_findings(
                 probability=(1.0 - misfit) * selected.probability,
                 misfit=misfit,
                 rivals=build_rivals(selected, 1.0 - misfit),
-                parameters=tuple(
-                    Parameter(name=name, value=value, sd=sd, unit=located.unit_of(name, constants))
-                    for name, (value, sd) in values.items()
-                ),
+                parameters=reported,
                 where=effect.signature,
                 channel=channel_name(selected.channel, n),
                 variance_explained=share,
@@ -119,22 +125,23 @@ def _null_share(chance: float, places: int = 1) -> float:
 
 
 def _reported_p_value(
-    found: EstimatedEffect, values: Mapping[str, tuple[float, float]], constants: Constants
+    found: EstimatedEffect, reported: Sequence[Parameter], constants: Constants
 ) -> float:
-    """Return the p-value of the reported sizes of an effect; 0 where none is zero without it.
+    """Return the p-value of the reported sizes of an effect.
 
-    A size is a value that falls with the amplitudes; a place, a factor or a ratio is none.
+    A size is a value that falls with the amplitudes; a place, a factor or a ratio is none. Without
+    a size the effect is told by values of which one at least has to be determined.
     """
     located = found.located
     smaller = tuple(_SMALL_SHARE * amplitude for amplitude in found.amplitudes)
     small = located.effect.parameters(smaller, located.shapes, constants)
     ratios = [
-        abs(value) / sd
-        for name, (value, sd) in values.items()
-        if sd > 0.0 and abs(small[name]) <= 2.0 * _SMALL_SHARE * abs(value)
+        abs(each.value) / each.sd
+        for each in reported
+        if each.sd > 0.0 and abs(small[each.name]) <= 2.0 * _SMALL_SHARE * abs(each.value)
     ]
     if not ratios:
-        return 0.0
+        return 0.0 if any(each.determined for each in reported) else _UNDETERMINED_P_VALUE
     return min(1.0, 2.0 * len(ratios) * float(special.ndtr(-max(ratios))))
 
 

@@ -259,9 +259,7 @@ def _run_diagnosis(
         again = np.ones(len(selected))
     findings = finish_step(
         stopped,
-        lambda: build_findings(
-            result.comparison, selected, parameters, training, result.after, again
-        ),
+        lambda: build_findings(result.comparison, selected, parameters, training, again),
     )
     limits: tuple[DetectionLimit, ...] = (
         skip_if_stopped(

@@ -27,6 +27,7 @@ from stiffopt.discovery.search.search import SearchResult
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.thresholds import FOUND_PROBABILITY, NAMED_PROBABILITY
 from stiffopt.discovery.training import Training
+from stiffopt.formatting import pm
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import Fault
 from stiffopt.recording.state_pair import StatePair
@@ -46,12 +47,25 @@ class Parameter:
     value, sd : float
         The value and one standard deviation [unit].
     unit : str
+    prior_sd : float
+        Standard deviation before any recording; infinite where nothing is known [unit].
     """
 
     name: str
     value: float
     sd: float
     unit: str
+    prior_sd: float = float("inf")
+
+    @property
+    def determined(self) -> bool:
+        """False where the recordings say next to nothing of the value."""
+        return self.sd <= max(self.prior_sd, abs(self.value))
+
+    @property
+    def text(self) -> str:
+        """Value with its standard deviation and unit, or "not determined"."""
+        return pm(self.value, self.sd, self.unit) if self.determined else "not determined"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

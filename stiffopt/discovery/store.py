@@ -174,7 +174,8 @@ def _finding_entry(statement: Statement, constants: RobotConstants) -> dict[str,
         "to_do": statement.action,
         "equation": finding.effect.equation,
         "parameters": {
-            p.name: {"value": p.value, "sd": p.sd, "unit": p.unit} for p in finding.parameters
+            p.name: {"value": p.value, "sd": p.sd, "unit": p.unit, "determined": p.determined}
+            for p in finding.parameters
         },
         "where": finding.where,
         "link": finding.link,

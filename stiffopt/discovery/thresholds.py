@@ -96,12 +96,6 @@ ADDED_MASS_OFFSET = 0.1
 # Rounds of exchanges for likelier rivals and of confirmation.
 MAX_EXCHANGES = 3
 
-# ---- Probability of an unknown cause [0036]
-
-# Normalised residual from which a channel counts as misfit, and the probability of an unknown cause
-# there.
-MISFIT_RATIO, MISFIT_ODDS = 2.0, 0.5
-
 # Normalised residual of a fit with vibration from which a quasi-static one is tried as well [0037].
 MAX_VIBRATION_MISFIT = 1.5
 

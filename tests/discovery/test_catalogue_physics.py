@@ -223,8 +223,10 @@ def test_inertial_effects_sum_regressor_columns():
         np.testing.assert_allclose(found, columns @ np.array(amplitudes), rtol=1e-12, atol=1e-14)
     values = effect("payload").parameters([0.5, 0.01, 0.0, -0.02], [], ROBOT.constants)
     assert values == pytest.approx({"dm": 0.5, "cx": 0.02, "cy": 0.0, "cz": -0.04})
-    link = effect("inertial_error").parameters([0.5, 0.03, 0.0, -0.04], [], ROBOT.constants)
+    amplitudes = [0.5, 0.03, 0.0, -0.04, 0.2, 7.0, 0.0, 7.0, 7.0, -0.1]
+    link = effect("inertial_error").parameters(amplitudes, [], ROBOT.constants)
     assert link["dmc"] == pytest.approx(0.05)
+    assert link["dI"] == pytest.approx(0.05**0.5)
 
 
 def test_reading_and_spring_terms_have_expected_signs():

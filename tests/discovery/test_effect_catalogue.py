@@ -79,7 +79,14 @@ REPORTED = {
     "turning_tool_force": {"fx": "N", "fy": "N", "fz": "N"},
     "wrist_coupling": {"c": ""},
     "external_contact": {"k": "N/m", "z": "m"},
-    "inertial_error": {"dm": "kg", "dmc": "kg m", "dmcx": "kg m", "dmcy": "kg m", "dmcz": "kg m"},
+    "inertial_error": {
+        "dm": "kg",
+        "dmc": "kg m",
+        "dI": "kg m^2",
+        "dmcx": "kg m",
+        "dmcy": "kg m",
+        "dmcz": "kg m",
+    },
     "encoder_skew": {"d": "s"},
     "encoder_zero_change": {"off": "rad"},
 }

@@ -101,7 +101,7 @@ def test_ctrl_c_in_last_stages_keeps_findings(tmp_path, monkeypatch, stage, told
         (rivals, "rank_rivals", "not compared with their rivals"),
         (diagnosing, "assess_findings", "after the search"),
         (diagnosing, "refit_friction", "without samples near standstill"),
-        (conclusions, "held_out_shares", "after the search"),
+        (conclusions, "left_out_gains", "after the search"),
         (diagnosing, "detection_limits", "detection limits"),
     ],
 )

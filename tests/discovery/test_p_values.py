@@ -5,7 +5,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from test_admissible_shapes import JOINT
 
+from stiffopt.discovery.catalogue import effect
+from stiffopt.discovery.comparison.located_effect import LocatedEffect, with_amplitudes
+from stiffopt.discovery.diagnosis import Parameter
 from stiffopt.discovery.search.uncertainty import Estimate, null_probability
 
 RUNS, STRETCHES = 8, 40
@@ -85,3 +89,33 @@ def test_null_probability_is_sellke_bound():
     assert null_probability(1.0) == 0.5
     # Three times the prior odds against it.
     assert null_probability(1.0, 3.0) == 0.75
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "prior_sd", "text"),
+    [
+        (0.34, 0.02, 2.0, "340 ± 20 mrad"),
+        (0.001, 0.02, 2.0, "0 ± 20 mrad"),  # a place may be zero
+        (1.0, 10.0, 2.0, "not determined"),
+    ],
+)
+def test_value_that_the_recordings_do_not_tell_is_not_printed(
+    value: float, sd: float, prior_sd: float, text: str
+) -> None:
+    known = Parameter(name="q0", value=value, sd=sd, unit="rad", prior_sd=prior_sd)
+    assert known.text == text
+
+
+def test_prior_of_reported_values_is_that_of_amplitudes_and_initial_shapes() -> None:
+    """Lost preload is reported as the torque that its contacts still carry."""
+    loss, constants = effect("preload_loss"), JOINT
+    located = LocatedEffect(effect=loss, joint=0, shapes=(0.1, 0.5))
+    (found,) = with_amplitudes([located], np.ones(1), [np.ones(1)])
+    estimate = replace(
+        _estimate(np.ones(1), np.eye(1), np.eye(1)),
+        effects=(found,),
+        shape_sizes=(np.array([0.1, 0.5]),),
+    )
+    tried = loss.shapes[0].grid(constants)
+    expected = (max(tried) - min(tried)) * constants.torque_rated
+    assert estimate.prior_deviations(0, constants)["tp"] == pytest.approx(expected)

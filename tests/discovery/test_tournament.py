@@ -9,7 +9,7 @@ from shipped_set import SHIPPED
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.judging.ensemble import recurrence
+from stiffopt.discovery.judging.ensemble import _mean_share, recurrence
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.tournament import (
     CATALOGUE_MODEL,
@@ -70,3 +70,10 @@ def test_friction_lines_win_over_an_effect_that_only_fits_noise(comparison: Comp
     found = hold_tournament(comparison, [calibrated], None, [calibrated, *useless])
     order = [each.name for each in found]
     assert order.index(FRICTION_LINES) < order.index(CATALOGUE_MODEL)
+
+
+def test_kinds_of_perturbation_have_equal_weight() -> None:
+    """Named without each of nine stretches, but not with free masses."""
+    acts, yes, no = np.ones(1, dtype=bool), np.ones(1, dtype=bool), np.zeros(1, dtype=bool)
+    share = _mean_share([[(yes, acts)] * 9, [(no, acts)], [(yes, ~acts)]], 1)
+    np.testing.assert_array_equal(share, [0.5])

@@ -90,9 +90,11 @@ def _report_link(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
 ) -> Mapping[str, float]:
     mass, *moments = amplitudes[:4]
+    xx, _, yy, _, _, zz = amplitudes[4:]
     return {
         "dm": mass,
         "dmc": float(np.linalg.norm(moments)),
+        "dI": float(np.linalg.norm((xx, yy, zz))),
         **dict(zip(("dmcx", "dmcy", "dmcz"), moments, strict=True)),
     }
 
@@ -206,7 +208,7 @@ INERTIAL_ERROR = Effect(
     equation="s += Y_link(q, v, a)*(dm, dmc, dI)",
     signature="torques of a link's own joint and of those before it off together, with gravity and"
     " acceleration",
-    phrase="mass off by {dm}, first moment off by {dmc}",
+    phrase="mass off by {dm}, first moment by {dmc}, inertia by {dI}",
     remedy="Check what is mounted on {where}: hoses, valves, covers; else change its mass by {dm}.",
     tolerances=("mass", "com"),
     needs=("torque", "moves"),
@@ -216,7 +218,7 @@ INERTIAL_ERROR = Effect(
     term=inertial_error_term,
     amplitudes=(_MASS_AMPLITUDE, *_moment_amplitudes("dmcx", "dmcy", "dmcz"), *_INERTIA_AMPLITUDES),
     report=_report_link,
-    units={"dmc": "kg m"},
+    units={"dmc": "kg m", "dI": "kg m^2"},
     separate="Move the joint of the link through its whole stroke, fast and slowly, in several"
     " postures of the others: friction turns with the direction, masses do not.",
 )

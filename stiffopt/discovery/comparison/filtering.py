@@ -105,6 +105,14 @@ class ZeroPhaseFilter:
         """Standard deviation of filtered white noise of unit standard deviation."""
         return float(np.sqrt(np.sum(self._kernel**2)))
 
+    @cached_property
+    def row_correlation(self) -> float:
+        """Correlation of neighbouring rows of filtered white noise."""
+        step, kernel = self.step, self._kernel
+        return (
+            float(kernel[step:] @ kernel[:-step] / (kernel @ kernel)) if step < len(kernel) else 0.0
+        )
+
     @property
     def step(self) -> int:
         """Decimation factor of rows: closer rows carry no further information."""

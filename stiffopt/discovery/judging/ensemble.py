@@ -3,7 +3,7 @@
 The evidence of one fit takes its formulas for nature's. A finding that rests on a few seconds, on
 the start of the runs, on one band or on the nominal masses does not come again in fits that lack
 these. The probability of every finding is multiplied by the share of the members that name it
-again.
+again, stretches, starts, band and masses of equal weight.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ START_CUTS = (0.03, 0.05, 0.10)
 # Share of a finding's evidence, or of the required one if that is less, in proportion to the rows
 # of a member, with which it is named again: evidence of equal stretches differs by about as much.
 MIN_EVIDENCE_KEPT = 0.5
-# Prior standard deviation of inertial parameters over their typical sizes in the member with free
-# masses: the second widest of the re-identification.
-FREE_WIDTH = PRIOR_WIDTHS[-2]
+# Prior standard deviations of inertial parameters over their typical sizes in the members with free
+# masses: the two widest of the re-identification.
+FREE_WIDTHS = PRIOR_WIDTHS[-2:]
 
 
 def recurrence(
@@ -55,7 +55,7 @@ def recurrence(
     half_band : Comparison or None
         The same runs in half the band.
     free_bodies : bool
-        True where no tolerance of masses is stated, so that a member frees them.
+        True where no tolerance of masses is stated, so that members free them.
 
     Notes
     -----
@@ -67,16 +67,11 @@ def recurrence(
     one odd run is no drift.
     """
     signs = np.sign(comparison.fit([each.located for each in selected]).amplitudes())
-    named, counted = np.zeros(len(selected)), np.zeros(len(selected))
     own = _Member(comparison, selected, signs)
-    others = _other_members(comparison, half_band, free_bodies=free_bodies)
-    for again, acts in (
-        *(own.named_again(kept) for kept in _kept_rows(comparison)),
-        *(_Member(other, selected, signs).named_again() for other in others),
-    ):
-        named += again & acts
-        counted += acts
-    share = np.where(counted > 0, named / np.maximum(counted, 1), 1.0)
+    kinds = [[own.named_again(kept) for kept in kind] for kind in _kept_rows(comparison)]
+    for others in _other_members(comparison, half_band, free_bodies=free_bodies):
+        kinds.append([_Member(other, selected, signs).named_again() for other in others])
+    share = _mean_share(kinds, len(selected))
     drifts = np.array([each.located.effect.of_runs is not None for each in selected])
     if drifts.any():
         number = comparison.rows.sample_signal(lambda run: np.full(len(run.time), run.index))
@@ -86,28 +81,45 @@ def recurrence(
     return share
 
 
-def _kept_rows(comparison: Comparison) -> Iterator[np.ndarray]:
-    """Yield masks (m,) of the rows that are left without a stretch, or without starts of runs."""
+def _mean_share(kinds: Sequence[Sequence[tuple[np.ndarray, np.ndarray]]], count: int) -> np.ndarray:
+    """Return the share (e,) of members that name a finding again, every kind of equal weight.
+
+    A finding that rests on one kind of assumption does not become surer by many members of others.
+    """
+    shares = []
+    for kind in kinds:
+        named = sum((again & acts for again, acts in kind), np.zeros(count))
+        counted = sum((acts for _, acts in kind), np.zeros(count))
+        shares.append(np.where(counted > 0, named / np.maximum(counted, 1), np.nan))
+    known = np.isfinite(shares)
+    return np.where(
+        known.any(axis=0), np.nansum(shares, axis=0) / np.maximum(known.sum(axis=0), 1), 1.0
+    )
+
+
+def _kept_rows(comparison: Comparison) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Return masks (m,) of the rows that are left without a stretch, and without starts of runs."""
     fold = number_folds(comparison)
-    for left_out in range(int(fold.max()) + 1):
-        yield fold != left_out
 
     def progress(run: PreparedRun) -> np.ndarray:
         return np.asarray((run.time - run.time[0]) / float(run.time[-1] - run.time[0]))
 
     share = comparison.rows.sample_signal(progress)
-    for cut in START_CUTS:
-        yield share >= cut
+    return (
+        [fold != left_out for left_out in range(int(fold.max()) + 1)],
+        [share >= cut for cut in START_CUTS],
+    )
 
 
 def _other_members(
     comparison: Comparison, half_band: Comparison | None, *, free_bodies: bool
-) -> Iterator[Comparison]:
-    """Yield the comparisons in half the band and with free masses, where there are any."""
+) -> Iterator[Iterator[Comparison]]:
+    """Yield the comparisons in half the band, and those with free masses, where there are any."""
     if half_band is not None:
-        yield half_band
+        yield iter([half_band])
     if free_bodies:
-        yield comparison.with_bodies(FREE_WIDTH * body_units(comparison.robot))
+        units = body_units(comparison.robot)
+        yield (comparison.with_bodies(width * units) for width in FREE_WIDTHS)
 
 
 class _Member:

@@ -11,11 +11,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import special
 
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.design_matrix import MIN_RUNS_AS_BLOCKS
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
+from stiffopt.discovery.search.uncertainty import number_stretches
 from stiffopt.discovery.thresholds import (
     MAX_CANCELLATION_RATIO,
     MIN_ACTIVE_SHARE,
@@ -170,23 +172,110 @@ def _cancellation_ratios(comparison: Comparison, effects: Sequence[LocatedEffect
     return np.array(found)
 
 
-def held_out_shares(comparison: Comparison, effects: Sequence[LocatedEffect]) -> tuple[float, ...]:
-    """Return the share of its best channel's squares that each effect removes in folds left out.
+@dataclass(frozen=True, kw_only=True)
+class LeftOutGain:
+    """Gain of an effect in folds left out, against a refit without it.
 
-    Against a refit without it, 0 to 1, one per effect.
+    Parameters
+    ----------
+    removed : float
+        Squares over the stated noise that it removes in its best channel.
+    left_open : float
+        Squares of what the fit with it leaves there from sample to sample alike, as a law that is
+        missing does; noise, however large, does not.
+    share : float
+        Share of the channel's squares that it removes, 0 to 1.
+    support : float
+        Probability that it improves predictions at all, by the spread of its gain between
+        stretches (Student's t): errors of a law are correlated within a stretch, so that the number
+        of samples says nothing.
     """
+
+    removed: float
+    left_open: float
+    share: float
+    support: float
+
+    @property
+    def open_share(self) -> float:
+        """Share of what laws make in the channel that stays open, 0 to 1."""
+        whole = self.removed + self.left_open
+        return self.left_open / whole if whole > 0.0 else 1.0
+
+
+def left_out_gains(
+    comparison: Comparison, effects: Sequence[LocatedEffect]
+) -> tuple[LeftOutGain, ...]:
+    """Return the gain of every effect in folds left out."""
     if not effects:
         return ()
     columns, prior, owner = _stack_columns(comparison, effects)
-    sums = _sum_folds(comparison, columns, prior, number_folds(comparison))
-    errors = sums.errors(np.arange(len(owner)))
-    shares = []
+    fold, stretch = number_folds(comparison), number_stretches(comparison)
+    if stretch.max() < fold.max():
+        stretch = fold
+    channel, noise = comparison.rows.channel, comparison.inflation[comparison.rows.channel] ** 2
+    now = _predict_folds(comparison, columns, prior, fold)
+    gains = []
     for k in range(len(effects)):
-        without = sums.errors(np.flatnonzero(owner != k))
-        falls = (without - errors).sum(axis=0)
-        own = int(np.argmax(falls))
-        shares.append(float(np.clip(falls[own] / without[:, own].sum(), 0.0, 1.0)))
-    return tuple(shares)
+        without = _predict_folds(comparison, columns[:, owner != k], prior[owner != k], fold)
+        fall = without**2 - now**2
+        own = channel == int(np.argmax(np.bincount(channel, fall)))
+        removed = max(float(np.sum((fall * noise)[own])), 0.0)
+        before = float(np.sum(without[own] ** 2))
+        gains.append(
+            LeftOutGain(
+                removed=removed,
+                left_open=_smooth_squares(comparison, now * noise**0.5, own),
+                share=float(np.clip(np.sum(fall[own]) / before, 0.0, 1.0)) if before > 0.0 else 0.0,
+                support=_probability_of_gain(np.bincount(stretch, fall)),
+            )
+        )
+    return tuple(gains)
+
+
+def _predict_folds(
+    comparison: Comparison, columns: np.ndarray, prior: np.ndarray, fold: np.ndarray
+) -> np.ndarray:
+    """Return the residual (m,) of every fold by a fit to the other folds."""
+    target = comparison.target
+    gram, moment = columns.T @ columns + np.diag(prior**-2.0), columns.T @ target
+    left = np.empty_like(target)
+    for number in range(int(fold.max()) + 1):
+        own = fold == number
+        part = columns[own]
+        values = np.linalg.solve(gram - part.T @ part, moment - part.T @ target[own])
+        left[own] = target[own] - part @ values
+    return left
+
+
+def _smooth_squares(comparison: Comparison, residual: np.ndarray, own: np.ndarray) -> float:
+    """Return the squares of a residual (m,) in some rows that neighbouring rows share.
+
+    Filtered noise is correlated as far as the filter makes it; what is correlated beyond that, and
+    beyond the standard deviation of that correlation, is no noise.
+    """
+    run = comparison.rows.sample_signal(lambda each: np.full(len(each.time), float(each.index)))
+    time = comparison.rows.sample_signal(lambda each: each.time)
+    filters = {float(each.index): each.low_pass for each in comparison.runs}
+    shared, square, white = 0.0, 0.0, 0.0
+    for number, low_pass in filters.items():
+        rows = own & (run == number)
+        left, gaps = residual[rows], np.diff(time[rows])
+        if len(left) < 2:
+            continue
+        beside, white = gaps < 1.5 * gaps.min(), low_pass.row_correlation
+        shared += float(np.sum((left[1:] * left[:-1])[beside])) / float(np.mean(beside))
+        square += float(left @ left)
+    chance = int(own.sum()) ** -0.5
+    return max(shared - (white + chance) * square, 0.0) / (1.0 - white)
+
+
+def _probability_of_gain(falls: np.ndarray) -> float:
+    """Return the probability that the mean of falls of squares (b,) is above zero."""
+    spread = float(falls.std(ddof=1)) if len(falls) > 1 else 0.0
+    if spread == 0.0:
+        return 0.5 if falls.sum() <= 0.0 else 1.0
+    return float(special.stdtr(len(falls) - 1, falls.mean() / spread * np.sqrt(len(falls))))
 
 
 def _stack_columns(

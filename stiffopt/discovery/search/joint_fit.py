@@ -7,7 +7,7 @@ import numpy as np
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, effect_places
 from stiffopt.discovery.search.candidates import Candidate, Scorer
-from stiffopt.discovery.search.cross_validation import held_out_shares, select_predictive
+from stiffopt.discovery.search.cross_validation import left_out_gains, select_predictive
 from stiffopt.discovery.search.uncertainty import jackknife_significance
 from stiffopt.discovery.thresholds import (
     CONFIRMED_DEVIATIONS,
@@ -129,13 +129,13 @@ def select_supported(
     sure = confirm_effects(comparison, effects, strict=strict)
     if strict:
         return select_predictive(comparison, sure)
-    shares = held_out_shares(comparison, sure)
+    gains = left_out_gains(comparison, sure)
     return [
         e
-        for e, share in zip(sure, shares, strict=True)
+        for e, gain in zip(sure, gains, strict=True)
         if e.run is not None
         or e.calibrated
-        or share >= MIN_HELD_OUT_SHARE
+        or gain.share >= MIN_HELD_OUT_SHARE
         or _is_supported_by_nominal(comparison, sure, e)
     ]
 

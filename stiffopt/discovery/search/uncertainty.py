@@ -76,25 +76,8 @@ class Estimate:
         """
         found = self.effects[index]
         effect = found.located.effect
-        rows, steps = self._parameter_rows(index)
-        inputs = np.array([*found.amplitudes, *found.located.shapes])
-        count = len(found.amplitudes)
-
-        def report(at: np.ndarray) -> np.ndarray:
-            values = effect.parameters(tuple(at[:count]), tuple(at[count:]), constants)
-            return np.array(list(values.values()), dtype=float)
-
-        names = list(effect.parameters(found.amplitudes, found.located.shapes, constants))
-        slopes = np.column_stack(
-            [
-                (
-                    report(inputs + _DIFFERENCE_STEP * step)
-                    - report(inputs - _DIFFERENCE_STEP * step)
-                )
-                / (2.0 * _DIFFERENCE_STEP)
-                for step in np.diag(steps)
-            ]
-        )
+        rows, _ = self._parameter_rows(index)
+        values, slopes = self._reported_values(index, constants)
         variances = [
             np.einsum("ij,jk,ik->i", slopes, matrix[np.ix_(rows, rows)], slopes)
             for matrix in (self.covariance, self.spread, self._between_runs(index))
@@ -102,11 +85,47 @@ class Estimate:
         variance = np.max(variances, axis=0)
         if effect.drawn is not None:
             few = effect.drawn(found.amplitudes, found.located.shapes, constants)
-            variance = variance + np.array([few[name] for name in names]) ** 2
-        sd = np.sqrt(variance)
+            variance = variance + np.array([few[name] for name in values]) ** 2
         return {
-            name: (float(v), float(s)) for name, v, s in zip(names, report(inputs), sd, strict=True)
+            name: (value, float(sd))
+            for (name, value), sd in zip(values.items(), np.sqrt(variance), strict=True)
         }
+
+    def prior_deviations(self, index: int, constants: Constants) -> dict[str, float]:
+        """Return the standard deviations of the reported values before any recording.
+
+        Amplitudes are of their typical size, shapes within the range of their initial values;
+        infinite where a shape has a single one.
+        """
+        located = self.effects[index].located
+        values, slopes = self._reported_values(index, constants)
+        ranges = [
+            np.ptp(shape.grid(constants)) / size if len(shape.grid(constants)) > 1 else np.inf
+            for shape, size in zip(located.effect.shapes, self.shape_sizes[index], strict=True)
+        ]
+        prior = np.array([*np.ones(len(self.sizes[index])), *ranges])
+        own = [np.linalg.norm((row * prior)[row != 0.0]) for row in slopes]
+        return {name: float(sd) for name, sd in zip(values, own, strict=True)}
+
+    def _reported_values(
+        self, index: int, constants: Constants
+    ) -> tuple[dict[str, float], np.ndarray]:
+        """Return the reported values, and their slopes by amplitudes and shapes over sizes."""
+        found = self.effects[index]
+        effect = found.located.effect
+        _, steps = self._parameter_rows(index)
+        inputs = np.array([*found.amplitudes, *found.located.shapes])
+        count = len(found.amplitudes)
+
+        def report(at: np.ndarray) -> dict[str, float]:
+            return effect.parameters(tuple(at[:count]), tuple(at[count:]), constants)
+
+        def difference(step: np.ndarray) -> np.ndarray:
+            ends = [list(report(inputs + sign * step).values()) for sign in (1.0, -1.0)]
+            return np.subtract(*np.array(ends, dtype=float)) / (2.0 * _DIFFERENCE_STEP)
+
+        slopes = np.column_stack([difference(_DIFFERENCE_STEP * step) for step in np.diag(steps)])
+        return {name: float(value) for name, value in report(inputs).items()}, slopes
 
     def p_value(self, index: int) -> float:
         """Return the p-value of one effect: probability of amplitudes as large without it.

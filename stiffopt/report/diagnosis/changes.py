@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from stiffopt.discovery.answer import (
@@ -12,7 +13,7 @@ from stiffopt.discovery.answer import (
     place,
 )
 from stiffopt.recording.state_pair import StatePair
-from stiffopt.report.common.text import capital, listed, percent, pm, si, significant
+from stiffopt.report.common.text import capital, listed, percent, si, significant
 from stiffopt.report.diagnosis.words import channels_in_words, new_and_unstated
 from stiffopt.units import joint_unit
 
@@ -135,7 +136,7 @@ def _change_phrase(diagnosis: Diagnosis, finding: Finding) -> str:
 def _format_values(diagnosis: Diagnosis, finding: Finding) -> str:
     slides = is_prismatic(diagnosis, finding.located)
     return ", ".join(
-        f"{p.name} = {pm(p.value, p.sd, joint_unit(p.unit, slides))}" for p in finding.parameters
+        f"{p.name} = {replace(p, unit=joint_unit(p.unit, slides)).text}" for p in finding.parameters
     )
 
 
