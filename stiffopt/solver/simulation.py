@@ -38,6 +38,7 @@ from stiffopt.result.status import SolveStatus
 from stiffopt.robot.batched_kinematics import frame_positions, frame_rotations
 from stiffopt.solver.command_search import CommandOnArms
 from stiffopt.solver.compensation import compensate
+from stiffopt.solver.exchange import until_interrupted
 from stiffopt.solver.solve_run import ProgressCallback, SolveProgress
 
 if TYPE_CHECKING:
@@ -56,6 +57,13 @@ _STANDSTILL_SPEED = 1e-6
 _COMMAND_NOT_REQUESTED = (
     "No command.csv: no objective or limit concerns the arm's elasticity. State [uncertainty] for "
     "a command with compensation of the wind-up, judged on uncertain arms."
+)
+_COMMAND_INTERRUPTED = (
+    "The search for a command was interrupted: no command.csv was written; solve again for it."
+)
+_SIMULATION_INTERRUPTED = (
+    "The elastic simulation was interrupted; `stiffopt simulate` repeats it. No command.csv was "
+    "written; solve again for it."
 )
 
 
@@ -309,47 +317,33 @@ def with_simulation(
             arm = arm.under(solution.trajectory.force)
         counted = assessment.feasible(CERTIFICATE_TOLERANCE)
         own = PlannedMotion.of("optimised", assessment, counted)
-        others = rival_motions(problem, motion, assessment.duration)
         if solution.trajectory is not None and solution.trajectory.link is not None:
             own = replace(own, motors=solution.trajectory)
-        band = problem.active_limits.settling_band
-        simulation = simulate_motions(problem, arm, [own, *others], band=band)
+
+        def simulated() -> tuple[list[PlannedMotion], Simulation] | None:
+            motions = [own, *rival_motions(problem, motion, assessment.duration)]
+            band = problem.active_limits.settling_band
+            return motions, simulate_motions(problem, arm, motions, band=band)
+
+        found = until_interrupted(simulated, lambda: None)
+        if found is None:
+            return _add_note(solution, _SIMULATION_INTERRUPTED)
+        motions, simulation = found
         solution = replace(solution, simulation=simulation)
         unsure = damping_sensitivity_note(problem, assessment) if counted else ""
         solution = _add_note(solution, unsure) if unsure else solution
-        if problem.boundary_velocity is not None and np.any(problem.boundary_velocity):
-            return _add_note(solution, "No command.csv: the motion does not start and end at rest.")
-        if own.vibrates_after_arrival:
-            return _add_note(
-                solution,
-                "No command.csv: the plan has residual vibration within the limits; q of "
-                "trajectory.csv is the command for it.",
-            )
-        if not _requests_command(problem):
-            return _add_note(solution, _COMMAND_NOT_REQUESTED)
+        if reason := _explain_missing_command(problem, own):
+            return _add_note(solution, reason)
         if command is not None and command.motion.motors is not solution.trajectory:
             command = None
-        compensation = compensate(
-            problem,
-            arm,
-            [own, *others],
-            known=command,
-            progress=_progress_callback(progress, solution),
-        )
-    except KeyboardInterrupt:
-        if solution.simulation is not None:
-            return _add_note(
-                solution,
-                "The search for a command was interrupted: no command.csv was written; solve again "
-                "for it.",
-            )
-        return _add_note(
-            solution,
-            "The elastic simulation was interrupted; `stiffopt simulate` repeats it. No "
-            "command.csv was written; solve again for it.",
+        tell = _progress_callback(progress, solution)
+        compensation = until_interrupted(
+            lambda: compensate(problem, arm, motions, known=command, progress=tell), lambda: None
         )
     except NotSimulatedError as error:
         return _add_note(solution, f"Not simulated on the elastic arm: {error}")
+    if compensation is None:
+        return _add_note(solution, _COMMAND_INTERRUPTED)
     return _with_path_notes(problem, replace(solution, compensation=compensation))
 
 
@@ -422,6 +416,18 @@ def _describe_force_error(problem: TrajectoryProblem, solution: Solution) -> str
         f"{told} Normal to the machined surface that is {normal[0]} along the tool's axis and "
         f"{normal[1]} to the side of the feed."
     )
+
+
+def _explain_missing_command(problem: TrajectoryProblem, own: PlannedMotion) -> str:
+    """Return why no command is made for a motion, "" where one is."""
+    if problem.boundary_velocity is not None and np.any(problem.boundary_velocity):
+        return "No command.csv: the motion does not start and end at rest."
+    if own.vibrates_after_arrival:
+        return (
+            "No command.csv: the plan has residual vibration within the limits; q of "
+            "trajectory.csv is the command for it."
+        )
+    return "" if _requests_command(problem) else _COMMAND_NOT_REQUESTED
 
 
 def _requests_command(problem: TrajectoryProblem) -> bool:
