@@ -149,7 +149,9 @@ def interrupted_outcome(run: SolveRun) -> Outcome:
     KeyboardInterrupt
         No stage has started yet.
     """
-    if run.best is None and run.unfinished is None:
-        raise KeyboardInterrupt
-    outcome = run.best or run.unfinished()
+    outcome = run.best
+    if outcome is None:
+        if run.unfinished is None:
+            raise KeyboardInterrupt
+        outcome = run.unfinished()
     return replace(outcome, raw=replace(outcome.raw, status="interrupted", reason="Ctrl-C"))

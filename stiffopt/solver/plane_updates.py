@@ -35,7 +35,7 @@ class StageEnd:
     raw: RawSolution
 
 
-class SeparatingPlanes(Oracle[StageEnd]):
+class PlaneUpdates(Oracle[StageEnd]):
     """Planes of a stage, which starts from `x`."""
 
     step: ClassVar[str] = "separating planes"
@@ -60,7 +60,7 @@ class SeparatingPlanes(Oracle[StageEnd]):
     def propose(self, last: StageEnd, number: int) -> Proposal[StageEnd] | None:
         """Return a solve with planes of the last motion; None where these have settled."""
         raw = last.raw
-        if raw.status == "time_limit" or self._has_settled(raw):
+        if raw.status == "time_limit" or self._has_converged(raw):
             return None
         begin = time.perf_counter()
         same, clear = False, not self._rows.collides_elsewhere(raw.x)
@@ -88,7 +88,7 @@ class SeparatingPlanes(Oracle[StageEnd]):
             ),
         )
 
-    def _has_settled(self, raw: RawSolution) -> bool:
+    def _has_converged(self, raw: RawSolution) -> bool:
         """Return True where the last update has changed nothing, or removed no infeasibility."""
         before = self._before
         if before is None:

@@ -15,7 +15,7 @@ from stiffopt.solver.exchange import exchange
 from stiffopt.solver.infeasibility import minimise_excess
 from stiffopt.solver.ipopt import RawSolution
 from stiffopt.solver.monitor import FEASIBLE_VIOLATION
-from stiffopt.solver.plane_updates import SeparatingPlanes, StageEnd
+from stiffopt.solver.plane_updates import PlaneUpdates, StageEnd
 from stiffopt.solver.programme import (
     Outcome,
     Programme,
@@ -109,7 +109,7 @@ def _iterate_stages(
         raw = solve_stage(run, made, stage, x, warm, label)
         raw, hopeless = _analyse_failed_stage(run, made, stage, x, raw, last=index == last)
         if run.avoidance is not None:
-            planes = SeparatingPlanes(run, run.avoidance, stage, x, last=index == last)
+            planes = PlaneUpdates(run, run.avoidance, stage, x, last=index == last)
             end = exchange(run, planes, StageEnd(made, raw))
             made, raw = end.made, end.raw
         yield made, stage, raw
