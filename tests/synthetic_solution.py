@@ -168,6 +168,14 @@ def solution(joints=2, **changes):
             transcription="piecewise_linear_acceleration",
             intervals=60,
             homotopy=({"intervals": 30, "smoothing": np.float64(4.0), "status": "optimal"},),
+            exchanges=(
+                {
+                    "step": "finer meshes",
+                    "reason": "jerk by 3.20%",
+                    "iterations": 12,
+                    "accepted": True,
+                },
+            ),
         ),
         "notes": ("The sag at the end is 0.4 mm.",),
         "inputs_hash": "0123abcd",

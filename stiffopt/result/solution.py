@@ -96,8 +96,10 @@ class Baseline:
 class SolverRecord:
     """Solver effort, for reports, regression tests and `stiffopt replay`.
 
-    `homotopy` are the programmes solved, in order; `left_out` names the steps that the time limit
-    ended or left out, empty where the answer does not depend on the speed of the machine.
+    `homotopy` are the programmes solved, in order; `exchanges` are the objections to the motions
+    found, each with its step, its reason, the iterations of the solve and whether that motion was
+    accepted; `left_out` names the steps that the time limit ended or left out, empty where the
+    answer does not depend on the speed of the machine.
     """
 
     iterations: int
@@ -106,6 +108,7 @@ class SolverRecord:
     transcription: str
     intervals: int
     homotopy: tuple[dict[str, float | str], ...]
+    exchanges: tuple[dict[str, int | str | bool], ...] = ()
     left_out: tuple[str, ...] = ()
 
 

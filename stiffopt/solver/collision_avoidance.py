@@ -14,9 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stiffopt.baseline.baselines import detour_baseline
-from stiffopt.certificate.collisions import COLLISION_LIMIT, with_collisions
-from stiffopt.certificate.objective_value import is_maximised, objective_value
-from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.dynamics.inverse_kinematics import solve_pose
 from stiffopt.errors import ProblemError
 from stiffopt.problem.input_checks import located_targets
@@ -24,12 +21,14 @@ from stiffopt.result.assessment import Violation
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.solution import Baseline
 from stiffopt.solver.clearance_rows import ClearanceRows
+from stiffopt.solver.exchange import OutcomeOracle, Proposal, exchange, rank_outcome
 from stiffopt.solver.initial_guess import guess_from_motion
 from stiffopt.solver.path_search import FreeSpace
-from stiffopt.solver.refinement import mark_interrupted, refine
+from stiffopt.solver.programme import Outcome, solve_again
+from stiffopt.solver.refinement import refine
 from stiffopt.solver.solve_run import SolveProgress, SolveRun
 from stiffopt.solver.stage_plan import SolveStage, plan_stages
-from stiffopt.solver.stages import Outcome, run_stages, solve_again
+from stiffopt.solver.stages import run_stages
 from stiffopt.transcription.mesh import Mesh
 from stiffopt.transcription.ocp import Guess
 
@@ -41,7 +40,7 @@ _CLEARANCE_INCREASE_FACTOR, _MIN_CLEARANCE_INCREASE, _MAX_CLEARANCE_INCREASE = 1
 # Inverse kinematics starts for a tool position whose first pose collides.
 _ALTERNATIVE_POSES = 100
 # Updates of the planes after back-off corrections, and relative gain below which they end.
-_MAX_PLANE_UPDATES, _MIN_RELATIVE_GAIN = 5, 1e-3
+_MAX_CORRECTED_ROUNDS, _MIN_CORRECTED_GAIN = 5, 1e-3
 # Time of one path search: share of the remaining time, and largest [s].
 _SEARCH_TIME_SHARE, _MAX_SEARCH_SECONDS = 0.2, 20.0
 _AVOIDANCE_TIMED_OUT = "The time limit ended the collision avoidance; raise method.time_limit."
@@ -78,40 +77,27 @@ def avoid_collisions(
         Number of path searches.
     """
     best: Outcome | None = None
-    try:
-        hits = find_collisions(run, plain)
-        if not hits or not plain.raw.converged:
-            return plain
-        for start in _candidate_starts(run, plain, hits, searches):
-            for tried in (start, start.finer()):
-                run.avoidance = ClearanceRows(run.problem, [hit.pair for hit in hits if hit.pair])
-                found = _solve_clear(run, tried, rival)
-                if best is None or _rank_clear(run, found) < _rank_clear(run, best):
-                    best = found
-                if found.raw.status != "infeasible":
-                    break
-            ended = found.raw.status in ("interrupted", "time_limit")
-            # A resolved slight overlap needs no path search.
-            if ended or (start.mesh is not None and _is_certified_and_clear(run, found)):
+    hits = plain.collisions
+    if not hits or not plain.raw.converged:
+        return plain
+    for start in _candidate_starts(run, plain, hits, searches):
+        for tried in (start, start.finer()):
+            run.avoidance = ClearanceRows(run.problem, [hit.pair for hit in hits if hit.pair])
+            found = _solve_clear(run, tried, rival)
+            if best is None or rank_outcome(run, found) < rank_outcome(run, best):
+                best = found
+            if found.raw.status != "infeasible":
                 break
-    except KeyboardInterrupt:
-        return mark_interrupted(plain if best is None else best)
-    if best is None or not (_is_certified_and_clear(run, best) or best.raw.status == "interrupted"):
+        ended = found.raw.status == "time_limit"
+        # A resolved slight overlap needs no path search.
+        if ended or (start.mesh is not None and found.clear):
+            break
+    if best is None or not best.clear:
         if best is not None and found.raw.status == "time_limit":
             run.avoidance_failure = _AVOIDANCE_TIMED_OUT
         return plain
     run.avoidance_failure = ""
     return best
-
-
-def find_collisions(run: SolveRun, outcome: Outcome) -> list[Violation]:
-    """Return the certificate's collision violations, worst first."""
-    motion = with_collisions(run.problem, outcome.assessment)
-    return [
-        v
-        for v in motion.violations
-        if v.limit == COLLISION_LIMIT and v.value > CERTIFICATE_TOLERANCE
-    ]
 
 
 def _candidate_starts(
@@ -176,74 +162,71 @@ def _solve_clear(run: SolveRun, start: _CollisionFreeStart, rival: Baseline | No
     avoidance = run.avoidance
     assert avoidance is not None
     found = refine(run, run_stages(run, start.plan, start.guess, {}, start.mesh), rival)
-    if run.problem.plans_links:
-        found = _update_planes(run, avoidance, found)
-    for _ in range(_MAX_CLEARANCE_INCREASES):
-        hits = find_collisions(run, found)
-        if not hits or not found.raw.converged:
-            break
-        for hit in hits:
+    found = exchange(run, CorrectedPlanes(run, avoidance), found)
+    return exchange(run, Clearances(run, avoidance, rival), found)
+
+
+class Clearances(OutcomeOracle):
+    """Clearances of pairs that the certificate finds too near between two nodes."""
+
+    step = "clearance"
+
+    def __init__(self, run: SolveRun, rows: ClearanceRows, rival: Baseline | None) -> None:
+        super().__init__(run)
+        self._rows, self._rival, self.rounds = rows, rival, _MAX_CLEARANCE_INCREASES
+
+    def propose(self, last: Outcome, number: int) -> Proposal[Outcome] | None:
+        """Return a solve with increased clearances; None without a collision."""
+        if not last.collisions or not last.raw.converged:
+            return None
+        for hit in last.collisions:
             assert hit.pair is not None
             assert hit.distance is not None
-            missing = run.problem.stated_cell.clearance - hit.distance
-            avoidance.increase_clearance(
-                hit.pair,
-                min(
-                    _CLEARANCE_INCREASE_FACTOR * missing + _MIN_CLEARANCE_INCREASE,
-                    _MAX_CLEARANCE_INCREASE,
-                ),
-            )
-        before = found.transcription
-        stage = SolveStage(len(before.intervals), found.smoothing)
-        guess = before.guess_from(found.raw.x)
-        try:
-            again = refine(run, run_stages(run, (stage,), guess, {}, before.mesh), rival)
-        except KeyboardInterrupt:
-            return mark_interrupted(found)
-        if not again.raw.converged and again.raw.status not in ("interrupted", "time_limit"):
-            break
-        found = again
-    return found
+            missing = self.run.problem.stated_cell.clearance - hit.distance
+            more = _CLEARANCE_INCREASE_FACTOR * missing + _MIN_CLEARANCE_INCREASE
+            self._rows.increase_clearance(hit.pair, min(more, _MAX_CLEARANCE_INCREASE))
+        before = last.transcription
+        stage = SolveStage(len(before.intervals), last.smoothing)
+        guess = before.guess_from(last.raw.x)
+
+        def solve() -> Outcome:
+            again = run_stages(self.run, (stage,), guess, {}, before.mesh)
+            return refine(self.run, again, self._rival)
+
+        return Proposal(last.collisions[0].describe(), solve)
 
 
-def _update_planes(run: SolveRun, avoidance: ClearanceRows, found: Outcome) -> Outcome:
-    """Update the planes after corrections have moved the links, with the corrected bounds."""
-    for _ in range(_MAX_PLANE_UPDATES):
-        if not _is_certified_and_clear(run, found) or not found.raw.converged:
-            break
-        transcription, same = avoidance.update_planes(found.transcription, found.raw.x)
+class CorrectedPlanes(OutcomeOracle):
+    """Planes of a motion whose links corrections have moved, with the corrected bounds."""
+
+    step = "separating planes"
+    explores = False
+
+    def __init__(self, run: SolveRun, rows: ClearanceRows) -> None:
+        super().__init__(run)
+        self._rows, self._before = rows, np.inf
+        self.rounds = _MAX_CORRECTED_ROUNDS if run.problem.plans_links else 0
+
+    def propose(self, last: Outcome, number: int) -> Proposal[Outcome] | None:
+        """Return a solve with planes of the last motion; None where that gains nothing."""
+        gain = 1.0 - last.raw.objective / self._before
+        self._before = last.raw.objective
+        if not (last.clear and last.raw.converged) or gain < _MIN_CORRECTED_GAIN:
+            return None
+        transcription, same = self._rows.update_planes(last.transcription, last.raw.x)
         if not same:
-            break
-        corrected, anew = found.solver.nlp, transcription.nlp
-        own = avoidance.base_row_count
+            return None
+        corrected, anew, own = last.nlp, transcription.nlp, self._rows.base_row_count
         nlp = replace(
             anew,
             lower_g=np.append(corrected.lower_g[:own], anew.lower_g[own:]),
             upper_g=np.append(corrected.upper_g[:own], anew.upper_g[own:]),
         )
-        before = replace(found, transcription=replace(transcription, nlp=nlp))
-        try:
-            again = refine(run, solve_again(run, before, nlp, found.smoothing), None)
-        except KeyboardInterrupt:
-            return mark_interrupted(found)
-        if not _is_certified_and_clear(run, again) or _rank_clear(run, again) >= _rank_clear(
-            run, found
-        ):
-            break
-        gain = 1.0 - again.raw.objective / found.raw.objective
-        found = again
-        if gain < _MIN_RELATIVE_GAIN:
-            break
-    return found
-
-
-def _rank_clear(run: SolveRun, outcome: Outcome) -> tuple[bool, float]:
-    value = objective_value(run.problem, outcome.assessment).value
-    return not _is_certified_and_clear(run, outcome), -value if is_maximised(run.problem) else value
-
-
-def _is_certified_and_clear(run: SolveRun, outcome: Outcome) -> bool:
-    return outcome.assessment.feasible(CERTIFICATE_TOLERANCE) and not find_collisions(run, outcome)
+        before = replace(last, transcription=replace(transcription, nlp=nlp))
+        return Proposal(
+            "planes of this motion",
+            lambda: refine(self.run, solve_again(self.run, before, nlp, last.smoothing), None),
+        )
 
 
 def _report_search(run: SolveRun, stage: str, plain: Outcome) -> None:

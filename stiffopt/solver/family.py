@@ -6,6 +6,7 @@ programme; the number of intervals, the objectives, vias and the set of limits d
 
 from __future__ import annotations
 
+import functools
 import json
 from collections import OrderedDict
 from collections.abc import Mapping
@@ -25,13 +26,8 @@ from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.solution import Solution
 from stiffopt.solver.active_set import ActiveSetSolver
-from stiffopt.solver.collision_avoidance import find_collisions
-from stiffopt.solver.refinement import refine
-from stiffopt.solver.simulation import check_simulation, with_simulation
-from stiffopt.solver.solve import preliminary_notes, solution_of, solve_with_state
-from stiffopt.solver.solve_run import ProgressCallback, SolveRun
-from stiffopt.solver.stage_plan import SolveStage, solver_options
-from stiffopt.solver.stages import (
+from stiffopt.solver.exchange import interrupted_outcome, until_interrupted
+from stiffopt.solver.programme import (
     Outcome,
     Programme,
     build_programme,
@@ -39,6 +35,11 @@ from stiffopt.solver.stages import (
     solve_by_active_set,
     solve_stage,
 )
+from stiffopt.solver.refinement import refine
+from stiffopt.solver.simulation import check_simulation, with_simulation
+from stiffopt.solver.solve import preliminary_notes, solution_of, solve_with_state
+from stiffopt.solver.solve_run import ProgressCallback, SolveRun
+from stiffopt.solver.stage_plan import SolveStage, solver_options
 from stiffopt.solver.stationary_joints import fix_creeping_joints
 from stiffopt.solver.verdict import MAX_OBJECTIVE_GAP
 from stiffopt.transcription.build import adapt
@@ -170,7 +171,13 @@ class ProblemFamily:
         if simulate:
             check_simulation(problem, resolve(problem))
         if warm is not None and warm.method == _method_key(problem) and not start:
-            run, outcome = self._solve_warm(problem, warm, progress)
+            motion = resolve(problem)
+            bounded = with_bounded_travel(problem, motion)
+            run = SolveRun(bounded, motion, Scales(warm.scales), progress)
+            outcome = until_interrupted(
+                functools.partial(self._solve_warm, run, warm),
+                functools.partial(interrupted_outcome, run),
+            )
             if outcome is not None:
                 compared = baselines(problem, run.motion) if compare else {}
                 notes = preliminary_notes(problem, run.motion)
@@ -192,21 +199,17 @@ class ProblemFamily:
         self._store_programme(Programme(outcome.transcription, outcome.solver))
         return solution, _warm_start_of(run, outcome)
 
-    def _solve_warm(
-        self, problem: TrajectoryProblem, warm: WarmStart, progress: ProgressCallback | None
-    ) -> tuple[SolveRun, Outcome | None]:
+    def _solve_warm(self, run: SolveRun, warm: WarmStart) -> Outcome | None:
         """Return the outcome from a warm start, None where it is not a certified optimum."""
-        motion = resolve(problem)
-        problem = with_bounded_travel(problem, motion)
+        problem = run.problem
         _ = problem.clearance_model
-        check_clear_poses(problem, motion)
-        run = SolveRun(problem, motion, Scales(warm.scales), progress)
-        if problem.duration[1] < shortest_duration(problem, motion)[0]:
-            return run, None
+        check_clear_poses(problem, run.motion)
+        if problem.duration[1] < shortest_duration(problem, run.motion)[0]:
+            return None
         made = self._programme_for(run, warm)
         nlp = made.transcription.nlp
         if (len(warm.x), len(warm.multipliers_g)) != (len(nlp.lower_x), len(nlp.lower_g)):
-            return run, None
+            return None
         stage = SolveStage(sum(map(len, warm.mesh)), warm.smoothing)
         of_x, of_g = _nlp_scales(nlp)
         begin = replace(
@@ -224,22 +227,18 @@ class ProblemFamily:
         raw = solve_by_active_set(run, made, stage, begin.x, begin)
         if raw is None:
             raw = solve_stage(run, made, stage, begin.x, begin, "warm", "adaptive")
-        ended = raw.status == "interrupted"
-        if not (raw.converged or ended):
-            return run, None
+        if not raw.converged:
+            return None
         outcome = certify_outcome(run, made, raw, warm.smoothing)
-        if not (ended or _is_certified_optimum(outcome)):
+        if not _is_certified_optimum(outcome):
             # A mesh that is fine enough for one problem may not be for another.
             outcome = refine(run, outcome, None)
             self._store_programme(Programme(outcome.transcription, outcome.solver))
-        if outcome.raw.status == "interrupted":
-            # After Ctrl-C no further solve is started.
-            return run, outcome
         sound = _is_certified_optimum(outcome)
-        if problem.avoids_collisions and find_collisions(run, outcome):
+        if problem.avoids_collisions and outcome.collisions:
             # Collision avoidance needs a solve without the warm start.
             sound = False
-        return run, outcome if sound else None
+        return outcome if sound else None
 
     def _programme_for(self, run: SolveRun, warm: WarmStart) -> Programme:
         """Return the programme on the mesh of a warm start, with a problem's bounds and numbers."""

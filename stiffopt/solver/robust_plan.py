@@ -22,14 +22,14 @@ from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.errors import NotSimulatedError
 from stiffopt.result.solution import Solution, SolverRecord
 from stiffopt.result.status import SolveStatus
-from stiffopt.solver.collision_avoidance import find_collisions
+from stiffopt.solver.arrival import refine_within_mesh
 from stiffopt.solver.command_search import CommandOnArms
 from stiffopt.solver.compensation import commands_on_arms
-from stiffopt.solver.input_shaping import Window, mark_solution_interrupted, windows_for_arms
-from stiffopt.solver.refinement import mark_interrupted, refine_within_mesh
+from stiffopt.solver.exchange import OutcomeOracle, Proposal, exchange
+from stiffopt.solver.input_shaping import Window, windows_for_arms
+from stiffopt.solver.programme import Outcome, solve_again
 from stiffopt.solver.simulation import PlannedMotion, elastic_arm
 from stiffopt.solver.solve_run import SolveRun
-from stiffopt.solver.stages import Outcome, solve_again
 from stiffopt.solver.verdict import MAX_OBJECTIVE_GAP
 from stiffopt.transcription.nlp import Nlp
 
@@ -41,36 +41,42 @@ SolveShaped = Callable[[tuple[Window, ...]], Solution]
 
 def robust_plan(run: SolveRun, outcome: Outcome) -> Outcome:
     """Return the outcome, or one of nearly the same objective that is better on uncertain arms."""
-    if not _is_requested(run, outcome):
-        return outcome
-    run.step = "the motion for uncertain arms"
-    before, price = outcome.solver.nlp, run.problem.uncertainty.price
-    nlp, cost = _cap_objective(outcome, before, price), np.inf
-    try:
-        found = solve_again(run, outcome, nlp, replace(outcome.smoothing, robust=1.0))
-        if found.raw.converged:
-            found = refine_within_mesh(run, found, nlp)
-        if found.raw.status == "interrupted":
-            outcome = mark_interrupted(outcome)
-        else:
-            cost = _relative_cost(run, found, outcome)
-        if cost <= min(_MAX_CERTIFIED_COST, price):
-            own, least = _commands_on_arms(run, found, outcome)
-            better = own.worst_case_peaks < least.worst_case_peaks
-            run.command = own if better else least
-            if better:
-                run.notes.append(
-                    _cost_note(
-                        cost, "it vibrates less there and leaves drive reserve for more lead"
-                    )
-                )
-                return found
-    except NotSimulatedError:
-        pass
-    except KeyboardInterrupt:
-        outcome = mark_interrupted(outcome)
-    outcome.solver.set_bounds(before)
-    return outcome
+    return exchange(run, UncertainArmsOracle(run), outcome)
+
+
+class UncertainArmsOracle(OutcomeOracle):
+    """Uncertain arms: the peak may grow slightly while the rate of the deviation is minimised."""
+
+    step = "the motion for uncertain arms"
+    rounds = 1
+
+    def propose(self, last: Outcome, number: int) -> Proposal[Outcome] | None:
+        """Return a solve with the objective capped; None where no uncertainty is stated."""
+        if not _is_requested(self.run, last):
+            return None
+        nlp = _cap_objective(last, self.run.problem.uncertainty.price)
+        return Proposal("drives have reserve for uncertain arms", lambda: self._solve(last, nlp))
+
+    def _solve(self, last: Outcome, nlp: Nlp) -> Outcome:
+        found = solve_again(self.run, last, nlp, replace(last.smoothing, robust=1.0))
+        return refine_within_mesh(self.run, found) if found.raw.converged else found
+
+    def accepts(self, found: Outcome, best: Outcome) -> bool:
+        """Return True where the motion costs little and its command is better on uncertain arms."""
+        run = self.run
+        cost = _relative_cost(run, found, best)
+        if not cost <= min(_MAX_CERTIFIED_COST, run.problem.uncertainty.price):
+            return False
+        try:
+            own, least = _commands_on_arms(run, found, best)
+        except NotSimulatedError:
+            return False
+        better = own.worst_case_peaks < least.worst_case_peaks
+        run.command = own if better else least
+        if better:
+            why = "it vibrates less there and leaves drive reserve for more lead"
+            run.notes.append(_cost_note(cost, why))
+        return better
 
 
 def _is_requested(run: SolveRun, outcome: Outcome) -> bool:
@@ -79,13 +85,13 @@ def _is_requested(run: SolveRun, outcome: Outcome) -> bool:
     return run.problem.chosen_for_robustness and sound and run.avoidance is None
 
 
-def _cap_objective(outcome: Outcome, nlp: Nlp, price: float) -> Nlp:
+def _cap_objective(outcome: Outcome, price: float) -> Nlp:
     """Return the programme with the peak bounded to slightly more than its optimum."""
-    upper, place = nlp.upper_x.copy(), outcome.transcription.statics.offset
+    upper, place = outcome.nlp.upper_x.copy(), outcome.transcription.statics.offset
     upper[place] = (
         1.0 + min(_MAX_NODE_COST, _MAX_NODE_COST / _MAX_CERTIFIED_COST * price)
     ) * outcome.raw.x[place]
-    return replace(nlp, upper_x=upper)
+    return replace(outcome.nlp, upper_x=upper)
 
 
 def choose_shaped_motion(
@@ -111,7 +117,7 @@ def choose_shaped_motion(
         for window in windows_for_arms(problem, run.motion, price):
             tried = shaped((window,))
             if tried.status is SolveStatus.INTERRUPTED:
-                return mark_solution_interrupted(solution)
+                raise KeyboardInterrupt
             if tried.solver.left_out or tried.status is SolveStatus.TIME_LIMIT:
                 run.leave_out("input shaping for uncertain arms")
             if tried.status not in (SolveStatus.OPTIMAL, solution.status):
@@ -139,8 +145,6 @@ def choose_shaped_motion(
             )
     except NotSimulatedError:
         pass
-    except KeyboardInterrupt:
-        return mark_solution_interrupted(solution)
     return solution
 
 
@@ -152,6 +156,7 @@ def _add_records(first: SolverRecord, second: SolverRecord) -> SolverRecord:
         build_s=first.build_s + second.build_s,
         solve_s=first.solve_s + second.solve_s,
         homotopy=(*first.homotopy, *second.homotopy),
+        exchanges=(*first.exchanges, *second.exchanges),
     )
 
 
@@ -183,7 +188,7 @@ def _commands_on_arms(run: SolveRun, *outcomes: Outcome | Solution) -> list[Comm
 def _relative_cost(run: SolveRun, found: Outcome, least: Outcome) -> float:
     """Return the relative increase of the objective; infinite where the motion is not certified."""
     sound = found.raw.converged and found.assessment.feasible(CERTIFICATE_TOLERANCE)
-    if not sound or found.objective_gap > MAX_OBJECTIVE_GAP or find_collisions(run, found):
+    if not sound or found.objective_gap > MAX_OBJECTIVE_GAP or found.collisions:
         return np.inf
     own, best = (objective_value(run.problem, each.assessment).value for each in (found, least))
     return own / best - 1.0

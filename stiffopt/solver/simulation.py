@@ -25,19 +25,18 @@ from stiffopt.problem.formulation import smoothing_stages
 from stiffopt.problem.limit import LIMITS
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import ResolvedMotion
-from stiffopt.result.path_figures import path_figures
 from stiffopt.result.simulation import (
     SETTLING_BAND,
     ElasticMotion,
     PeakRms,
-    SimulatedMotion,
     SimulatedPart,
     Simulation,
 )
 from stiffopt.result.status import SolveStatus
-from stiffopt.robot.batched_kinematics import frame_positions, frame_rotations
 from stiffopt.solver.command_search import CommandOnArms
 from stiffopt.solver.compensation import compensate
+from stiffopt.solver.exchange import until_interrupted
+from stiffopt.solver.path_notes import with_path_notes
 from stiffopt.solver.solve_run import ProgressCallback, SolveProgress
 
 if TYPE_CHECKING:
@@ -56,6 +55,13 @@ _STANDSTILL_SPEED = 1e-6
 _COMMAND_NOT_REQUESTED = (
     "No command.csv: no objective or limit concerns the arm's elasticity. State [uncertainty] for "
     "a command with compensation of the wind-up, judged on uncertain arms."
+)
+_COMMAND_INTERRUPTED = (
+    "The search for a command was interrupted: no command.csv was written; solve again for it."
+)
+_SIMULATION_INTERRUPTED = (
+    "The elastic simulation was interrupted; `stiffopt simulate` repeats it. No command.csv was "
+    "written; solve again for it."
 )
 
 
@@ -309,119 +315,46 @@ def with_simulation(
             arm = arm.under(solution.trajectory.force)
         counted = assessment.feasible(CERTIFICATE_TOLERANCE)
         own = PlannedMotion.of("optimised", assessment, counted)
-        others = rival_motions(problem, motion, assessment.duration)
         if solution.trajectory is not None and solution.trajectory.link is not None:
             own = replace(own, motors=solution.trajectory)
-        band = problem.active_limits.settling_band
-        simulation = simulate_motions(problem, arm, [own, *others], band=band)
+
+        def simulated() -> tuple[list[PlannedMotion], Simulation] | None:
+            motions = [own, *rival_motions(problem, motion, assessment.duration)]
+            band = problem.active_limits.settling_band
+            return motions, simulate_motions(problem, arm, motions, band=band)
+
+        found = until_interrupted(simulated, lambda: None)
+        if found is None:
+            return _add_note(solution, _SIMULATION_INTERRUPTED)
+        motions, simulation = found
         solution = replace(solution, simulation=simulation)
         unsure = damping_sensitivity_note(problem, assessment) if counted else ""
         solution = _add_note(solution, unsure) if unsure else solution
-        if problem.boundary_velocity is not None and np.any(problem.boundary_velocity):
-            return _add_note(solution, "No command.csv: the motion does not start and end at rest.")
-        if own.vibrates_after_arrival:
-            return _add_note(
-                solution,
-                "No command.csv: the plan has residual vibration within the limits; q of "
-                "trajectory.csv is the command for it.",
-            )
-        if not _requests_command(problem):
-            return _add_note(solution, _COMMAND_NOT_REQUESTED)
+        if reason := _explain_missing_command(problem, own):
+            return _add_note(solution, reason)
         if command is not None and command.motion.motors is not solution.trajectory:
             command = None
-        compensation = compensate(
-            problem,
-            arm,
-            [own, *others],
-            known=command,
-            progress=_progress_callback(progress, solution),
-        )
-    except KeyboardInterrupt:
-        if solution.simulation is not None:
-            return _add_note(
-                solution,
-                "The search for a command was interrupted: no command.csv was written; solve again "
-                "for it.",
-            )
-        return _add_note(
-            solution,
-            "The elastic simulation was interrupted; `stiffopt simulate` repeats it. No "
-            "command.csv was written; solve again for it.",
+        tell = _progress_callback(progress, solution)
+        compensation = until_interrupted(
+            lambda: compensate(problem, arm, motions, known=command, progress=tell), lambda: None
         )
     except NotSimulatedError as error:
         return _add_note(solution, f"Not simulated on the elastic arm: {error}")
-    return _with_path_notes(problem, replace(solution, compensation=compensation))
+    if compensation is None:
+        return _add_note(solution, _COMMAND_INTERRUPTED)
+    return with_path_notes(problem, replace(solution, compensation=compensation))
 
 
-def _with_path_notes(problem: TrajectoryProblem, solution: Solution) -> Solution:
-    """Return the solution with the figures of its tool path and its error under the force."""
-    if solution.simulation is None or solution.compensation is None:
-        return solution
-    led = solution.compensation.optimised.simulated
-    followed = solution.simulation.optimised.simulated
-    notes = [_describe_force_error(problem, solution)]
-    for how, own in (("as planned", followed), ("with the command", led)):
-        told = _describe_path(problem, solution, own)
-        notes.append(f"Tool path {how}, {told}" if told else "")
-    for note in filter(None, notes):
-        solution = _add_note(solution, note)
-    return solution
-
-
-def _describe_path(problem: TrajectoryProblem, solution: Solution, own: SimulatedMotion) -> str:
-    """Return the figures of a simulated motion along a tool's path as a note; "" without one."""
-    path, plan = problem.path, solution.trajectory
-    if path is None or plan is None or (problem.path_force is None and not len(path.corners)):
-        return ""
-    link = plan if plan.link is None else plan.link
-    tree, tool = problem.robot.tree, problem.robot.tool
-    command = frame_positions(tree, tool, link(np.minimum(own.time, link.duration)))
-    found = path_figures(command, command + own.error.position, path.corners, own.settling_time)
-    told = [f"path accuracy {1e3 * found.accuracy:.3g} mm"]
-    if found.rounding:
-        told.append(
-            f"corners rounded by up to {1e3 * max(found.rounding):.3g} mm with up to "
-            f"{1e3 * max(found.overshoot):.3g} mm of overshoot"
+def _explain_missing_command(problem: TrajectoryProblem, own: PlannedMotion) -> str:
+    """Return why no command is made for a motion, "" where one is."""
+    if problem.boundary_velocity is not None and np.any(problem.boundary_velocity):
+        return "No command.csv: the motion does not start and end at rest."
+    if own.vibrates_after_arrival:
+        return (
+            "No command.csv: the plan has residual vibration within the limits; q of "
+            "trajectory.csv is the command for it."
         )
-    if found.settling_time is not None:
-        told.append(f"settled within {1e3 * own.band:.3g} mm {found.settling_time:.3g} s after")
-    return f"as in ISO 9283: {', '.join(told)}."
-
-
-def _describe_force_error(problem: TrajectoryProblem, solution: Solution) -> str:
-    """Return the error under the path's force before and after compensation; "" without one."""
-    led = solution.compensation
-    if problem.path_force is None or led is None:
-        return ""
-    before, after = led.optimised.planned.flight, led.optimised.compensated.flight
-    across = [
-        f"{1e3 * spread.parts['across'].worst:.3g} mm across the path" for spread in (before, after)
-    ]
-    told = (
-        f"Under the process force the worst of the uncertain arms errs by {1e3 * before.worst:.3g} "
-        f"mm ({across[0]}) where the motors follow the path, and by {1e3 * after.worst:.3g} mm "
-        f"({across[1]}) with the command."
-    )
-    own = led.optimised.worst
-    if own is None or solution.trajectory is None:
-        return told
-    link = solution.trajectory
-    turned = frame_rotations(
-        problem.robot.tree, problem.robot.tool, link(np.minimum(own.time, link.duration))
-    )
-    feed = own.error.direction
-    axis = turned[:, :, 2] - np.sum(turned[:, :, 2] * feed, axis=1)[:, None] * feed
-    axis /= np.maximum(np.linalg.norm(axis, axis=1), 1e-12)[:, None]
-    flight = own.error.flight
-    parts = (
-        np.sum(own.error.position * axis, axis=1),
-        np.sum(own.error.position * np.cross(axis, feed), axis=1),
-    )
-    normal = [f"{1e3 * np.abs(part[flight]).max():.3g} mm" for part in parts]
-    return (
-        f"{told} Normal to the machined surface that is {normal[0]} along the tool's axis and "
-        f"{normal[1]} to the side of the feed."
-    )
+    return "" if _requests_command(problem) else _COMMAND_NOT_REQUESTED
 
 
 def _requests_command(problem: TrajectoryProblem) -> bool:

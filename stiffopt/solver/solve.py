@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import functools
 import time
-from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -38,14 +37,16 @@ from stiffopt.result.provenance import inputs_hash, versions
 from stiffopt.result.solution import Baseline, Solution
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver.collision_avoidance import avoid_collisions
+from stiffopt.solver.exchange import interrupted_outcome, rank_outcome, until_interrupted
 from stiffopt.solver.initial_guess import guess_from_motion, initial_guess, perturb_guess
-from stiffopt.solver.input_shaping import Window, solve_shaped
-from stiffopt.solver.refinement import mark_interrupted, rank_outcome, refine
+from stiffopt.solver.input_shaping import Window, mark_solution_interrupted, solve_shaped
+from stiffopt.solver.programme import Outcome
+from stiffopt.solver.refinement import refine
 from stiffopt.solver.robust_plan import choose_shaped_motion, robust_plan
 from stiffopt.solver.simulation import check_simulation, with_simulation
 from stiffopt.solver.solve_run import MIN_SOLVE_TIME, ProgressCallback, SolveRun
 from stiffopt.solver.stage_plan import plan_stages
-from stiffopt.solver.stages import Outcome, run_stages
+from stiffopt.solver.stages import run_stages
 from stiffopt.solver.timed_path import FASTEST_REASON, timed_motion
 from stiffopt.solver.trivial_outcomes import (
     baseline_as_optimum,
@@ -157,7 +158,6 @@ def solve_with_state(
         problem, motion, _objective_scales(problem, compared), progress, compared.get("quintic")
     )
     needed, why = shortest_duration(problem, motion)
-    kept = None
     if problem.duration[1] < needed:
         solution = infeasible_solution(run, compared, notes, why)
     elif problem.is_shaped:
@@ -168,32 +168,55 @@ def solve_with_state(
     elif problem.is_timed_on_path and (timed := _timed_motion(run)) is not None:
         solution = baseline_as_optimum(run, compared, notes, timed, FASTEST_REASON)
     else:
-        rival = better_baseline(problem, compared)
-        try:
-            end_deferral()
-            begin = _select_guess(problem, motion, compared, guess)
-            if start:
-                random = np.random.default_rng([problem.method.seed, start])
-                begin = perturb_guess(begin, problem, random)
-            outcome = _best_of_starts(run, begin, rival)
-            rivals = _all_rivals(compared, _strict_baseline_of(run, compared) if compare else None)
-            outcome = _restart_from_better_baseline(run, outcome, rivals, rival)
-            kept = (run, outcome)
-            if problem.avoids_collisions:
-                outcome = avoid_collisions(run, outcome, rival, searches=problem.method.starts)
-                # Clearance rows hold for this motion only: no warm start from there.
-                kept = None if run.avoidance else (run, outcome)
-                compared |= {} if run.detour is None else {run.detour.name: run.detour}
-            robust = robust_plan(run, outcome)
-            solution = solution_of(run, robust, compared, notes, compare=compare)
-            shaped = functools.partial(_solve_shaped_in_remaining_time, run, compared, notes, guess)
-            solution = choose_shaped_motion(run, solution, outcome, shaped)
-        except KeyboardInterrupt:
-            solution = interrupted_with_baseline(run, compared, notes)
+        solution = until_interrupted(
+            lambda: _optimise(run, compared, notes, guess, start=start, compare=compare),
+            lambda: _interrupted_solution(run, compared, notes),
+        )
     solution = _name_steps_left_out(run, solution)
     if simulate:
         solution = with_simulation(stated, solution, progress, motion, run.command)
+    kept = None if run.optimum is None else (run, run.optimum)
     return replace(solution, inputs_hash=inputs_hash(stated)), kept
+
+
+def _optimise(
+    run: SolveRun,
+    compared: dict[str, Baseline],
+    notes: tuple[str, ...],
+    guess: Guess | Assessment | None,
+    *,
+    start: int,
+    compare: bool,
+) -> Solution:
+    """Return the best motion of all starts, clear of collisions and chosen for uncertain arms."""
+    problem, rival = run.problem, better_baseline(run.problem, compared)
+    end_deferral()
+    begin = _select_guess(problem, run.motion, compared, guess)
+    if start:
+        begin = perturb_guess(begin, problem, np.random.default_rng([problem.method.seed, start]))
+    outcome = _best_of_starts(run, begin, rival)
+    rivals = _all_rivals(compared, _strict_baseline_of(run, compared) if compare else None)
+    outcome = run.optimum = _restart_from_better_baseline(run, outcome, rivals, rival)
+    if problem.avoids_collisions:
+        outcome = avoid_collisions(run, outcome, rival, searches=problem.method.starts)
+        # Clearance rows hold for this motion only: no warm start from there.
+        run.optimum = None if run.avoidance else outcome
+        compared |= {} if run.detour is None else {run.detour.name: run.detour}
+    robust = robust_plan(run, outcome)
+    run.solution = solution_of(run, robust, compared, notes, compare=compare)
+    shaped = functools.partial(_solve_shaped_in_remaining_time, run, compared, notes, guess)
+    return choose_shaped_motion(run, run.solution, outcome, shaped)
+
+
+def _interrupted_solution(
+    run: SolveRun, compared: dict[str, Baseline], notes: tuple[str, ...]
+) -> Solution:
+    """Return the best motion so far after Ctrl-C, a baseline where there is none."""
+    if run.solution is not None:
+        return mark_solution_interrupted(run.solution)
+    if run.best is None and run.unfinished is None:
+        return interrupted_with_baseline(run, compared, notes)
+    return solution_of(run, interrupted_outcome(run), compared, notes, compare=False)
 
 
 def _timed_motion(run: SolveRun) -> Baseline | None:
@@ -289,17 +312,14 @@ def _best_of_starts(run: SolveRun, guess: Guess, rival: Baseline | None) -> Outc
     last = best = _solve_and_refine(run, guess, rival)
     made = [best]
     for start in range(1, problem.method.starts):
-        ended = last.raw.status in ("interrupted", "time_limit")
+        ended = last.raw.status == "time_limit"
         if ended or run.elapsed > problem.method.time_limit:
             run.leave_out(f"{problem.method.starts - start} of {problem.method.starts} starts")
             break
-        try:
-            last = _solve_and_refine(run, perturb_guess(guess, problem, random), rival)
-        except KeyboardInterrupt:
-            return mark_interrupted(best)
+        last = _solve_and_refine(run, perturb_guess(guess, problem, random), rival)
         made.append(last)
         run.starts_made = len(made)
-        best = min(made, key=lambda outcome: rank_outcome(problem, outcome))
+        best = min(made, key=lambda outcome: rank_outcome(run, outcome))
     if len(made) > 1:
         run.notes.append(_describe_spread(problem, made))
     return best
@@ -310,17 +330,14 @@ def _restart_from_better_baseline(
 ) -> Outcome:
     """Return the better of an outcome and one started from a baseline that is better than it."""
     above = find_better_baseline(run.problem, outcome, compared)
-    if above is None or above.assessment is None or outcome.raw.status == "interrupted":
+    if above is None or above.assessment is None:
         return outcome
     if run.elapsed > run.problem.method.time_limit:
         run.leave_out("the start from a better baseline")
         return outcome
     guess = guess_from_motion(run.problem, run.motion, above.assessment)
-    try:
-        found = _solve_and_refine(run, guess, rival)
-    except KeyboardInterrupt:
-        return mark_interrupted(outcome)
-    return min(outcome, found, key=lambda each: rank_outcome(run.problem, each))
+    found = _solve_and_refine(run, guess, rival)
+    return min(outcome, found, key=lambda each: rank_outcome(run, each))
 
 
 def _describe_spread(problem: TrajectoryProblem, made: list[Outcome]) -> str:
@@ -344,13 +361,11 @@ def _solve_and_refine(run: SolveRun, guess: Guess, rival: Baseline | None) -> Ou
     """Solve in stages, then refine until the certificate passes."""
     plan = plan_stages(run.problem, run.problem.method.intervals, run.motor_smoothing)
     found = refine(run, run_stages(run, plan, guess, {}), rival)
-    if run.end_modes and found.raw.status != "interrupted" and not _is_certified_optimum(found):
+    if run.end_modes and not _is_certified_optimum(found):
         # Residual vibration of the motor law exceeds the limits, or there was no optimum in time: a
         # plan that ends at rest has less.
         run.require_rest_at_arrival()
-        resting = found
-        with suppress(KeyboardInterrupt):
-            resting = refine(run, run_stages(run, plan, guess, {}), rival)
+        resting = refine(run, run_stages(run, plan, guess, {}), rival)
         if _is_certified_optimum(resting) or not found.assessment.feasible(CERTIFICATE_TOLERANCE):
             found = resting
             if found.assessment.feasible(CERTIFICATE_TOLERANCE):
@@ -376,7 +391,7 @@ def solution_of(
 ) -> Solution:
     """Return the solution of an outcome; `compare` searches the baseline that keeps every limit."""
     problem, assessment = run.problem, with_collisions(run.problem, outcome.assessment)
-    strict = None
+    strict = run.strict
     if compare and outcome.raw.status != "infeasible":
         strict = _strict_baseline_of(run, compared)
     rivals = _all_rivals(compared, strict)
@@ -445,10 +460,9 @@ def _describe_sufficient_objective(run: SolveRun, value: float) -> list[str]:
 
 
 def _strict_baseline_of(run: SolveRun, compared: dict[str, Baseline]) -> Baseline | None:
-    """Return the baseline that keeps every limit, searched once; None after Ctrl-C."""
+    """Return the baseline that keeps every limit, searched once."""
     if run.strict is None:
-        with suppress(KeyboardInterrupt):
-            run.strict = strict_baseline(run.problem, run.motion, compared)
+        run.strict = strict_baseline(run.problem, run.motion, compared)
     return run.strict
 
 

@@ -27,7 +27,9 @@ from stiffopt.solver.smoothing_width import TOLERABLE_KINK_EXCESS, narrowest_suf
 from stiffopt.solver.stage_plan import SolveStage
 
 if TYPE_CHECKING:
+    from stiffopt.result.solution import Solution
     from stiffopt.solver.command_search import CommandOnArms
+    from stiffopt.solver.programme import Outcome
 
 # Time limit of an NLP solve once the solve's own time is over [s].
 MIN_SOLVE_TIME = 0.1
@@ -76,7 +78,9 @@ class SolveRun:
     needed; `avoidance_failure` says why collisions could not be avoided; `detour` is the motion
     along the first collision-free path; `strict` is the best baseline that keeps every limit, once
     known; `command` is its command on uncertain arms, where requested; `step` is what the solver
-    works at, and `left_out` the steps that the time limit ended.
+    works at, and `left_out` the steps that the time limit ended. The answer to Ctrl-C is
+    `solution`, once there is one, else `best`, the best outcome so far, else that of `unfinished`,
+    the last stage so far. A similar problem starts from `optimum`.
     """
 
     problem: TrajectoryProblem
@@ -95,7 +99,12 @@ class SolveRun:
     solve_s: float = 0.0
     iterations: int = 0
     starts_made: int = 1
+    solution: Solution | None = None
+    best: Outcome | None = None
+    unfinished: Callable[[], Outcome] | None = None
+    optimum: Outcome | None = None
     homotopy: list[dict[str, Any]] = field(default_factory=list)
+    exchanges: list[dict[str, Any]] = field(default_factory=list)
     step: str = "the first optimum"
     left_out: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)

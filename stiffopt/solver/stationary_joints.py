@@ -13,13 +13,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from stiffopt.certificate.assess import assess
 from stiffopt.dynamics.friction import dry_friction_width
 from stiffopt.problem.coordinates import coordinates_of
-from stiffopt.problem.prediction import predict_motion
-from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.problem.trajectory import TrajectoryProblem
-from stiffopt.result.trajectory import Trajectory
+from stiffopt.solver.exchange import OutcomeOracle, Proposal
+from stiffopt.solver.programme import Outcome, solve_again
+from stiffopt.solver.solve_run import SolveRun
 from stiffopt.transcription.transcription import Transcription
 
 # Speed below which a joint creeps, as a share of the friction's smoothing width.
@@ -28,6 +27,37 @@ _CREEP_SPEED_SHARE = 0.5
 _MIN_CREEP_NODES, _MIN_CREEP_SHARE = 3, 0.02
 # Intervals that a motion from rest to rest takes at least: in fewer it has no freedom left.
 _MIN_MOVING_INTERVALS = 3
+# Solves with creeping joints fixed, iterations of the one before them that finds these, and phases
+# up to which they are tried: with more, some of the many fixed joints are in conflict.
+_MAX_STATIONARY_SOLVES, _MAX_CREEPING_ITERATIONS, _MAX_STATIONARY_PHASES = 2, 60, 7
+
+
+class StationaryJoints(OutcomeOracle):
+    """Joints that had better rest: first they may creep where that costs less than moving."""
+
+    step = "joints at rest"
+
+    def __init__(self, run: SolveRun, start: Outcome) -> None:
+        super().__init__(run)
+        self._free = start.transcription
+        few = self._free.ocp.phases <= _MAX_STATIONARY_PHASES
+        self.rounds = 1 + _MAX_STATIONARY_SOLVES if run.problem.charges_dry_friction and few else 0
+
+    def propose(self, last: Outcome, number: int) -> Proposal[Outcome] | None:
+        """Return a solve in which joints may creep, then those with these fixed; None without."""
+        smoothing = replace(last.smoothing, creeping=1.0)
+        if number == 0:
+            limit = _MAX_CREEPING_ITERATIONS
+            return Proposal(
+                "joints may creep",
+                lambda: solve_again(self.run, last, self._free.nlp, smoothing, limit),
+            )
+        # A motion that still changes shows where joints creep as well.
+        fixed = fix_creeping_joints(self._free, last.raw.x, self.run.problem)
+        if fixed is None or not (last.raw.converged or number == 1):
+            return None
+        before = replace(last, transcription=fixed)
+        return Proposal("joints creep", lambda: solve_again(self.run, before, fixed.nlp, smoothing))
 
 
 def fix_creeping_joints(
@@ -75,27 +105,6 @@ def fix_creeping_joints(
         return None
     lower, upper = np.where(still, 0.0, nlp.lower_x), np.where(still, 0.0, nlp.upper_x)
     return replace(transcription, nlp=replace(nlp, lower_x=lower, upper_x=upper))
-
-
-def missing_friction_share(
-    problem: TrajectoryProblem, motion: Trajectory, smoothing: Smoothing
-) -> float:
-    """Return the share of squared torque that smoothed dry friction misses at the nodes.
-
-    Relative to the exact one; 0 where no torque is minimised.
-    """
-    if not any(objective.kind.of_drives for objective in problem.objectives):
-        return 0.0
-    believed = predict_motion(problem, motion, smoothing, elastic=False)
-    if believed.torque is None:
-        return 0.0
-    true = assess(problem, motion, times=believed.time).torque
-    size = problem.robot.torque_max
-    sums = [
-        np.trapezoid(((torque / size) ** 2).sum(axis=1), believed.time)
-        for torque in (believed.torque, true)
-    ]
-    return float(1.0 - sums[0] / sums[1]) if sums[1] > 0.0 else 0.0
 
 
 def _index_runs(where: np.ndarray, gap: int) -> list[np.ndarray]:

@@ -20,6 +20,7 @@ from stiffopt.result.trajectory import ForceHistory, Trajectory
 from stiffopt.robot.batched_kinematics import tool_jacobians
 from stiffopt.solver.averaged_law import averaged_law
 from stiffopt.solver.path_timing import PathDemands, fastest_timing
+from stiffopt.transcription.constraint_back_off import backed_off
 
 # Limits from which a timing can back off, where the certificate finds an excess between nodes.
 _TIMED_LIMITS = ("velocity", "acceleration", "jerk", "torque", "tool_speed")
@@ -90,7 +91,7 @@ def _timed_motion(
             break
         if worst.limit not in _TIMED_LIMITS:
             return None
-        margins[worst.limit] = 1.0 - (1.0 - margins.get(worst.limit, 0.0)) / (1.0 + worst.value)
+        margins[worst.limit] = backed_off(margins.get(worst.limit, 0.0), worst.value)
     else:
         return None
     if law.duration > problem.duration[1] * (1.0 + 1e-9):

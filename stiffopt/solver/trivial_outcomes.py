@@ -17,8 +17,8 @@ from stiffopt.result.assessment import Assessment
 from stiffopt.result.provenance import inputs_hash, versions
 from stiffopt.result.solution import Baseline, Solution, SolverRecord
 from stiffopt.result.status import SolveStatus
+from stiffopt.solver.programme import Outcome
 from stiffopt.solver.solve_run import SolveRun
-from stiffopt.solver.stages import Outcome
 from stiffopt.solver.verdict import Verdict, judge_collisions
 
 # Relative distance from a bound up to which an objective counts as at it.
@@ -167,6 +167,7 @@ def solver_record(run: SolveRun, intervals: int) -> SolverRecord:
         transcription=run.problem.method.transcription,
         intervals=intervals,
         homotopy=tuple(run.homotopy),
+        exchanges=tuple(run.exchanges),
         left_out=tuple(run.left_out),
     )
 

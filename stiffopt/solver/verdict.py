@@ -10,24 +10,28 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stiffopt.certificate.agreement import Disagreement, find_disagreements
+from stiffopt.certificate.assess import assess
 from stiffopt.certificate.collisions import COLLISION_LIMIT, describe_collision_scope
 from stiffopt.certificate.objective_value import is_maximised, objective_value
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE, describe_slips, find_slips
 from stiffopt.problem.formulation import smoothing_stages
 from stiffopt.problem.prediction import predict_motion
+from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.solution import Baseline
 from stiffopt.result.status import SolveStatus
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.monitor import FEASIBLE_VIOLATION
-from stiffopt.solver.stages import Outcome
-from stiffopt.solver.stationary_joints import missing_friction_share
 from stiffopt.transcription.nlp import NlpEntry, RowViolation
+
+if TYPE_CHECKING:
+    from stiffopt.solver.programme import Outcome
 
 # Relative excess of the objective on the fine grid over that at the nodes, above which a motion is
 # refined and not called optimal.
@@ -292,7 +296,7 @@ def _status_message(problem: TrajectoryProblem, outcome: Outcome, motion: Assess
     if status is SolveStatus.CERTIFICATE_FAILED:
         return f"{status.sentence} It exceeds {worst}."
     if outcome.objective_gap > MAX_OBJECTIVE_GAP:
-        lacking = missing_friction_share(problem, outcome.trajectory, outcome.smoothing)
+        lacking = _missing_friction_share(problem, outcome.trajectory, outcome.smoothing)
         if lacking > _MIN_FRICTION_SHARE * outcome.objective_gap:
             return (
                 "Solved and certified: every limit holds on the fine grid. But the objective is "
@@ -314,6 +318,27 @@ def _status_message(problem: TrajectoryProblem, outcome: Outcome, motion: Assess
             1,
         )
     return status.sentence
+
+
+def _missing_friction_share(
+    problem: TrajectoryProblem, motion: Trajectory, smoothing: Smoothing
+) -> float:
+    """Return the share of squared torque that smoothed dry friction misses at the nodes.
+
+    Relative to the exact one; 0 where no torque is minimised.
+    """
+    if not any(objective.kind.of_drives for objective in problem.objectives):
+        return 0.0
+    believed = predict_motion(problem, motion, smoothing, elastic=False)
+    if believed.torque is None:
+        return 0.0
+    true = assess(problem, motion, times=believed.time).torque
+    size = problem.robot.torque_max
+    sums = [
+        np.trapezoid(((torque / size) ** 2).sum(axis=1), believed.time)
+        for torque in (believed.torque, true)
+    ]
+    return float(1.0 - sums[0] / sums[1]) if sums[1] > 0.0 else 0.0
 
 
 def named_conflicts(entries: Sequence[NlpEntry | RowViolation]) -> str:

@@ -28,6 +28,7 @@ from stiffopt.elastic.response import ElasticResponse
 from stiffopt.elastic.simulate import REST, simulate
 from stiffopt.elastic.uncertain_arms import TabulatedSprings
 from stiffopt.result.trajectory import Trajectory
+from stiffopt.solver.exchange import Oracle, Proposal, Rank, exchange
 from stiffopt.symbolic import array_of
 from stiffopt.transcription.constraint_back_off import largest_adjacent_excess
 
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.assessment import Assessment
     from stiffopt.result.simulation import SimulatedMotion
-    from stiffopt.result.trajectory import Trajectory
+    from stiffopt.solver.solve_run import SolveRun
 
 # Knot spacing of the splines [s], within these numbers of pieces.
 _KNOT_SPACING, _MIN_PIECES, _MAX_PIECES = 0.02, 40, 150
@@ -389,13 +390,13 @@ class SimulatedMotors:
 
 
 def suppress_vibration(
-    problem: TrajectoryProblem, arm: ElasticArm, motors: Trajectory, tolerance: float
+    run: SolveRun, arm: ElasticArm, motors: Trajectory, tolerance: float
 ) -> SimulatedMotors:
     """Return motors whose links follow their plan most closely, unchanged where no change helps.
 
     Parameters
     ----------
-    problem : TrajectoryProblem
+    run : SolveRun
     arm : ElasticArm
     motors : Trajectory
         Of planned links that are at rest at both ends.
@@ -407,22 +408,53 @@ def suppress_vibration(
     NotSimulatedError
         The arm cannot be simulated.
     """
-    last = found = SimulatedMotors.of(problem, arm, motors)
-    kept, after = found.assessment.feasible(tolerance), 1.0
-    for attempt in range(1, 2 * _MAX_CHANGES + 1):
-        if kept and (found.off <= _TARGET_DEVIATION or attempt > _MAX_CHANGES):
-            break
+    start = SimulatedMotors.of(run.problem, arm, motors)
+    return exchange(run, MotorChanges(run.problem, arm, start, tolerance), start)
+
+
+class MotorChanges(Oracle[SimulatedMotors]):
+    """Small changes of the motors, each from the simulation of the last: the arm is not linear."""
+
+    step = "vibration suppression"
+
+    def __init__(
+        self, problem: TrajectoryProblem, arm: ElasticArm, start: SimulatedMotors, tolerance: float
+    ) -> None:
+        self._problem, self._arm, self._tolerance = problem, arm, tolerance
+        self._best = self._before = start
+        self._arrival_weight = 1.0
+        self.rounds = 2 * _MAX_CHANGES
+
+    def rank(self, found: SimulatedMotors) -> Rank:
+        """Return the rank by the limits, then by the deviation from the plan."""
+        kept = found.assessment.feasible(self._tolerance)
+        return (0.0, found.off) if kept else (1.0, 0.0)
+
+    def accepts(self, found: SimulatedMotors, best: SimulatedMotors) -> bool:
+        """Return True for motors that keep all limits and are nearer to the plan, or the first."""
+        better = self.rank(found) < self.rank(best)
+        self._best = found if better else best
+        return better
+
+    def propose(self, last: SimulatedMotors, number: int) -> Proposal[SimulatedMotors] | None:
+        """Return the motors with another change; None near the plan, or without much gain."""
+        exceeded, off = self.rank(self._best)
+        if not exceeded and (
+            off <= _TARGET_DEVIATION
+            or number >= _MAX_CHANGES
+            or (number > 1 and last.off > _MAX_REMAINING_DEVIATION * self._before.off)
+        ):
+            return None
         # While a limit after arrival is exceeded its weight grows from change to change.
-        beyond = 1.0 + last.overshoot(problem)
-        after = min(after * beyond, _MAX_ARRIVAL_WEIGHT)
+        beyond = 1.0 + last.overshoot(self._problem)
+        after = self._arrival_weight = min(self._arrival_weight * beyond, _MAX_ARRIVAL_WEIGHT)
         near = _TARGET_DEVIATION * last.planned / beyond
-        changed = change_motors(
-            problem, arm, last.motors, last.assessment, last.simulated, near, after
-        )
-        # Nonlinearity is accounted for by simulating and changing again.
-        before, last = last, SimulatedMotors.of(problem, arm, changed)
-        if last.assessment.feasible(tolerance) and (last.off < found.off or not kept):
-            found, kept = last, True
-        if kept and attempt > 1 and last.off > _MAX_REMAINING_DEVIATION * before.off:
-            break
-    return found
+        self._before = last
+
+        def change() -> SimulatedMotors:
+            motors = change_motors(
+                self._problem, self._arm, last.motors, last.assessment, last.simulated, near, after
+            )
+            return SimulatedMotors.of(self._problem, self._arm, motors)
+
+        return Proposal(f"the tool leaves its plan by {last.off:.1%} of the peak", change)

@@ -167,6 +167,14 @@ def back_off_uniformly(nlp: Nlp, excess: Mapping[str, float]) -> Nlp:
     return replace(nlp, lower_g=lower, upper_g=upper)
 
 
+def backed_off(margin: float, excess: float) -> float:
+    """Return the relative back-off of a limit after a motion has exceeded it by a share.
+
+    The bound is divided by the relative excess: it stays above zero however often it is backed off.
+    """
+    return 1.0 - (1.0 - margin) / (1.0 + excess)
+
+
 def largest_adjacent_excess(
     times: np.ndarray, places: np.ndarray, excess: np.ndarray
 ) -> np.ndarray:

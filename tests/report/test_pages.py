@@ -49,6 +49,7 @@ def test_report_has_objective_gain_limits_and_sources(tmp_path):
         "An introduction to trajectory optimization",
         "reachability analysis",
         "stiffness of joint 1 at least",
+        "jerk by 3.20%",
         "numpy",
     ):
         assert text in page.text, text

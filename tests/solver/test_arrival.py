@@ -25,7 +25,7 @@ from stiffopt.problem.resolve import resolve
 from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.report.solve.wording import objective_phrase
 from stiffopt.result.store import result_document
-from stiffopt.solver import refinement
+from stiffopt.solver import arrival, exact_rows
 from stiffopt.solver import solve as solve_module
 from stiffopt.solver.refinement import refine
 from stiffopt.solver.simulation import damping_sensitive_limits, damping_sensitivity_note
@@ -163,9 +163,9 @@ def test_residual_vibration_is_that_of_the_modes(shortest):
 def test_residual_vibration_row_is_smooth():
     """One row bounds the sum of the amplitudes, smooth where single modes are at rest."""
     size = ca.SX.sym("size", 3)
-    arrival = ArrivalModes(tuple(size[k] ** 2 for k in range(3)), np.array([1.0, 2.0, 3.0]))
+    modes_at_rest = ArrivalModes(tuple(size[k] ** 2 for k in range(3)), np.array([1.0, 2.0, 3.0]))
     allowed, after = 1e-4, 0.1
-    row = arrival.row("residual_vibration", allowed, after)
+    row = modes_at_rest.row("residual_vibration", allowed, after)
     value = ca.Function("value", [size], [row.expressions[0]])
     bend = ca.Function("bend", [size], [ca.hessian(row.expressions[0], size)[0]])
     random = np.random.default_rng(2)
@@ -176,7 +176,7 @@ def test_residual_vibration_row_is_smooth():
             middle = 0.5 * (low + high)
             inside = float(value(middle * allowed * sizes)) <= row.upper
             low, high = (middle, high) if inside else (low, middle)
-        left = np.sum(low * allowed * sizes * np.exp(-arrival.decays * after))
+        left = np.sum(low * allowed * sizes * np.exp(-modes_at_rest.decays * after))
         # The rounding at zero is 1 % of the limit.
         assert left <= (1.01 * row.upper + 1e-2) * allowed
     one = np.array([allowed, 0.0, 0.0])
@@ -294,12 +294,12 @@ def test_wide_smoothing_requires_rest_at_arrival(tmp_path):
 
 
 def test_back_off_reserves_all_drives_first_then_jerk():
-    outcome = SimpleNamespace(smoothing=Smoothing(1.0, 8.0))
     blocks = SimpleNamespace(rows=SimpleNamespace(items=[]))
+    outcome = SimpleNamespace(smoothing=Smoothing(1.0, 8.0), nlp=blocks)
+    oracle = arrival.ArrivalVibration(None)
     first, then = (
-        refinement._requested_back_off(None, outcome, blocks, {"settling_time": 2.0}, 0.0, again)
-        for again in (0, 1)
+        oracle._requested_back_off(outcome, {"settling_time": 2.0}, again) for again in (0, 1)
     )
     # Of torque no more: it holds the arm's weight as well.
-    assert set(first) == set(refinement._DRIVE_LIMITS)
+    assert set(first) == set(exact_rows.DRIVE_LIMITS)
     assert set(then) == {"jerk"}

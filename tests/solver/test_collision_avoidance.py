@@ -16,7 +16,7 @@ from stiffopt.cli import run as command
 from stiffopt.errors import ProblemError
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.resolve import resolve
-from stiffopt.solver import collision_avoidance
+from stiffopt.solver import collision_avoidance, programme
 from stiffopt.solver.family import ProblemFamily
 from stiffopt.solver.path_search import FreeSpace
 from stiffopt.solver.solve import solve_with_state
@@ -195,7 +195,7 @@ def test_interruption_of_the_collision_check_keeps_the_motion(tmp_path, monkeypa
     def stop(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(collision_avoidance, "with_collisions", stop)
+    monkeypatch.setattr(programme, "with_collisions", stop)
     found = solve(gantry_problem(tmp_path), throw=False)
     assert found.status == "interrupted"
     assert found.solver.intervals == 40

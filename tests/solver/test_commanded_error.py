@@ -26,9 +26,9 @@ from stiffopt.result.joint_path import JointPath
 from stiffopt.result.status import SolveStatus
 from stiffopt.result.tool_error import BOUND_FACTOR, UNIFORM_MEAN_SQUARE
 from stiffopt.solver.ipopt import RawSolution
+from stiffopt.solver.programme import solve_stage
 from stiffopt.solver.solve import solve
 from stiffopt.solver.stage_plan import SolveStage
-from stiffopt.solver.stages import solve_stage
 
 
 @pytest.fixture(scope="module")

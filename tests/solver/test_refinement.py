@@ -11,8 +11,11 @@ from stiffopt.problem.files import load_problem
 from stiffopt.problem.objective import Objective
 from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.result.status import SolveStatus
-from stiffopt.solver import refinement
+from stiffopt.solver import exact_rows, refinement
+from stiffopt.solver.exact_rows import ExactRows
+from stiffopt.solver.exchange import exchange
 from stiffopt.solver.solve import solve, solve_with_state
+from stiffopt.transcription.constraint_back_off import backed_off
 
 NOISY_PATH = ROOT.parent / "shared" / "cases" / "planning" / "w04_noisy60.toml"
 PEAK = 'objective = "dynamic_deflection"\nmeasure = "peak"'
@@ -27,27 +30,28 @@ def problem(tmp_path_factory):
 @pytest.fixture
 def coarse(monkeypatch):
     """The mesh stays, so that a peak between its nodes is left to the rows."""
-    monkeypatch.setattr(refinement, "_MAX_REFINEMENTS", 0)
-    monkeypatch.setattr(refinement, "MAX_OBJECTIVE_GAP", 0.004)
+    monkeypatch.setattr(refinement, "_MAX_FINER_MESHES", 0)
+    monkeypatch.setattr(exact_rows, "MAX_OBJECTIVE_GAP", 0.004)
 
 
 def left_alone(problem, monkeypatch):
     """The solution without corrections of the last mesh."""
     with monkeypatch.context() as plain:
-        plain.setattr(refinement, "_remove_excess_between_nodes", lambda run, outcome: outcome)
+        plain.setattr(exact_rows, "MAX_CORRECTIONS", 0)
         return solve(problem, throw=False)
 
 
 def test_timed_out_correction_keeps_the_optimum(problem, coarse, monkeypatch):
     before = left_alone(problem, monkeypatch)
     assert before.status.usable
-    plain, calls = refinement.solve_correction, []
+    plain, calls = exact_rows.solve_again, []
 
     def late(*given):
         calls.append(given)
-        return replace(plain(*given), status="time_limit")
+        found = plain(*given)
+        return replace(found, raw=replace(found.raw, status="time_limit"))
 
-    monkeypatch.setattr(refinement, "solve_correction", late)
+    monkeypatch.setattr(exact_rows, "solve_again", late)
     after = solve(problem, throw=False)
     assert calls
     assert after.status is before.status
@@ -59,7 +63,7 @@ def test_ctrl_c_in_a_correction_is_reported(problem, coarse, monkeypatch):
         raise KeyboardInterrupt
 
     before = left_alone(problem, monkeypatch)
-    monkeypatch.setattr(refinement, "solve_correction", interrupted)
+    monkeypatch.setattr(exact_rows, "solve_again", interrupted)
     after = solve(problem, throw=False)
     assert after.status is SolveStatus.INTERRUPTED
     assert after.objective.value == before.objective.value
@@ -67,18 +71,16 @@ def test_ctrl_c_in_a_correction_is_reported(problem, coarse, monkeypatch):
 
 def test_correction_with_worse_objective_is_rejected(problem, coarse, monkeypatch):
     before = left_alone(problem, monkeypatch)
-    values = []
+    plain, values = exact_rows.solve_again, []
 
-    def nearer_but_worse(run, outcome, nlp):
-        worse = refinement.solve_again(
-            run, outcome, nlp, Smoothing(64.0 * outcome.smoothing.stiffness)
-        )
+    def nearer_but_worse(run, outcome, nlp, smoothing):
+        worse = plain(run, outcome, outcome.nlp, Smoothing(64.0 * smoothing.stiffness))
         assert worse.raw.converged
         assert worse.assessment.feasible(CERTIFICATE_TOLERANCE)
         values.append(objective_value(run.problem, worse.assessment).value)
-        return replace(worse, objective_gap=0.0), nlp
+        return replace(worse, objective_gap=0.0)
 
-    monkeypatch.setattr(refinement, "_back_off_rows", nearer_but_worse)
+    monkeypatch.setattr(exact_rows, "solve_again", nearer_but_worse)
     after = solve(problem, throw=False)
     assert values[0] > before.objective.value
     assert after.objective.value == before.objective.value
@@ -91,10 +93,9 @@ def test_nothing_is_solved_again_where_no_row_is_exceeded(problem, monkeypatch):
     smooth = replace(problem, objectives=(Objective(name="torque_squared"),))
     _, kept = solve_with_state(smooth)
     run, outcome = kept
-    monkeypatch.setattr(refinement, "solve_correction", never)
+    monkeypatch.setattr(exact_rows, "solve_again", never)
     worse = replace(outcome, objective_gap=0.5)
-    after, _ = refinement._back_off_rows(run, worse, worse.transcription.nlp)
-    assert after is worse
+    assert exchange(run, ExactRows(run), worse) is worse
 
 
 def test_excess_hidden_by_smoothing_is_backed_off(tmp_path, coarse, monkeypatch):
@@ -105,9 +106,9 @@ def test_excess_hidden_by_smoothing_is_backed_off(tmp_path, coarse, monkeypatch)
     path.write_text(problem_text("planar", duration="0.8", minimise=PEAK, method="intervals = 16"))
     stated = load_problem(path).problem
     found, (_, outcome) = solve_with_state(stated)
-    monkeypatch.setattr(refinement, "_CHECK_SMOOTHING_SHARE", 1.0)
+    monkeypatch.setattr(exact_rows, "_CHECK_SMOOTHING_SHARE", 1.0)
     rounded, (_, before) = solve_with_state(stated)
-    assert before.objective_gap > refinement.MAX_OBJECTIVE_GAP
+    assert before.objective_gap > exact_rows.MAX_OBJECTIVE_GAP
     assert outcome.objective_gap < 0.3 * before.objective_gap
     assert found.objective.value < rounded.objective.value
     assert found.assessment.feasible(CERTIFICATE_TOLERANCE)
@@ -122,13 +123,13 @@ def test_smoothing_widens_before_correcting_a_spike(tmp_path, monkeypatch, exces
     _, (run, outcome) = solve_with_state(load_problem(path).problem)
     tried = []
 
-    def never_solved(run, made, raw, nlp, smoothing):
+    def never_solved(run, before, nlp, smoothing):
         tried.append(smoothing.lead)
-        return replace(raw, status="iteration_limit")
+        return replace(before, raw=replace(before.raw, status="iteration_limit"))
 
-    monkeypatch.setattr(refinement, "_excess_by_limit", lambda _: {"jerk": excess})
-    monkeypatch.setattr(refinement, "solve_correction", never_solved)
-    refinement._back_off_rows(run, outcome, outcome.transcription.nlp)
+    monkeypatch.setattr(exact_rows, "excess_by_limit", lambda _: {"jerk": excess})
+    monkeypatch.setattr(exact_rows, "solve_again", never_solved)
+    assert exchange(run, ExactRows(run), outcome) is outcome
     before = outcome.smoothing.lead
     assert len(tried) == 1
     assert (tried[0] > 1.3 * before) == wider
@@ -152,10 +153,10 @@ def test_via_is_met_despite_delayed_windup(tmp_path):
 def test_a_limit_backed_off_again_and_again_stays_above_zero():
     margin = 0.0
     for excess in (1.65, 1.65, 30.0, 0.1):
-        margin = refinement.backed_off(margin, excess)
+        margin = backed_off(margin, excess)
         assert 0.0 < margin < 1.0
     # Half as much again of half a limit: a third of it.
-    assert refinement.backed_off(0.5, 0.5) == pytest.approx(2.0 / 3.0)
+    assert backed_off(0.5, 0.5) == pytest.approx(2.0 / 3.0)
 
 
 @pytest.mark.slow

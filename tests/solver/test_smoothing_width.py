@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from stiffopt.solver import refinement
+from stiffopt.solver import exact_rows
 from stiffopt.solver.smoothing_width import (
     motors_with_sufficient_smoothing,
     narrowest_sufficient_width,
@@ -54,6 +54,6 @@ def test_smoothing_widens_for_kink_excess_only(monkeypatch, excess, corners):
     def drives(problem, width):
         return [SimpleNamespace(value=-0.1), SimpleNamespace(value=excess(width))]
 
-    monkeypatch.setattr(refinement, "motors_with_law", motors)
-    monkeypatch.setattr(refinement, "drive_violations", drives)
-    assert refinement._widen_motor_smoothing(SimpleNamespace(problem=None), outcome) == corners
+    monkeypatch.setattr(exact_rows, "motors_with_law", motors)
+    monkeypatch.setattr(exact_rows, "drive_violations", drives)
+    assert exact_rows._widen_motor_smoothing(SimpleNamespace(problem=None), outcome) == corners

@@ -12,7 +12,7 @@ from stiffopt.problem.stage_model import StageModel
 from stiffopt.problem.trajectory import Target
 from stiffopt.result.status import SolveStatus
 from stiffopt.robot.files import load_robot
-from stiffopt.solver import refinement
+from stiffopt.solver import exact_rows, refinement, stationary_joints
 from stiffopt.solver.ipopt import IpoptSolver
 from stiffopt.solver.solve import solve
 from stiffopt.solver.stage_plan import plan_stages
@@ -29,7 +29,7 @@ PIECES = {
 @pytest.fixture
 def creeping(tmp_path, monkeypatch):
     """An arm with dry friction, on one mesh."""
-    monkeypatch.setattr(refinement, "_MAX_REFINEMENTS", 0)
+    monkeypatch.setattr(refinement, "_MAX_FINER_MESHES", 0)
     path = write_problem(tmp_path, "planar", **PIECES)
     joints = [joint(name, reducer(), coulomb=3.0) for name in ("shoulder", "elbow")]
     write_robot(tmp_path, "planar", joints)
@@ -38,7 +38,7 @@ def creeping(tmp_path, monkeypatch):
 
 def test_creeping_joints_are_fixed(creeping, monkeypatch):
     found = solve(creeping, throw=False)
-    monkeypatch.setattr(refinement, "_MAX_STATIONARY_PHASES", 0)
+    monkeypatch.setattr(stationary_joints, "_MAX_STATIONARY_PHASES", 0)
     before = solve(creeping, throw=False)
     rests = [np.mean(np.abs(s.assessment.velocity) < 1e-9, axis=0) for s in (before, found)]
     # By the sharp law of the certificate; more on finer meshes, which are not allowed here.
@@ -54,7 +54,7 @@ def test_creeping_joints_are_fixed(creeping, monkeypatch):
 def test_smooth_friction_does_not_hide_torque(creeping, monkeypatch):
     # With a third of the weight beyond the friction, no joint gains by creeping: the optimiser's
     # value is the certified one on the first mesh.
-    monkeypatch.setattr(refinement, "_MAX_STATIONARY_PHASES", 0)
+    monkeypatch.setattr(stationary_joints, "_MAX_STATIONARY_PHASES", 0)
     heavy = replace(creeping, start=Target(joints=[0.3, 0.4]), end=Target(joints=[0.9, 0.1]))
     found = solve(heavy, throw=False)
     believed = found.solver.homotopy[-1]["objective"]
@@ -77,7 +77,8 @@ def test_arms_without_friction_are_unchanged(tmp_path, monkeypatch):
     def never(*_):
         raise AssertionError
 
-    monkeypatch.setattr(refinement, "solve_correction", never)
+    monkeypatch.setattr(exact_rows, "solve_again", never)
+    monkeypatch.setattr(stationary_joints, "solve_again", never)
     assert solve(load(tmp_path, **PIECES), throw=False).status is SolveStatus.OPTIMAL
 
 
@@ -102,7 +103,7 @@ def test_ctrl_c_keeps_the_motion(creeping, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(refinement, "solve_correction", interrupted)
+    monkeypatch.setattr(stationary_joints, "solve_again", interrupted)
     found = solve(creeping, throw=False)
     assert found.status is SolveStatus.INTERRUPTED
     assert found.assessment.feasible(5e-3)

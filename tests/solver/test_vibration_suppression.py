@@ -1,5 +1,7 @@
 """Residual vibration suppression of motors with a wide smoothing of their law."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.sparse import csc_matrix
@@ -10,7 +12,7 @@ from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
 from stiffopt.errors import NotSimulatedError
 from stiffopt.problem.files import load_problem
-from stiffopt.solver import refinement, vibration_suppression
+from stiffopt.solver import arrival, vibration_suppression
 from stiffopt.solver.simulation import elastic_arm
 from stiffopt.solver.solve import solve_with_state
 
@@ -35,14 +37,18 @@ def solved(request, tmp_path_factory):
     path.write_text(problem_text(arm, **goal))
     problem = load_problem(path).problem
     with pytest.MonkeyPatch.context() as plain:
-        plain.setattr(refinement, "suppress_vibration", refused)
+        plain.setattr(arrival, "suppress_vibration", refused)
         before, (_, outcome) = solve_with_state(problem)
         # The plan itself stays.
-        plain.setattr(refinement, "_MAX_PLAN_DEVIATION", np.inf)
-        plain.setattr(refinement, "suppress_vibration", vibration_suppression.suppress_vibration)
+        plain.setattr(arrival, "_MAX_PLAN_DEVIATION", np.inf)
+        plain.setattr(arrival, "suppress_vibration", vibration_suppression.suppress_vibration)
         after, _ = solve_with_state(problem)
     assert outcome.smoothing.lead > 1.0
     return problem, before, after
+
+
+def solve_run(problem=None):
+    return SimpleNamespace(problem=problem, step="", exchanges=[], left_out=[], iterations=0)
 
 
 def refused(*_):
@@ -76,7 +82,7 @@ def test_plan_at_jerk_limit_is_backed_off_for_vibration_suppression(tmp_path):
     path.write_text(problem_text("swivel", **goal))
     problem = load_problem(path).problem
     with pytest.MonkeyPatch.context() as plain:
-        plain.setattr(refinement, "_MAX_PLAN_DEVIATION", np.inf)
+        plain.setattr(arrival, "_MAX_PLAN_DEVIATION", np.inf)
         before, _ = solve_with_state(problem)
     after, _ = solve_with_state(problem)
     assert after.status.usable
@@ -100,9 +106,9 @@ def test_vibration_is_suppressed_with_constant_springs(tmp_path, monkeypatch):
     path.write_text(problem_text("planar", **goal))
     problem = load_problem(path).problem
     # Motors of the sag would exceed a limit.
-    monkeypatch.setattr(refinement, "_sharpen_motor_law", lambda _, outcome: outcome)
+    monkeypatch.setattr(arrival, "_sharpen_motor_law", lambda _, outcome: outcome)
     after, (_, outcome) = solve_with_state(problem)
-    monkeypatch.setattr(refinement, "suppress_vibration", refused)
+    monkeypatch.setattr(arrival, "suppress_vibration", refused)
     before, _ = solve_with_state(problem)
     assert outcome.smoothing.lead == 1.0
     assert after.assessment.feasible(CERTIFICATE_TOLERANCE)
@@ -128,7 +134,7 @@ def test_motors_within_target_deviation_are_unchanged(solved, monkeypatch):
     arm = elastic_arm(problem, after.assessment.position[0])
     monkeypatch.setattr(vibration_suppression, "_TARGET_DEVIATION", 1.0)
     motors = vibration_suppression.suppress_vibration(
-        problem, arm, after.trajectory, CERTIFICATE_TOLERANCE
+        solve_run(problem), arm, after.trajectory, CERTIFICATE_TOLERANCE
     ).motors
     assert motors is after.trajectory
 
@@ -152,7 +158,7 @@ def test_second_change_follows_a_worse_first_one(monkeypatch):
     monkeypatch.setattr(vibration_suppression, "change_motors", lambda *_: None)
     # Past a kink the response is not linear; later changes without gain end it.
     assert (
-        vibration_suppression.suppress_vibration(None, None, None, CERTIFICATE_TOLERANCE).off
+        vibration_suppression.suppress_vibration(solve_run(), None, None, CERTIFICATE_TOLERANCE).off
         == 0.095
     )
 
@@ -178,7 +184,7 @@ def test_changes_continue_while_a_limit_after_arrival_is_exceeded(monkeypatch):
         vibration_suppression, "change_motors", lambda *asked: given.append(asked[-2:])
     )
     assert (
-        vibration_suppression.suppress_vibration(None, None, None, CERTIFICATE_TOLERANCE).off
+        vibration_suppression.suppress_vibration(solve_run(), None, None, CERTIFICATE_TOLERANCE).off
         == 0.01
     )
     # By how much it is exceeded, the change is to be nearer, and after arrival the more.
@@ -206,7 +212,7 @@ def test_limit_after_arrival_gets_twice_as_many_changes(monkeypatch):
     monkeypatch.setattr(vibration_suppression.SimulatedMotors, "of", Judged)
     monkeypatch.setattr(vibration_suppression, "change_motors", lambda *_: made.append(1))
     assert (
-        vibration_suppression.suppress_vibration(None, None, None, CERTIFICATE_TOLERANCE).off
+        vibration_suppression.suppress_vibration(solve_run(), None, None, CERTIFICATE_TOLERANCE).off
         == 0.05
     )
     assert len(made) == 6
@@ -231,7 +237,7 @@ def test_rigid_joints_are_unchanged(solved):
 def test_an_arm_that_cannot_be_simulated_keeps_its_motors(solved, monkeypatch):
     problem, before, _ = solved
 
-    monkeypatch.setattr(refinement, "suppress_vibration", refused)
+    monkeypatch.setattr(arrival, "suppress_vibration", refused)
     found, _ = solve_with_state(problem)
     assert found.objective.value == before.objective.value
     np.testing.assert_array_equal(found.assessment.position, before.assessment.position)

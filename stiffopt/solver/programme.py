@@ -1,0 +1,339 @@
+"""Programmes of a solve: transcribed, solved, and certified as outcomes."""
+
+from __future__ import annotations
+
+import functools
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
+
+import casadi as ca
+import numpy as np
+
+from stiffopt.certificate.assess import assess
+from stiffopt.certificate.collisions import COLLISION_LIMIT, with_collisions
+from stiffopt.certificate.objective_value import is_maximised, objective_value
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
+from stiffopt.problem.motor_model import LAW_SMOOTHING_FACTOR
+from stiffopt.problem.stage_terms import Smoothing
+from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.assessment import Assessment, Violation
+from stiffopt.result.trajectory import Trajectory
+from stiffopt.solver.active_set import ActiveSetSolver
+from stiffopt.solver.exchange import keep_better
+from stiffopt.solver.ipopt import IpoptSolver, Multipliers, RawSolution
+from stiffopt.solver.monitor import FEASIBLE_VIOLATION, Progress
+from stiffopt.solver.solve_run import SolveProgress, SolveRun
+from stiffopt.solver.stage_plan import (
+    SolveStage,
+    solver_options,
+)
+from stiffopt.symbolic import array_of
+from stiffopt.transcription.build import transcribe
+from stiffopt.transcription.mesh import Mesh
+from stiffopt.transcription.nlp import BlockScales, Nlp
+from stiffopt.transcription.ocp import Guess, OptimalControlProblem
+from stiffopt.transcription.transcription import Transcription
+
+if TYPE_CHECKING:
+    from stiffopt.solver.vibration_suppression import SimulatedMotors
+
+# Excess of a row, relative to its scale, up to which a guess counts as near the optimum.
+_NEAR_GUESS_EXCESS = 1.0
+# A correction starts at an optimum: beyond the iterations that this took, and at least so many, it
+# is unlikely to converge.
+_MIN_CORRECTION_ITERATIONS = 150
+# Rise of the objective by a correction, relative, up to which a stalled one is acceptable.
+_MAX_STALLED_RISE = 1e-2
+# Least distance from backed-off bounds of a correction's start.
+_CORRECTION_BOUND_PUSH = 1e-3
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """End of one staged solve: the last NLP with its certified motion.
+
+    Parameters
+    ----------
+    raw : RawSolution
+    transcription : Transcription
+    trajectory : Trajectory
+    assessment : Assessment
+    objective_gap : float
+        Relative excess of the certified objective over the one at the nodes.
+    solver : IpoptSolver
+    smoothing : Smoothing
+        Of the last stage.
+    nlp : Nlp
+        With the bounds of this solve.
+    problem : TrajectoryProblem
+    arm : SimulatedMotors, optional
+        Simulated arm, of motors that suppress its vibration.
+    """
+
+    raw: RawSolution
+    transcription: Transcription
+    trajectory: Trajectory
+    assessment: Assessment
+    objective_gap: float
+    solver: IpoptSolver
+    smoothing: Smoothing
+    nlp: Nlp
+    problem: TrajectoryProblem
+    arm: SimulatedMotors | None = None
+
+    @property
+    def failed(self) -> bool:
+        """True where the solve ended neither at an optimum nor by its time."""
+        return not self.raw.converged and self.raw.status != "time_limit"
+
+    @property
+    def clear(self) -> bool:
+        """True where all limits and clearances hold."""
+        return self.assessment.feasible(CERTIFICATE_TOLERANCE) and not self.collisions
+
+    @functools.cached_property
+    def collisions(self) -> list[Violation]:
+        """Collision violations of the certificate, worst first."""
+        motion = with_collisions(self.problem, self.assessment)
+        return [
+            v
+            for v in motion.violations
+            if v.limit == COLLISION_LIMIT and v.value > CERTIFICATE_TOLERANCE
+        ]
+
+
+@dataclass(frozen=True)
+class Programme:
+    """A transcribed problem with its solver.
+
+    Parameters
+    ----------
+    transcription : Transcription
+    solver : IpoptSolver
+    near : ActiveSetSolver, optional
+        For problems similar to a solved one.
+    """
+
+    transcription: Transcription
+    solver: IpoptSolver
+    near: ActiveSetSolver | None = None
+
+
+def build_programme(
+    run: SolveRun,
+    ocp: OptimalControlProblem,
+    mesh: Mesh,
+    guess: Guess | None = None,
+    scales: BlockScales | None = None,
+    smoothing: Smoothing | None = None,
+) -> Programme:
+    """Transcribe a problem on a mesh, with its own scales or given ones, and set up its solver.
+
+    With collision avoidance, `guess` determines the near couples. With a `smoothing` it is the
+    motion of a coarser mesh, from which the solve starts.
+    """
+    begin = time.perf_counter()
+    transcription = transcribe(ocp, run.problem.method.transcription, mesh, scales=scales)
+    if run.avoidance is not None and guess is not None:
+        transcription = run.avoidance.add_rows(transcription, transcription.pack(guess))
+    near = False
+    if guess is not None and smoothing is not None:
+        near = _is_near_guess(transcription, guess, smoothing)
+    made = attach_solver(run, transcription, near=near)
+    run.build_s += time.perf_counter() - begin
+    return made
+
+
+def attach_solver(run: SolveRun, transcription: Transcription, *, near: bool = False) -> Programme:
+    """Return a transcribed programme with its solver; `near` where it starts near the optimum."""
+    options = solver_options(run.problem, near=near)
+    return Programme(transcription, IpoptSolver(transcription.nlp, options))
+
+
+def _is_near_guess(transcription: Transcription, guess: Guess, smoothing: Smoothing) -> bool:
+    """Return True where a guess exceeds all rows by little."""
+    return largest_excess(transcription, guess, smoothing) <= _NEAR_GUESS_EXCESS
+
+
+def largest_excess(transcription: Transcription, guess: Guess, smoothing: Smoothing) -> float:
+    """Return the largest excess of a row at a guess, relative to its scale."""
+    nlp = transcription.nlp
+    rows = ca.Function("rows", [nlp.x, nlp.p], [nlp.g])
+    found = rows(transcription.pack(guess), nlp.parameters(smoothing.parameters))
+    return float(nlp.violations(array_of(found)).max(initial=0.0))
+
+
+def solve_again(
+    run: SolveRun,
+    before: Outcome,
+    nlp: Nlp,
+    smoothing: Smoothing,
+    max_iterations: int | None = None,
+) -> Outcome:
+    """Solve the last stage again from where it ended, with other bounds or smoothing.
+
+    A correction that stalls at a feasible point of about the objective before is acceptable.
+    """
+    made, raw = Programme(before.transcription, before.solver), before.raw
+    made.solver.set_bounds(nlp)
+    again = solve_stage(
+        run,
+        made,
+        SolveStage(len(made.transcription.intervals), smoothing),
+        raw.x,
+        raw,
+        "correction",
+        "adaptive",
+        _CORRECTION_BOUND_PUSH,
+        max_iterations or max(raw.iterations, _MIN_CORRECTION_ITERATIONS),
+        raw.objective + _MAX_STALLED_RISE * abs(raw.objective),
+    )
+    return certify_outcome(run, made, again, smoothing)
+
+
+def solve_stage(
+    run: SolveRun,
+    made: Programme,
+    stage: SolveStage,
+    x: np.ndarray,
+    warm: Multipliers | None,
+    text: str,
+    barrier: Literal["monotone", "adaptive"] = "monotone",
+    push: float = 1e-8,
+    max_iterations: int | None = None,
+    enough: float = -np.inf,
+) -> RawSolution:
+    """Solve one stage; after a stall once more from the best point without multipliers.
+
+    A stall at a feasible point whose objective is `enough` or less is acceptable.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        Ctrl-C during the solve.
+    """
+    report = _progress_reporter(
+        run, f"{text}, {stage.intervals} intervals, smoothing {stage.smoothing.stiffness:g}"
+    )
+    for start in (warm, None):
+        raw = made.solver.solve(
+            x,
+            stage.smoothing.parameters,
+            warm=start,
+            barrier=barrier,
+            push=push,
+            report=report,
+            max_seconds=run.remaining,
+            max_iterations=max_iterations,
+        )
+        if (
+            raw.status == "stalled"
+            and raw.violation <= FEASIBLE_VIOLATION
+            and raw.objective <= enough
+        ):
+            raw = replace(raw, status="acceptable")
+        run.record(stage, raw)
+        if raw.status == "interrupted":
+            run.unfinished = functools.partial(certify_outcome, run, made, raw, stage.smoothing)
+            raise KeyboardInterrupt
+        if raw.status != "stalled":
+            break
+        # Multipliers of a stalled solve mislead the next one.
+        x = raw.x
+    return raw
+
+
+def solve_by_active_set(
+    run: SolveRun, made: Programme, stage: SolveStage, x: np.ndarray, warm: Multipliers
+) -> RawSolution | None:
+    """Solve a stage from the active set of a similar problem's optimum; None where that fails."""
+    if made.near is None:
+        return None
+    report = _progress_reporter(run, f"active set, {stage.intervals} intervals")
+    raw = made.near.solve(made.transcription, x, stage.smoothing.parameters, warm, report)
+    if raw is not None:
+        run.record(stage, raw)
+    return raw
+
+
+def certify_outcome(
+    run: SolveRun, made: Programme, raw: RawSolution, smoothing: Smoothing
+) -> Outcome:
+    """Return the certified motion of a solved stage, kept where it is the best so far."""
+    trajectory = _build_trajectory(run, made.transcription, raw.x, smoothing.law)
+    assessment = assess(run.problem, trajectory)
+    outcome = Outcome(
+        raw=raw,
+        transcription=made.transcription,
+        trajectory=trajectory,
+        assessment=assessment,
+        objective_gap=_objective_gap(run, made.transcription, raw, smoothing, assessment),
+        solver=made.solver,
+        smoothing=smoothing,
+        nlp=made.solver.nlp,
+        problem=run.problem,
+    )
+    return keep_better(run, outcome)
+
+
+def _objective_gap(
+    run: SolveRun,
+    transcription: Transcription,
+    raw: RawSolution,
+    smoothing: Smoothing,
+    assessment: Assessment,
+) -> float:
+    """Return the relative excess of the certified objective over the one at the nodes."""
+    problem = run.problem
+    if not all(objective.kind.comparable for objective in problem.objectives):
+        return 0.0
+    certified = objective_value(problem, assessment).value
+    claimed = run.reported_value(raw.objective)
+    if smoothing.robust:
+        plain = replace(smoothing, robust=0.0).parameters
+        claimed = run.reported_value(transcription.unpack(raw.x, plain).objective)
+    worse = claimed - certified if is_maximised(problem) else certified - claimed
+    return float(worse / max(abs(claimed), abs(certified), 1e-300))
+
+
+def motors_with_law(run: SolveRun, outcome: Outcome, share: float, *, sagged: bool) -> Trajectory:
+    """Return motors of the same links by a law with a share of the outcome's smoothing widths.
+
+    With `sagged` the spring torques are those at the sagged, else at the planned link positions.
+    """
+    law, x = share * outcome.smoothing.law, outcome.raw.x
+    return _build_trajectory(run, outcome.transcription, x, law, sagged=sagged)
+
+
+def _build_trajectory(
+    run: SolveRun,
+    transcription: Transcription,
+    x: np.ndarray,
+    law: float,
+    *,
+    sagged: bool = False,
+) -> Trajectory:
+    """Return the motion of the joints, exactly as the transcription integrates it."""
+    problem = run.problem
+    motion = Trajectory.from_acceleration(*transcription.acceleration_polynomials(x))
+    if problem.plans_links:
+        return run.motors.motion(motion, LAW_SMOOTHING_FACTOR * law, run.lag, sagged=sagged)
+    if problem.path is None:
+        return motion
+    return problem.path.follow(motion)
+
+
+def _progress_reporter(run: SolveRun, label: str) -> Callable[[Progress], None] | None:
+    if run.progress is None:
+        return None
+    report = run.progress
+
+    def forward(event: Progress) -> None:
+        value = run.reported_value(event.objective)
+        report(
+            SolveProgress(label, event.iteration, value, event.violation, event.row, run.elapsed)
+        )
+
+    return forward

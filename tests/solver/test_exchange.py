@@ -1,0 +1,74 @@
+"""Exchange loop: acceptance, budget, log and Ctrl-C, on numbers in place of motions."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from stiffopt.solver.exchange import Oracle, Proposal, exchange, until_interrupted
+
+
+class Listed(Oracle[float]):
+    """Oracle whose solves give listed numbers, the lower the better."""
+
+    step = "listed"
+
+    def __init__(self, values, rounds=10, explores=True):
+        self.values, self.rounds, self.restored = iter(values), rounds, None
+        self.explores = explores
+
+    def propose(self, last, number):
+        value = next(self.values, None)
+        return None if value is None else Proposal(f"round {number}", lambda: value)
+
+    def rank(self, found):
+        return (found,)
+
+    def restore(self, best):
+        self.restored = best
+
+
+@pytest.fixture
+def run():
+    return SimpleNamespace(step="before", exchanges=[], left_out=[], iterations=0)
+
+
+def test_best_motion_is_kept_and_restored(run):
+    oracle = Listed([3.0, 5.0, 2.0, 4.0])
+    assert exchange(run, oracle, 4.0) == 2.0
+    assert oracle.restored == 2.0
+    assert run.step == "before"
+    assert [each["accepted"] for each in run.exchanges] == [True, False, True, False]
+    assert run.exchanges[0] == {
+        "step": "listed",
+        "reason": "round 0",
+        "iterations": 0,
+        "accepted": True,
+    }
+
+
+def test_start_is_kept_where_no_motion_is_better(run):
+    assert exchange(run, Listed([5.0, 6.0]), 4.0) == 4.0
+
+
+def test_oracle_without_exploration_ends_at_the_first_motion_left_out(run):
+    assert exchange(run, Listed([3.0, 5.0, 2.0], explores=False), 4.0) == 3.0
+    assert len(run.exchanges) == 2
+
+
+@pytest.mark.parametrize("rounds", [0, 2])
+def test_rounds_bound_the_work(run, rounds):
+    assert exchange(run, Listed([3.0, 2.0, 1.0], rounds=rounds), 4.0) == 4.0 - rounds
+    assert len(run.exchanges) == rounds
+
+
+def test_time_limit_ends_the_oracle(run):
+    run.left_out.append("listed")
+    assert exchange(run, Listed([3.0, 2.0]), 4.0) == 3.0
+
+
+def test_ctrl_c_returns_what_is_kept():
+    def pressed():
+        raise KeyboardInterrupt
+
+    assert until_interrupted(pressed, lambda: "kept") == "kept"
+    assert until_interrupted(lambda: "done", pressed) == "done"
