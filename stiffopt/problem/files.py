@@ -105,6 +105,7 @@ def _build_problem(
     joints = JointLists(robot, path)
     poses = PoseReader(joints, document.pose)
     remarks = payload_remarks(document.payload)
+    fields = common_fields(document, joints)
     # An array of waypoints becomes a path when the problem is checked.
     waypoints: Any = None
     force = None
@@ -118,7 +119,7 @@ def _build_problem(
             raise InputFileError(
                 path, "path", "fixes the motion of the tool. Remove start, via and end of [motion]."
             )
-        followed = read_tool_path(document.path, joints)
+        followed = read_tool_path(document.path, joints, fields["limits"])
         waypoints, force = followed.joints, followed.force
         remarks += followed.remarks
         start, end = (Target(joints=waypoints.points[k]) for k in (0, -1))
@@ -130,7 +131,6 @@ def _build_problem(
             )  # fmt: skip
         start = poses(motion.start, "motion.start")
         end = poses(motion.end, "motion.end")
-    fields = common_fields(document, joints)
     if isinstance(waypoints, JointPath) and waypoints.speeds is not None:
         limits: Limits = fields["limits"]
         fastest = min(limits.tool_speed, float(waypoints.speeds.max()))

@@ -11,15 +11,23 @@ import scipy
 
 from stiffopt.errors import InputFileError
 from stiffopt.files import read_table
+from stiffopt.problem.freedom_choice import choose_freedom
+from stiffopt.problem.freedom_task import FreedomTask
 from stiffopt.problem.path_force import PathForce, check_path_force, path_force
-from stiffopt.problem.schema import PathSection, PathTableSection, SegmentSection
-from stiffopt.problem.tool_path import ToolPath, ToolSegment, fit_tool_path, spline_segments
+from stiffopt.problem.schema import PathForceSection, PathSection, PathTableSection, SegmentSection
+from stiffopt.problem.tool_path import (
+    ToolPath,
+    ToolSegment,
+    fit_tool_path,
+    spline_segments,
+)
 from stiffopt.result.joint_path import JointPath
 from stiffopt.robot.elements import locate_errors
 from stiffopt.robot.frames import rotation_from_rpy
 
 if TYPE_CHECKING:
     from stiffopt.problem.joint_lists import JointLists
+    from stiffopt.problem.limit import Limits
 
 _FORCE_COLUMNS = ("fx", "fy", "fz")
 _PLACE_COLUMNS, _ANGLE_COLUMNS, _QUATERNION_COLUMNS = (
@@ -41,11 +49,11 @@ class ReadPath:
     remarks: tuple[str, ...]
 
 
-def read_tool_path(section: PathSection, joints: JointLists) -> ReadPath:
-    """Return the joint path of a tool path, with its error as a remark."""
+def read_tool_path(section: PathSection, joints: JointLists, limits: Limits) -> ReadPath:
+    """Return the joint path of a tool path, its freedom chosen, with its error as a remark."""
     robot = joints.robot
-    limits = np.stack([robot.position_lower, robot.position_upper])
-    near = np.where(np.isfinite(limits).all(axis=0), limits.mean(axis=0), 0.0)
+    ranges = np.stack([robot.position_lower, robot.position_upper])
+    near = np.where(np.isfinite(ranges).all(axis=0), ranges.mean(axis=0), 0.0)
     posture = section.near if section.start is None else section.start.near or section.near
     if posture is not None:
         near = joints(posture, "angle", "path.near")
@@ -55,21 +63,34 @@ def read_tool_path(section: PathSection, joints: JointLists) -> ReadPath:
             path, forces, at = _table_path(section.table, section, joints.path, frame)
         else:
             path, forces, at = _segment_path(section, frame)
-        fitted = fit_tool_path(robot, path, near, section.tolerance)
-        force = None
-        if section.force is not None:
-            stated = section.force
+        chosen: tuple[str, ...] = ()
+        if section.freedom is None:
+            fitted = fit_tool_path(robot, path, near, section.tolerance)
+        else:
+            stated = _force_along(path, section.force, forces, at)
+            axes = "path" if section.force is None else section.force.frame
+            task = FreedomTask(robot, section.freedom, limits, path, frame[1], stated, axes)
+            path, fitted, remark = choose_freedom(task, near, section.tolerance)
+            chosen = (remark,)
+        force = _force_along(path, section.force, forces, at)
+        if force is not None:
             feeds = np.where(np.isfinite(path.speeds), path.speeds, 0.0)
-            force = path_force(
-                path, forces, at, np.array(stated.per_feed), stated.frame, stated.ramp
-            )
             check_path_force(robot, fitted.joints, force, float(feeds.max()))
     stops = f", with {len(path.stops)} stops" if len(path.stops) else ""
     remark = (
         f"The tool's path of {1e3 * path.length:.4g} mm{stops} is followed by a spline through "
         f"{len(fitted.joints.knots)} joint waypoints, within {1e6 * fitted.error:.2g} µm."
     )
-    return ReadPath(fitted.joints, force, (remark,))
+    return ReadPath(fitted.joints, force, (remark, *chosen))
+
+
+def _force_along(
+    path: ToolPath, stated: PathForceSection | None, forces: np.ndarray, at: np.ndarray
+) -> PathForce | None:
+    """Return the force along a path with pieces or places (m,) of constant force."""
+    if stated is None:
+        return None
+    return path_force(path, forces, at, np.array(stated.per_feed), stated.frame, stated.ramp)
 
 
 Frame = tuple[np.ndarray, np.ndarray]

@@ -88,8 +88,8 @@ def path_force(
         constant = _stepped(along, values, at, ramp)
     else:
         constant = scipy.interpolate.PchipInterpolator(at, values)(along)
-    places, rotations = path.poses(along)
-    axes = _path_axes(places, rotations)
+    _, rotations = path.poses(along)
+    axes = _path_axes(*path.surface_poses(along))
     turned = {"base": None, "tool": rotations, "path": axes}[frame]
     proportional = np.repeat(per_feed[None], len(along), axis=0)
     if turned is not None:

@@ -21,7 +21,7 @@ _LONGEST_STEP, _MIN_STEPS, _MAX_STEPS, _STEPS_PER_PIECE = 5e-3, 400, 4000, 4
 _MAX_JOINT_STEP = 0.6
 # Least ratio of the singular values of the Jacobian, its rotations times a length [m/rad]: below,
 # the joints turn faster than the tool by more than its inverse.
-_MIN_CONDITION, _LENGTH_PER_RADIAN = 2e-3, 0.3
+MIN_CONDITION, _LENGTH_PER_RADIAN = 2e-3, 0.3
 # Iterations with the Jacobian of the nearest step, and the error [m] at which they end.
 _MAX_ITERATIONS, _CONVERGED_ERROR = 25, 1e-11
 
@@ -37,8 +37,8 @@ class PoseFollower:
         Positions (K, 3) [m] and rotations (K, 3, 3) at distances (K,) [m].
     breaks : array (m,)
         Distances at which pieces of the path meet, 0 and its length among them [m].
-    near : array (n,)
-        Selects the solution at the start [rad].
+    near : array (n,) or callable
+        Selects the solution at the start, or at each distance [m]. [rad]
 
     Raises
     ------
@@ -46,7 +46,13 @@ class PoseFollower:
         A pose is out of reach, or the path passes a singular pose; with the place.
     """
 
-    def __init__(self, robot: Robot, poses: Poses, breaks: np.ndarray, near: np.ndarray) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        poses: Poses,
+        breaks: np.ndarray,
+        near: np.ndarray | Callable[[float], np.ndarray],
+    ) -> None:
         self._robot, self._poses = robot, poses
         shares = np.arange(_STEPS_PER_PIECE) / _STEPS_PER_PIECE
         inside = (breaks[:-1, None] + np.diff(breaks)[:, None] * shares).ravel()
@@ -57,16 +63,17 @@ class PoseFollower:
         inverses = []
         bodies = robot.rigid_bodies()
         for place, position, rotation in zip(self._along, positions, rotations, strict=True):
-            before = found[-1] if found else near
+            before = found[-1] if found else None
+            guess = near(float(place)) if callable(near) else near if before is None else before
             # No restarts after the first pose: they could change the posture.
             restarts = 0 if found else 60
             try:
-                q = np.asarray(solve_pose(robot, position, rotation, before, restarts=restarts))
+                q = np.asarray(solve_pose(robot, position, rotation, guess, restarts=restarts))
             except ProblemError as error:
                 raise ProblemError(f"path, {place:.3f} m from its start: {error}") from error
             jacobian = bodies.jacobian(robot.tool, q)
             jacobian[3:] *= _LENGTH_PER_RADIAN
-            self._check_step(place, q, before if found else q, jacobian)
+            self._check_step(place, q, q if before is None else before, jacobian)
             found.append(q)
             inverses.append(np.linalg.pinv(jacobian))
         self._joints, self._inverses = np.stack(found), np.stack(inverses)
@@ -83,7 +90,7 @@ class PoseFollower:
                 "another posture by path.start.near, or another path."
             )
         values = np.linalg.svd(jacobian, compute_uv=False)
-        if values[-1] < _MIN_CONDITION * values[0]:
+        if values[-1] < MIN_CONDITION * values[0]:
             turning = np.linalg.svd(jacobian)[2][-1]
             joints = " and ".join(str(k + 1) for k in np.flatnonzero(np.abs(turning) > 0.5))
             raise ProblemError(

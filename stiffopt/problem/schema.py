@@ -33,6 +33,7 @@ from stiffopt.elastic.servo import Servo
 from stiffopt.elastic.uncertainty import AssumedUncertainty, Uncertainty
 from stiffopt.problem.limit import LIMITS, LimitKey
 from stiffopt.problem.objective import OBJECTIVES, Objective
+from stiffopt.problem.path_freedom import PathFreedom
 from stiffopt.problem.trajectory import Method
 from stiffopt.robot.cell import Cell
 from stiffopt.robot.tolerances import Tolerances
@@ -331,6 +332,7 @@ class PathSection(Section):
         Doc("Joint positions that select the posture at the start of a table's path."),
     ] = None
     force: Annotated[PathForceSection | None, Doc("Process force along the path.")] = None
+    freedom: Annotated[PathFreedom | None, Doc("What the process leaves free.")] = None
     speed: Annotated[
         Speed | None,
         POSITIVE,

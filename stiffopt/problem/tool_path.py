@@ -7,6 +7,7 @@ that the tool stays within a tolerance. Where the tool stops, the joints' path m
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -21,6 +22,7 @@ from stiffopt.problem.tool_curves import Arc, Curve, Line, ToolCurve, blend_curv
 from stiffopt.result.joint_path import JointPath
 
 if TYPE_CHECKING:
+    from stiffopt.problem.path_freedom import FreedomChoice
     from stiffopt.robot.robot import Robot
 
 # Smaller changes of direction are no corner [rad].
@@ -139,9 +141,31 @@ class ToolPath:
         # Distances at which segments begin and end, those within a blend at its start [m].
         self.segment_ends = np.array([0.0, *(self.breaks[k] for k in corners), self.length])
         self._turns = _Orientation(rotation, segments, curves, pieces, owners, self.breaks)
+        self._choice: FreedomChoice | None = None
+
+    def chosen(self, choice: FreedomChoice) -> ToolPath:
+        """Return the path with its freedom as chosen."""
+        found = copy(self)
+        found._choice = choice
+        found.corners = choice.place(self.corners)
+        return found
 
     def poses(self, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Positions (K, 3) [m] and rotations (K, 3, 3) at distances along the path (K,) [m]."""
+        places, rotations = self.stated_poses(along)
+        if self._choice is None:
+            return places, rotations
+        return self._choice.place(places), self._choice.turn(along, rotations)
+
+    def surface_poses(self, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Poses as of `poses`, with the tool's axes as they were stated to the placed work."""
+        places, rotations = self.stated_poses(along)
+        if self._choice is None:
+            return places, rotations
+        return self._choice.place(places), self._choice.placed.as_matrix() @ rotations
+
+    def stated_poses(self, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Poses as of `poses`, without regard of what was chosen."""
         inside = np.clip(along, 0.0, self.length)
         number = np.clip(
             np.searchsorted(self.breaks, inside, side="right") - 1, 0, len(self._pieces) - 1
@@ -304,15 +328,20 @@ class FittedPath:
     error: float
 
 
-def fit_tool_path(robot: Robot, path: ToolPath, near: np.ndarray, tolerance: float) -> FittedPath:
+def fit_tool_path(
+    robot: Robot,
+    path: ToolPath,
+    near: np.ndarray | Callable[[float], np.ndarray],
+    tolerance: float,
+) -> FittedPath:
     """Fit a joint spline that follows a tool path.
 
     Parameters
     ----------
     robot : Robot
     path : ToolPath
-    near : array (n,)
-        Selects the inverse-kinematics solution at the start [rad].
+    near : array (n,) or callable
+        Selects the inverse-kinematics solution at the start, or at each distance [m]. [rad]
     tolerance : float
         Largest error of the tool's position [m].
 

@@ -1,0 +1,199 @@
+"""Coarse scan of the freedom of a tool path: postures, constant rotations and tilts, placements.
+
+All candidates are followed along the path at once, from a pose that each posture was found at.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from stiffopt.dynamics.inverse_kinematics import UnreachablePoseError, solve_pose
+from stiffopt.problem.branches import solutions_of_pose
+from stiffopt.problem.freedom_task import SCAN_STRIDE, FreedomTask
+
+# Rotations of a tool that turns freely; most candidates, above which there are fewer rotations.
+_ROTATIONS, _MIN_ROTATIONS, _MAX_CANDIDATES = 24, 6, 6000
+# Directions of tilt, and shares of half-widths at which tilt and placement are tried.
+_TILT_DIRECTIONS, _TRIED_SHARE = 4, 0.5
+# Rotations at which postures are searched, and largest joint difference of equal ones [rad].
+_SEARCHED_ROTATIONS, _SAME_JOINTS = 4, 1e-3
+# Least difference of a joint between chosen candidates [rad].
+_LEAST_DIFFERENCE = 0.6
+# Larger joint steps between neighbouring nodes of the scan are a change of posture [rad].
+_MAX_JOINT_STEP = 1.2
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A motion of the arm along the path at all nodes, with constant freedom.
+
+    Parameters
+    ----------
+    placement : array (6,)
+    turns : array (3,)
+    joints : array (K, n)
+    cost : float
+        Largest deflection [m], more where joints are too slow for the speed; or the time [s].
+    """
+
+    placement: np.ndarray
+    turns: np.ndarray
+    joints: np.ndarray
+    cost: float
+
+
+def scan_candidates(task: FreedomTask, near: np.ndarray, count: int) -> list[Candidate]:
+    """Return the best candidates that follow the whole path, of different postures and rotations.
+
+    Parameters
+    ----------
+    task : FreedomTask
+    near : array (n,)
+        Reference of the postures [rad].
+    count : int
+        Of candidates at most.
+    """
+    anywhere = task.freedom.posture == "any"
+    nodes = task.along[::SCAN_STRIDE]
+    begin = len(nodes) // 2 if anywhere else 0
+    settings = _settings(task)
+    data = task.node_data(nodes)
+    seeds = _postures(task, nodes[begin], near)
+    if not len(seeds):
+        return []
+    placement, turns = np.split(np.tile(settings, (len(seeds), 1)).T, [6])
+    q, found = task.solve_poses(
+        np.repeat(seeds, len(settings), axis=0),
+        placement,
+        turns,
+        np.repeat(data[:, [begin]], placement.shape[1], axis=1),
+    )
+    kept = np.flatnonzero(found)
+    kept = kept[_first_of_equal(np.hstack([_unwound(q), placement.T, turns.T])[kept])]
+    placement, turns = placement[:, kept], turns[:, kept]
+    joints = np.full((len(kept), len(nodes), task.robot.n), np.nan)
+    joints[:, begin] = q[kept]
+    for order in (range(begin + 1, len(nodes)), range(begin - 1, -1, -1)):
+        _follow(task, joints, order, placement, turns, data)
+    whole = np.flatnonzero(np.isfinite(joints).all(axis=(1, 2)))
+    repeated = [np.repeat(each[:, whole], len(nodes), axis=1) for each in (placement, turns)]
+    cost = task.costs(joints[whole], nodes, *repeated, data)
+    chosen: list[Candidate] = []
+    for k, own in sorted(zip(whole, cost, strict=True), key=lambda each: float(each[1])):
+        apart = [_largest_difference(joints[k], each.joints) for each in chosen]
+        if len(chosen) < count and min(apart, default=np.inf) > _LEAST_DIFFERENCE:
+            chosen.append(Candidate(placement[:, k], turns[:, k], joints[k], float(own)))
+    return chosen
+
+
+def refine_candidate(task: FreedomTask, candidate: Candidate) -> Candidate | None:
+    """Return a candidate at all nodes of the task, None where it does not follow them."""
+    nodes = task.along[::SCAN_STRIDE]
+    guess = np.stack(
+        [np.interp(task.along, nodes, column) for column in candidate.joints.T], axis=1
+    )
+    placement, turns = (
+        np.repeat(each[:, None], len(guess), axis=1)
+        for each in (candidate.placement, candidate.turns)
+    )
+    data = task.node_data(task.along)
+    q, found = task.solve_poses(guess, placement, turns, data)
+    if not found.all():
+        return None
+    (cost,) = task.costs(q[None], task.along, placement, turns, data)
+    return replace(candidate, joints=q, cost=float(cost))
+
+
+def _settings(task: FreedomTask) -> np.ndarray:
+    """Return the constant placements, rotations and tilts (S, 9) that are tried."""
+    freedom = task.freedom
+    half = freedom.placement
+    shifts = [np.zeros(6)]
+    for signs in product(*([(-1.0, 1.0)] * int(np.count_nonzero(half)))):
+        if signs:
+            shift = np.zeros(6)
+            shift[half > 0.0] = np.array(signs) * _TRIED_SHARE * half[half > 0.0]
+            shifts.append(shift)
+    tilts = [np.zeros(2)]
+    if freedom.tilt > 0.0:
+        angles = 2.0 * np.pi * np.arange(_TILT_DIRECTIONS) / _TILT_DIRECTIONS
+        tilts += [_TRIED_SHARE * freedom.tilt * np.array([np.cos(a), np.sin(a)]) for a in angles]
+    room = _MAX_CANDIDATES // (8 * len(shifts) * len(tilts))
+    count = int(np.clip(room, _MIN_ROTATIONS, _ROTATIONS))
+    if freedom.rotates_freely:
+        spins = 2.0 * np.pi * np.arange(count) / count - np.pi
+    elif freedom.tool_axis_rotation > 0.0:
+        spins = np.linspace(-1.0, 1.0, count | 1) * freedom.tool_axis_rotation
+    else:
+        spins = np.zeros(1)
+    rows = [
+        # The tilt is about axes of the tool before its rotation.
+        np.concatenate([shift, [spin], tilt])
+        for shift, tilt, spin in product(shifts, tilts, spins)
+    ]
+    return np.array(rows)
+
+
+def _postures(task: FreedomTask, along: float, near: np.ndarray) -> np.ndarray:
+    """Return joint positions (P, n) of the stated pose at a distance [m], turned evenly."""
+    freedom = task.freedom
+    (place,), (rotation,) = task.path.poses(np.array([along]))
+    bound = np.pi if freedom.rotates_freely else freedom.tool_axis_rotation
+    count = _SEARCHED_ROTATIONS if bound > 0.0 else 1
+    spins = bound * (np.arange(count) / max(count - 1, 1) * 2.0 - 1.0) if count > 1 else [0.0]
+    found: list[np.ndarray] = []
+    for spin in spins:
+        turned = rotation @ Rotation.from_rotvec([0.0, 0.0, spin]).as_matrix()
+        if freedom.posture == "any":
+            found += solutions_of_pose(task.robot, place, turned, near, lambda q: True)
+            continue
+        try:
+            found.append(solve_pose(task.robot, place, turned, near))
+        except UnreachablePoseError:
+            continue
+    if not found:
+        return np.zeros((0, task.robot.n))
+    poses = np.stack(found)
+    return poses[_first_of_equal(_unwound(poses))]
+
+
+def _first_of_equal(rows: np.ndarray) -> np.ndarray:
+    """Return the numbers of rows (R, m) that equal none before them."""
+    _, first = np.unique(np.round(rows / _SAME_JOINTS), axis=0, return_index=True)
+    return np.sort(first)
+
+
+def _follow(
+    task: FreedomTask,
+    joints: np.ndarray,
+    order: range,
+    placement: np.ndarray,
+    turns: np.ndarray,
+    data: np.ndarray,
+) -> None:
+    """Fill in the joint positions (C, K, n) at nodes in order, NaN from where they end."""
+    back = -1 if order.step > 0 else 1
+    for k in order:
+        own = np.flatnonzero(np.isfinite(joints[:, k + back]).all(axis=1))
+        if not len(own):
+            return
+        before = joints[own, k + back]
+        q, found = task.solve_poses(
+            before, placement[:, own], turns[:, own], np.repeat(data[:, [k]], len(own), axis=1)
+        )
+        found &= np.abs(q - before).max(axis=1) < _MAX_JOINT_STEP
+        joints[own[found], k] = q[found]
+
+
+def _unwound(q: np.ndarray) -> np.ndarray:
+    """Return cosine and sine of joint positions (K, n), equal for full turns."""
+    return np.hstack([np.cos(q), np.sin(q)])
+
+
+def _largest_difference(one: np.ndarray, other: np.ndarray) -> float:
+    """Return the largest difference of motions (K, n), full turns aside [rad]."""
+    return float(np.abs(np.angle(np.exp(1j * (one - other)))).max())

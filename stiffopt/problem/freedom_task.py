@@ -1,0 +1,300 @@
+"""Nodes of a tool path with freedom: poses, forces, time steps, and the arm's functions there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import casadi as ca
+import numpy as np
+
+from stiffopt.drivetrain.compact import CompactChain
+from stiffopt.dynamics.deflection import spring_torques, tool_deflection
+from stiffopt.dynamics.kinematics import point_jacobian, tool_pose
+from stiffopt.errors import ProblemError
+from stiffopt.problem.path_freedom import PathFreedom, TurnBasis
+from stiffopt.problem.pose_following import MIN_CONDITION
+from stiffopt.symbolic import Quantity
+
+if TYPE_CHECKING:
+    from stiffopt.problem.limit import Limits
+    from stiffopt.problem.path_force import ForceFrame, PathForce
+    from stiffopt.problem.tool_path import ToolPath
+    from stiffopt.robot.robot import Robot
+
+# Distance between nodes of a scan, which takes each fourth node [m], and their least and largest
+# number.
+SCAN_STRIDE = 4
+_SCAN_DISTANCE, _MIN_SCANNED, _MAX_SCANNED = 0.02, 7, 31
+# Tool speed at which joint rates are judged where the path states none [m/s]: that of ISO 10218-1
+# for manual operation, which no process exceeds without saying so.
+_USUAL_SPEED = 0.25
+# An angle error of 1 rad weighs as much as this distance: about the reach of a wrist [m].
+_LENGTH_PER_RADIAN = 0.3
+# Square of an angle [rad^2] that keeps the rotation vector's root smooth at zero.
+_SQUARED_ANGLE_FLOOR = 1e-16
+# Damping of Gauss-Newton steps by the squared residual, its floor, and largest step of a joint
+# [rad]; residual at which a pose counts as found [m].
+_DAMPING, _DAMPING_FLOOR, _LARGEST_STEP = 1e-1, 1e-10, 0.4
+_MAX_NEWTON_STEPS, _SOLVED_RESIDUAL = 40, 1e-8
+# Entries of a node's data: position, rotation, force, rows of the error's directions.
+_NODE_DATA = 3 + 9 + 3 + 9
+
+
+@dataclass(frozen=True, eq=False)
+class FreedomTask:
+    """Tool path with freedom at nodes.
+
+    Parameters
+    ----------
+    robot : Robot
+    freedom : PathFreedom
+    limits : Limits
+    path : ToolPath
+        As stated.
+    origin : array (3,) [m]
+        Of its work frame.
+    force : PathForce or None
+        Along the stated path.
+    force_axes : str
+        In which it is given.
+    """
+
+    robot: Robot
+    freedom: PathFreedom
+    limits: Limits
+    path: ToolPath
+    origin: np.ndarray
+    force: PathForce | None
+    force_axes: ForceFrame
+
+    def __post_init__(self) -> None:
+        freedom = self.freedom
+        if freedom.posture == "near" and not (freedom.turns or np.any(freedom.placement)):
+            raise ProblemError(
+                "path.freedom leaves nothing free: give tool_axis_rotation, tilt or placement_box, "
+                'or posture = "any".'
+            )
+        if self.force is not None and self.force_axes == "tool" and freedom.turns:
+            raise ProblemError(
+                "path.freedom would turn a force given in axes of the tool with the tool: give it "
+                'in axes of the path, path.force.frame = "path", or of the base.'
+            )
+        if self.minimises_error and self.force is None:
+            raise ProblemError(
+                "path.freedom minimises the deflection under the process force, and there is none: "
+                'add [path.force], or minimise = "duration".'
+            )
+        if self.minimises_error and not self.robot.yields:
+            raise ProblemError(
+                f"path.freedom minimises the deflection of the tool, and {self.robot.name} has no "
+                'drivetrain: describe its joints\' elements, or minimise = "duration".'
+            )
+
+    @property
+    def minimises_error(self) -> bool:
+        """True where the deflection is minimised, else the time."""
+        return self.freedom.minimise == "tool_error"
+
+    @cached_property
+    def along(self) -> np.ndarray:
+        """Distances of the nodes (K,) [m]."""
+        length = self.path.length
+        scanned = int(np.clip(np.ceil(length / _SCAN_DISTANCE), _MIN_SCANNED - 1, _MAX_SCANNED - 1))
+        return np.linspace(0.0, length, SCAN_STRIDE * scanned + 1)
+
+    @cached_property
+    def basis(self) -> TurnBasis:
+        """Basis of rotation and tilt."""
+        return self.freedom.turn_basis(self.path.length)
+
+    @cached_property
+    def least_steps(self) -> np.ndarray:
+        """Time (K - 1,) [s] between nodes at the largest tool speed."""
+        middles = 0.5 * (self.along[1:] + self.along[:-1])
+        piece = np.clip(
+            np.searchsorted(self.path.breaks, middles) - 1, 0, len(self.path.speeds) - 1
+        )
+        speed = np.minimum(self.path.speeds[piece], self.limits.tool_speed)
+        usual = _USUAL_SPEED if self.minimises_error else np.inf
+        return np.asarray(np.diff(self.along) / np.where(np.isfinite(speed), speed, usual))
+
+    def node_data(self, along: np.ndarray) -> np.ndarray:
+        """Data of nodes (24, K) at distances (K,) [m]."""
+        position, rotation = self.path.poses(along)
+        pushed, rows = np.zeros((len(along), 3)), np.repeat(np.eye(3)[None], len(along), axis=0)
+        if self.force is not None:
+            share = along / self.path.length
+            middles = 0.5 * (self.along[1:] + self.along[:-1])
+            with np.errstate(divide="ignore"):
+                feed = np.interp(along, middles, np.diff(self.along) / self.least_steps)
+            pushed = self.force(share, np.where(np.isfinite(feed), feed, 0.0))
+            axes = self.force.axes_at(share)
+            kept = {"any": (1.0, 1.0, 1.0), "axis": (0.0, 0.0, 1.0), "side": (0.0, 1.0, 0.0)}
+            rows = np.diag(kept[self.freedom.error_direction]) @ axes.swapaxes(1, 2)
+        flat = [each.swapaxes(1, 2).reshape(len(along), 9) for each in (rotation, rows)]
+        return np.hstack([position, flat[0], pushed, flat[1]]).T
+
+    @cached_property
+    def node(self) -> ca.Function:
+        """Function (q (n,), placement (6,), turns (3,), data (24,)) -> (residual (6,), error (3,)).
+
+        The residual of the pose is in [m], an angle times 0.3 m; the error is the deflection of
+        the tool under the force in the directions that count [m].
+        """
+        robot, tool = self.robot, self.robot.tool
+        q, placement = ca.SX.sym("q", robot.n), ca.SX.sym("placement", 6)
+        turns, data = ca.SX.sym("turns", 3), ca.SX.sym("data", _NODE_DATA)
+        stated, turned, force, rows = ca.vertsplit(data, [0, 3, 12, 15, _NODE_DATA])
+        placed = _rotation_of_vector(placement[3:])
+        wanted = self.origin + placement[:3] + ca.mtimes(placed, stated - self.origin)
+        leaned = _rotation_of_vector(ca.vertcat(turns[1:], 0.0))
+        spun = _rotation_of_vector(ca.vertcat(0.0, 0.0, turns[0]))
+        goal = ca.mtimes([placed, ca.reshape(turned, 3, 3), leaned, spun])
+        position, rotation = tool_pose(robot.tree, tool.joint, tool.offset, tool.rotation, q)
+        off = ca.mtimes(rotation.T, goal)
+        angle = 0.5 * ca.vertcat(
+            off[2, 1] - off[1, 2], off[0, 2] - off[2, 0], off[1, 0] - off[0, 1]
+        )
+        residual = ca.vertcat(position - wanted, _LENGTH_PER_RADIAN * angle)
+        error: Quantity = ca.SX.zeros(3)
+        if self.force is not None and robot.yields:
+            pushed = ca.mtimes(placed, force) if self.force_axes != "base" else force
+            rest = ca.SX.zeros(robot.n)
+            torques = spring_torques(robot.tree, tool.joint, tool.offset, q, rest, rest, pushed)
+            jacobian = point_jacobian(robot.tree, tool.joint, tool.offset, q)
+            moved = tool_deflection(jacobian, torques, self._windup).process
+            error = ca.mtimes([ca.reshape(rows, 3, 3), placed.T, moved])
+        return ca.Function("node", [q, placement, turns, data], [residual, error])
+
+    @cached_property
+    def linearised_pose(self) -> ca.Function:
+        """Function of the same arguments -> (residual (6,), its Jacobian by q (6, n))."""
+        arguments = [ca.SX.sym("a", *self.node.size_in(k)) for k in range(4)]
+        residual, _ = self.node(*arguments)
+        jacobian = ca.densify(ca.jacobian(residual, arguments[0]))
+        return ca.Function("pose", arguments, [residual, jacobian])
+
+    @cached_property
+    def derivatives(self) -> ca.Function:
+        """Function of the same arguments -> Jacobians and gradients.
+
+        Of the residual by q (6, n) and by placement and turns (6, 9), of the squared error by q
+        (n,) and by placement and turns (9,).
+        """
+        arguments = [ca.SX.sym("a", *self.node.size_in(k)) for k in range(4)]
+        residual, error = self.node(*arguments)
+        q, parameters = arguments[0], ca.vertcat(*arguments[1:3])
+        square = ca.dot(error, error)
+        return ca.Function(
+            "derivatives",
+            arguments,
+            [
+                ca.densify(ca.jacobian(residual, q)),
+                ca.densify(ca.jacobian(residual, parameters)),
+                ca.densify(ca.jacobian(square, q)),
+                ca.densify(ca.jacobian(square, parameters)),
+            ],
+        )
+
+    def _windup(self, torque: Quantity) -> Quantity:
+        angles = [
+            0.0 if chain is None else chain.windup(torque[j], smoothing=1.0)
+            for j, chain in enumerate(self._chains)
+        ]
+        return ca.vertcat(*angles)
+
+    @cached_property
+    def _chains(self) -> list[CompactChain | None]:
+        return [
+            None if chain is None else CompactChain(chain, float(self.robot.torque_max[j]))
+            for j, chain in enumerate(self.robot.chains)
+        ]
+
+    def errors(
+        self, q: np.ndarray, placement: np.ndarray, turns: np.ndarray, data: np.ndarray
+    ) -> np.ndarray:
+        """Deflection that counts (K,) [m] at joint positions (K, n); the others (., K) or (.,)."""
+        _, error = self.node.map(len(q))(q.T, placement, turns, data)
+        return np.linalg.norm(np.asarray(error), axis=0)
+
+    def costs(
+        self,
+        joints: np.ndarray,
+        nodes: np.ndarray,
+        placement: np.ndarray,
+        turns: np.ndarray,
+        data: np.ndarray,
+    ) -> np.ndarray:
+        """Cost (C,) of motions (C, K, n) through nodes: the largest deflection [m] or the time [s].
+
+        A deflection counts more where joints are too slow for the speed of the path. Placement
+        (6, C K) and turns (3, C K) are those of each node of each motion, data (24, K) of one.
+        """
+        count, size, n = joints.shape
+        elapsed = np.concatenate([[0.0], np.cumsum(self.least_steps)])
+        least = np.diff(np.interp(nodes, self.along, elapsed))
+        needed = np.max(np.abs(np.diff(joints, axis=1)) / self.limits.velocity, axis=2)
+        if not self.minimises_error:
+            bent = np.abs(np.diff(joints, n=2, axis=1)) / self.limits.acceleration
+            needed[:, 1:] = np.maximum(needed[:, 1:], np.sqrt(bent.max(axis=2)))
+            return np.asarray(np.maximum(needed, least).sum(axis=1))
+        error = self.errors(
+            joints.reshape(count * size, n),
+            placement,
+            turns,
+            np.tile(data, (1, count)),
+        )
+        slowing = np.maximum(1.0, np.max(needed / least, axis=1))
+        return np.asarray(error.reshape(count, size).max(axis=1) * slowing)
+
+    def solve_poses(
+        self,
+        q: np.ndarray,
+        placement: np.ndarray,
+        turns: np.ndarray,
+        data: np.ndarray,
+        held: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Joint positions (K, n) of poses, from guesses (K, n), and which were found, not singular.
+
+        Joints `held` (n,) keep their positions. Damped Gauss-Newton steps of all at once, inside
+        the position limits.
+        """
+        count, n = q.shape
+        pose = self.linearised_pose.map(count)
+        lower, upper = self.limits.position_lower, self.limits.position_upper
+        q = np.clip(q, lower, upper)
+        for _ in range(_MAX_NEWTON_STEPS):
+            residual, jacobian = (np.asarray(each) for each in pose(q.T, placement, turns, data))
+            off = np.linalg.norm(residual, axis=0)
+            if np.all(off < _SOLVED_RESIDUAL):
+                break
+            own = jacobian.reshape(6, count, n).transpose(1, 0, 2)
+            if held is not None:
+                own = own * ~held
+            gram = own @ own.swapaxes(1, 2)
+            damping = _DAMPING * off**2 + _DAMPING_FLOOR
+            gram += damping[:, None, None] * np.eye(6)
+            step = np.einsum(
+                "kij,ki->kj", own, np.linalg.solve(gram, residual.T[:, :, None])[..., 0]
+            )
+            size = np.abs(step).max(axis=1, keepdims=True)
+            step = step * np.minimum(1.0, _LARGEST_STEP / np.maximum(size, 1e-12))
+            q = np.clip(q - step, lower, upper)
+        values = np.linalg.svd(jacobian.reshape(6, count, n).transpose(1, 0, 2), compute_uv=False)
+        regular = values[:, -1] > MIN_CONDITION * values[:, 0]
+        return q, (off < _SOLVED_RESIDUAL) & regular
+
+
+def _rotation_of_vector(vector: Quantity) -> Quantity:
+    """Rotation (3, 3) about a vector by its length [rad], smooth at zero."""
+    square = ca.dot(vector, vector) + _SQUARED_ANGLE_FLOOR
+    angle = ca.sqrt(square)
+    cross = ca.skew(vector)
+    return (
+        ca.SX.eye(3)
+        + ca.sin(angle) / angle * cross
+        + (1.0 - ca.cos(angle)) / square * ca.mtimes(cross, cross)
+    )
