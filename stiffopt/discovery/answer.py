@@ -159,9 +159,13 @@ def statement_headline(diagnosis: Diagnosis, findings: list[Finding]) -> str:
 
 
 def action(diagnosis: Diagnosis) -> str:
-    """Return one line of what to do: the remedy of the first finding, or the next recording."""
+    """Return one line of what to do: the remedy of the first finding, or the next recording.
+
+    Between two states what changed comes before what both lack.
+    """
     own = statements(diagnosis)
     new = [each for each in own if not each.finding.located.calibrated]
+    new.sort(key=lambda each: each.finding not in diagnosis.changes)
     first = next(iter(new or own), None)
     only_rest = not new and diagnosis.unexplained is not None
     if diagnosis.verdict == "nothing_missing":

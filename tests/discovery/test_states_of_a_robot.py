@@ -9,6 +9,7 @@ import pytest
 
 from stiffopt import diagnose_change
 from stiffopt.cli import run
+from stiffopt.discovery.answer import action
 from stiffopt.discovery.catalogue.friction_drift import friction_drift
 from stiffopt.discovery.extended.model import load_extended
 from stiffopt.discovery.store import answer_document, write_diagnosis
@@ -91,6 +92,21 @@ def test_payload_of_a_new_gripper_is_the_change(tmp_path):
     mass = next(p for p in change.parameters if p.name == "dm")
     assert mass.value == pytest.approx(0.6, abs=max(4.0 * mass.sd, 0.06))
     assert {p.name for p in change.parameters} >= {"dm"}
+
+
+def test_heavy_load_is_the_change_and_its_remedy_comes_first(tmp_path):
+    """Runs of the states do not fit each other, and both lack more friction than the load adds."""
+    own = tuple(3.0 * each for each in UPRIGHT.coulomb)
+    before = _write_state(UPRIGHT, tmp_path / "before", 23, coulomb=own)
+    after = _write_state(UPRIGHT, tmp_path / "after", 24, coulomb=own, payload=4.0)
+    found = diagnose_change(before, after, experiment=False)
+    (change,) = found.changes
+    assert change.effect.family == "inertial"
+    mass = next(p for p in change.parameters if p.name == "dm")
+    assert mass.value == pytest.approx(4.0, abs=max(4.0 * mass.sd, 0.1))
+    assert len(found.findings) > 1
+    assert change.effect.title in change_headline(found) or "heavier" in change_headline(found)
+    assert any(word in action(found) for word in ("payload", "mass", "load"))
 
 
 @pytest.mark.parametrize("machine", MACHINES, ids=lambda each: each.name)

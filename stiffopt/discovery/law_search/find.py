@@ -256,9 +256,12 @@ class _State:
         found = [
             int(c)
             for c in np.argsort(-beyond)
-            if c in unexplained
-            or self._findings_at(int(c))
-            or (beyond[c] > FAINT_RATIO and c % n not in named)
+            if self.comparison.rows.counts[c]
+            and (
+                c in unexplained
+                or self._findings_at(int(c))
+                or (beyond[c] > FAINT_RATIO and c % n not in named)
+            )
         ]
         return sorted(found, key=lambda c: c >= n)
 
