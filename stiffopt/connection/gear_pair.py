@@ -97,7 +97,7 @@ class GearPair(ContactConnection):
     def _bending_compliance(self) -> float:
         return 1 / (self.mesh_stiffness * self.face_width * self.base_radius**2)
 
-    def pressure(self, torque: Quantity, preload: Quantity | None = None) -> Quantity:
+    def pressure(self, torque: Quantity) -> Quantity:
         """Return the mean pressure on the strip of one tooth pair [Pa]."""
         force = np.absolute(torque) / (self.base_radius * self.contact_ratio)
         return mean_pressure(

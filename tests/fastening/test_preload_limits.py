@@ -220,8 +220,6 @@ def test_preload_above_capacity_is_refused():
         r"12\.38 kN of M5 12\.9 \(VDI 2230, thread friction 0\.12\)\. Lower the preload, or take",
     ):
         check_preload(flange(preload=14e3), WRENCH)
-    with pytest.raises(InputError, match=r"preload 14 kN of flexspline_flange"):
-        check_preload(flange(), WRENCH, 14e3)
     check_preload(flange(preload=12.37e3), WRENCH)
     with pytest.raises(InputError, match=r"thread friction 0\.2"):
         check_preload(flange(preload=12.37e3), Tightening(thread_friction=0.2))
@@ -231,5 +229,3 @@ def test_preload_above_capacity_is_refused():
         check_preload(pins(preload=3e3), WRENCH)
     # Nobody knows what holds these, so nothing can be said.
     check_preload(pins(preload=3e3, screw=None), WRENCH)
-    with pytest.raises(InputError, match="preload = -5 cannot be used"):
-        check_preload(flange(), WRENCH, -5.0)
