@@ -153,15 +153,6 @@ def engagement_length(bolt: Bolt) -> float:
     return assumed * catalogue.bolt(bolt.size).diameter
 
 
-def assumed_lengths(flange: BoltedFlange) -> dict[str, float]:
-    """Return the assumed lengths of a flange, by key [m]."""
-    bolt = flange_bolt(flange)
-    present = {"clamp_length": clamp_length(bolt)}
-    if not bolt.nut:
-        present["engagement"] = engagement_length(bolt)
-    return {name: value for name, value in present.items() if getattr(bolt, name) is None}
-
-
 def joint_compliances(flange: BoltedFlange) -> tuple[float, float]:
     """Return delta_S and delta_P of one bolt and its clamped parts [m/N] (R3)."""
     bolt = flange_bolt(flange)

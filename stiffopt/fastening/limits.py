@@ -45,14 +45,6 @@ def preload_limits(element: Connection, tightening: Tightening) -> tuple[Preload
     return set_screws.limits(fastened)
 
 
-def assumed_lengths(element: Connection) -> dict[str, float]:
-    """Return the assumed lengths, by their key in the robot file [m]."""
-    fastened = _require_fasteners(element)
-    if isinstance(fastened, BoltedFlange):
-        return bolts.assumed_lengths(fastened)
-    return set_screws.assumed_lengths(fastened)
-
-
 def check_preload(element: Connection, tightening: Tightening) -> None:
     """Raise `InputError` if the preload of an element exceeds the capacity of its fasteners."""
     fastened = _require_fasteners(element)

@@ -15,7 +15,6 @@ from stiffopt.drivetrain import catalogue
 from stiffopt.errors import InputError
 from stiffopt.fastening.bolts import permissible_assembly_preload
 from stiffopt.fastening.limits import (
-    assumed_lengths,
     check_preload,
     fastener_count,
     key_pressure_limit,
@@ -130,14 +129,6 @@ def test_pin_limits():
     assert soft["tip indentation"].capacity / area == pytest.approx(0.8e9, rel=0.01)
     assert 1.0e9 < mine["tip indentation"].capacity / area < 1.5e9
     assert "assumed" in unknown["tip indentation"].source
-
-
-def test_assumed_lengths():
-    assert assumed_lengths(flange()) == {"clamp_length": 0.01, "engagement": 0.0075}
-    assert assumed_lengths(flange(thread_material="aluminium"))["engagement"] == 0.01
-    assert assumed_lengths(flange(clamp_length=8e-3, engagement=6e-3)) == {}
-    assert assumed_lengths(pins()) == {"length": pytest.approx(6e-3)}
-    assert assumed_lengths(pins(screw=SetScrew(size="M4", length=5e-3))) == {}
 
 
 def test_key_pressures():
