@@ -107,7 +107,7 @@ def diagnose(
     from stiffopt.recording.recording_set import RecordingSet, load_recordings
     from stiffopt.recording.state_pair import load_state_pair
     from stiffopt.report.common.terminal import StepDisplay
-    from stiffopt.report.diagnosis.terminal import print_diagnosis
+    from stiffopt.report.diagnosis.sections import print_diagnosis
 
     if before is not None and after is not None:
         states = [load_recordings(each, changes) for each in (before, after)]

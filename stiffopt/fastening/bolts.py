@@ -10,8 +10,7 @@ from stiffopt.connection import Bolt, BoltedFlange
 from stiffopt.drivetrain import catalogue
 from stiffopt.drivetrain.fasteners import BoltData
 from stiffopt.errors import InputError
-from stiffopt.fastening.bolt_geometry import bolt_data, clamp_length
-from stiffopt.fastening.bolt_strength import head_bearing, stripping_length
+from stiffopt.fastening.bolt_strength import bolt_data, clamp_length, head_bearing, stripping_length
 from stiffopt.fastening.compliance import (
     bolt_compliance,
     clamped_compliance,

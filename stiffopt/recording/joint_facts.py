@@ -64,6 +64,11 @@ class JointFacts:
     at_rest: bool = False
 
     @property
+    def sensor(self) -> bool:
+        """Return whether a torque or a link encoder is recorded; named by `Need`."""
+        return self.torque or self.link
+
+    @property
     def balances(self) -> tuple[str, ...]:
         """Equations that can be evaluated for the joint."""
         if not self.torque:

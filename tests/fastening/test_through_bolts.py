@@ -13,8 +13,12 @@ from stiffopt.connection import Bolt
 from stiffopt.drivetrain import catalogue
 from stiffopt.errors import InputError
 from stiffopt.fastening import bolts
-from stiffopt.fastening.bolt_geometry import bolt_data
-from stiffopt.fastening.bolt_strength import head_bearing, stress_amplitude, transverse_slip_limit
+from stiffopt.fastening.bolt_strength import (
+    bolt_data,
+    head_bearing,
+    stress_amplitude,
+    transverse_slip_limit,
+)
 from stiffopt.fastening.compliance import (
     bolt_compliance,
     clamped_compliance,
