@@ -262,7 +262,9 @@ def read_document(
 
 
 def to_json_types(value: object) -> Any:
-    """Convert a value to JSON types; numbers that are not finite become null."""
+    """Convert a value to JSON types, dataclasses to their fields; infinite numbers become null."""
+    if hasattr(value, "__dataclass_fields__"):
+        value = vars(value)
     if isinstance(value, Mapping):
         return {str(key): to_json_types(each) for key, each in value.items()}
     if hasattr(value, "tolist"):  # arrays and numbers of NumPy
@@ -272,6 +274,13 @@ def to_json_types(value: object) -> Any:
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return value if value is None or isinstance(value, bool | int) else str(value)
+
+
+def write_json(path: str | os.PathLike[str], document: object) -> None:
+    """Write a document as JSON, atomically; values as of `to_json_types`."""
+    content = to_json_types(document)
+    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+    atomic_write(path, text + "\n")
 
 
 def atomic_write(path: str | os.PathLike[str], content: str | bytes) -> None:

@@ -9,15 +9,11 @@ polynomial and followed exactly.
 from __future__ import annotations
 
 import logging
-import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib import import_module
-from importlib.util import find_spec
 from itertools import pairwise
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -209,10 +205,11 @@ def _path_speed(
 ) -> np.ndarray | None:
     """Return toppra's path speed ds/dt on a part of the grid, `outer` at its ends; None if none."""
     with _silence_logging():
-        with _defer_pyplot_import():
-            from toppra.algorithm import TOPPRA
-            from toppra.constraint import DiscretizationType, LinearConstraint
-            from toppra.constraint.linear_constraint import canlinear_colloc_to_interpolate
+        # toppra loads matplotlib.
+        from toppra.algorithm import TOPPRA
+        from toppra.constraint import DiscretizationType, LinearConstraint
+        from toppra.constraint.linear_constraint import canlinear_colloc_to_interpolate
+
         grid, ceiling = rows.grid[part], rows.squared_speed_max[part]
 
         class Rows(LinearConstraint):  # type: ignore[misc]
@@ -259,43 +256,3 @@ def _silence_logging() -> Iterator[None]:
             yield
     finally:
         logger.setLevel(level)
-
-
-class _DeferredModule(ModuleType):
-    """Placeholder of a module that is imported on first attribute access."""
-
-    def __getattr__(self, name: str) -> Any:
-        # `inspect` reads dunder attributes of every module in sys.modules: no reason to import.
-        if name.startswith("__") and name.endswith("__"):
-            raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
-        self.leave()
-        return getattr(import_module(self.__name__), name)
-
-    def leave(self) -> None:
-        """Remove the placeholder from `sys.modules`."""
-        if sys.modules.get(self.__name__) is self:
-            del sys.modules[self.__name__]
-
-
-@contextmanager
-def _defer_pyplot_import() -> Iterator[None]:
-    """Import toppra without pyplot, which takes longer to load than the rest of it."""
-    package, name = "matplotlib", "matplotlib.pyplot"
-    # Once toppra is imported the placeholder would only be visible to other importers.
-    if name in sys.modules or "toppra.algorithm" in sys.modules:
-        yield
-        return
-    later = [_DeferredModule(name)]
-    found = None if package in sys.modules else find_spec(package)
-    if found is not None:
-        whole = _DeferredModule(package)
-        # Other threads may import submodules of matplotlib meanwhile.
-        whole.__path__ = list(found.submodule_search_locations or ())
-        vars(whole)["pyplot"] = later[0]
-        later.append(whole)
-    sys.modules.update({each.__name__: each for each in later})
-    try:
-        yield
-    finally:
-        for each in later:
-            each.leave()

@@ -45,6 +45,11 @@ Changes = Annotated[
         help="Override an entry of the file for this run, such as motion.duration='0.5 s'.",
     ),
 ]
+Quiet = Annotated[bool, Parameter(help="No progress display.")]
+SolvedProblem = Annotated[
+    Path | None,
+    Parameter(help="Problem file, where the result does not name it or it was moved."),
+]
 Open = Annotated[
     bool,
     Parameter(

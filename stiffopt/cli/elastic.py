@@ -15,6 +15,7 @@ from stiffopt.cli.base import (
     NoChanges,
     Open,
     Out,
+    SolvedProblem,
     app,
     number_or_text,
     refuse_changes,
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
 def simulate(
     result: Path,
     *,
-    problem: Path | None = None,
+    problem: SolvedProblem = None,
     out: Out | None = None,
     band: str = "0.05 mm",
     bandwidth: float | None = None,
@@ -64,8 +65,6 @@ def simulate(
     ----------
     result
         Folder of a solve.
-    problem
-        Problem file, where the result does not name it or it was moved.
     out
         Folder for the results; default: the folder of the solve.
     band
@@ -143,7 +142,7 @@ def simulate(
 
 @app.command
 def view(
-    result: Path, *, problem: Path | None = None, port: int = 8080, changes: NoChanges = ()
+    result: Path, *, problem: SolvedProblem = None, port: int = 8080, changes: NoChanges = ()
 ) -> int:
     """Show a solved motion in the browser until Ctrl-C; needs the extra `view`.
 
@@ -151,8 +150,6 @@ def view(
     ----------
     result
         Folder of a solve.
-    problem
-        Problem file, where the result does not name it or it was moved.
     port
         Local port of the page; if it is in use, the next one is taken.
     """

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from stiffopt.cli.base import NoChanges, Out, app, refuse_changes
+from stiffopt.cli.base import NoChanges, Out, SolvedProblem, app, refuse_changes
 from stiffopt.errors import InputError, nearest
 from stiffopt.files import atomic_write
 from stiffopt.folders import output_folder
@@ -93,7 +93,7 @@ def check(
     file: Path,
     *,
     result: Path | None = None,
-    problem: Path | None = None,
+    problem: SolvedProblem = None,
     changes: NoChanges = (),
 ) -> int:
     """Verify an exported motion: integrity, origin and limits.
@@ -107,8 +107,6 @@ def check(
         File of `stiffopt export` of a motion.
     result
         Folder of the solve; default: the folder of the file.
-    problem
-        Problem file, where the result does not name it or it was moved.
     """
     from stiffopt.export.check import check_file
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stiffopt.cli.base import Changes, Open, Out, app, default_folder, show_report
+from stiffopt.cli.base import Changes, Open, Out, Quiet, app, default_folder, show_report
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.folders import output_folder
 from stiffopt.interrupts import defer_until_result, defer_while_writing, end_deferral
@@ -35,7 +35,7 @@ def solve(
     changes: Changes = (),
     report: bool = True,
     open_report: Open = False,
-    quiet: bool = False,
+    quiet: Quiet = False,
 ) -> int:
     """Optimise and certify a trajectory.
 
@@ -61,8 +61,6 @@ def solve(
         in more than numbers its motion, is the initial guess.
     report
         Draw report.html; `stiffopt report` draws it later.
-    quiet
-        No progress display.
     """
     from stiffopt.problem.cycle_files import is_cycle
 
@@ -190,7 +188,7 @@ def preload(
     out: Out | None = None,
     changes: Changes = (),
     open_report: Open = False,
-    quiet: bool = False,
+    quiet: Quiet = False,
 ) -> int:
     """Optimise the preloads of bolts and pins: preloads, tightening torques, active limits.
 
@@ -202,8 +200,6 @@ def preload(
         Preload study file (TOML).
     out
         Folder for the results; default: out/NAME of the study file, with the changes of --set.
-    quiet
-        No progress display.
     """
     from stiffopt.preload.files import load_study
     from stiffopt.preload.store import write_curves, write_study
@@ -231,7 +227,7 @@ def preload(
 
 
 @app.command
-def verify(problems: Path, *more: Path, changes: Changes = (), quiet: bool = False) -> int:
+def verify(problems: Path, *more: Path, changes: Changes = (), quiet: Quiet = False) -> int:
     """Solve problem and study files again and compare with their expected values.
 
     With --set the expected values remain those of the file, to see the effect of a change.
@@ -242,8 +238,6 @@ def verify(problems: Path, *more: Path, changes: Changes = (), quiet: bool = Fal
         Trajectory problem or preload study file, or a folder of them.
     more
         Further files or folders.
-    quiet
-        No progress display.
     """
     from stiffopt import verify as verification
     from stiffopt.report.solve.terminal import (
@@ -343,7 +337,7 @@ def _progress_display(title: str, quiet: bool, unit: str = "") -> Display:
 
 
 @app.command
-def replay(folder: Path, *, quiet: bool = False) -> int:
+def replay(folder: Path, *, quiet: Quiet = False) -> int:
     """Solve a stored result again by its recipe, and say whether the answer is the same.
 
     Every stage has to end in the same objective to 1e-9, else the first one that differs is named,
@@ -353,8 +347,6 @@ def replay(folder: Path, *, quiet: bool = False) -> int:
     ----------
     folder
         Folder of `stiffopt solve`.
-    quiet
-        No progress display.
     """
     found = _solve_again(folder, quiet, simulate=False)
     changed = found.differences
@@ -363,7 +355,7 @@ def replay(folder: Path, *, quiet: bool = False) -> int:
 
 
 @app.command
-def report(folder: Path, *, open_report: Open = False, quiet: bool = False) -> int:
+def report(folder: Path, *, open_report: Open = False, quiet: Quiet = False) -> int:
     """Draw report.html of a solve that was made with --no-report.
 
     The motion is solved again by the recipe of the folder, from the same state; a page is drawn
@@ -373,8 +365,6 @@ def report(folder: Path, *, open_report: Open = False, quiet: bool = False) -> i
     ----------
     folder
         Folder of `stiffopt solve`.
-    quiet
-        No progress display.
     """
     from stiffopt.errors import InputFileError
     from stiffopt.report.solve.page import REPORT_FILE, write_solve_report

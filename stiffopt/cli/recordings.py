@@ -8,7 +8,16 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
-from stiffopt.cli.base import Changes, Open, Out, app, default_folder, print_json, show_report
+from stiffopt.cli.base import (
+    Changes,
+    Open,
+    Out,
+    Quiet,
+    app,
+    default_folder,
+    print_json,
+    show_report,
+)
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.folders import output_folder
 from stiffopt.interrupts import defer_while_writing
@@ -34,7 +43,7 @@ def diagnose(
     scheduler: str | None = None,
     changes: Changes = (),
     open_report: Open = False,
-    quiet: bool = False,
+    quiet: Quiet = False,
 ) -> int:
     """Identify effects that the nominal model lacks, and validate them on held-out runs.
 
@@ -73,8 +82,6 @@ def diagnose(
         Processes for several sets; default one per core.
     scheduler
         Address of a Dask scheduler for several sets; its workers need access to the same files.
-    quiet
-        No progress display.
     """
     _require_one_question(recordings, before, after, model)
     if recordings is not None and more:
@@ -107,7 +114,7 @@ def diagnose(
     from stiffopt.recording.recording_set import RecordingSet, load_recordings
     from stiffopt.recording.state_pair import load_state_pair
     from stiffopt.report.common.terminal import StepDisplay
-    from stiffopt.report.diagnosis.terminal import print_diagnosis
+    from stiffopt.report.diagnosis.sections import print_diagnosis
 
     if before is not None and after is not None:
         states = [load_recordings(each, changes) for each in (before, after)]

@@ -9,7 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stiffopt.cli.base import Changes, Open, Out, app, show_report
+from stiffopt.cli.base import Changes, Open, Out, Quiet, app, show_report
 from stiffopt.errors import InputError
 from stiffopt.folders import output_folder
 from stiffopt.interrupts import defer_while_writing
@@ -28,7 +28,7 @@ def sweep(
     scheduler: str | None = None,
     changes: Changes = (),
     open_report: Open = False,
-    quiet: bool = False,
+    quiet: Quiet = False,
 ) -> int:
     """Solve a file for grids, lists and Latin hypercubes of its entries and tabulate the results.
 
@@ -45,8 +45,6 @@ def sweep(
         Number of processes; default one per core, 1 solves in the main process.
     scheduler
         Address of a Dask scheduler, tcp://HOST:PORT; its workers need access to the same files.
-    quiet
-        No progress display.
     """
     from stiffopt.files import check_file
 

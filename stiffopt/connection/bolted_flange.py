@@ -141,10 +141,6 @@ class BoltedFlange(ContactConnection):
         """J_p of the ring, or of the sector [m^4]."""
         return math.pi / 2 * (self.outer_radius**4 - self.inner_radius**4) / self.sectors
 
-    def pressure(self, torque: Quantity, preload: Quantity | None = None) -> Quantity:
-        """Return the pressure n F/A of the ring, independent of torque [Pa]."""
-        return self.bolt_count * self._preload_or_own(preload) / self.area + 0.0 * torque
-
     def slip_torque(self, preload: Quantity | None = None) -> Quantity:
         """Return the torque of full slip, mu p 2 pi/3 (Ro^3 - Ri^3) [N m]."""
         pressure = self.bolt_count * self._preload_or_own(preload) / self.area

@@ -113,10 +113,6 @@ class ClampingPins(ContactConnection):
         """Area of one tip [m^2]."""
         return math.pi * self.tip_diameter**2 / 4
 
-    def pressure(self, torque: Quantity, preload: Quantity | None = None) -> Quantity:
-        """Return the pressure under one tip, independent of torque [Pa]."""
-        return self._preload_or_own(preload) / self.tip_area + 0.0 * torque
-
     def slip_torque(self, preload: Quantity | None = None) -> Quantity:
         """Return the torque of full slip, mu F r n [N m]."""
         force = self.contact_count * self._preload_or_own(preload)

@@ -87,10 +87,6 @@ class Connection(abc.ABC):
         """Return the torque of full slip [N m]; infinite if the connection cannot slip."""
         return math.inf
 
-    def pressure(self, torque: Quantity, preload: Quantity | None = None) -> Quantity:
-        """Return the largest nominal contact pressure [Pa]; nan if not defined."""
-        return math.nan + 0.0 * torque
-
     def with_preload(self, preload: float) -> Self:
         """Return a copy with another preload [N]."""
         return dataclasses.replace(self, preload=preload)

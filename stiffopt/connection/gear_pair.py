@@ -10,7 +10,6 @@ from typing import Annotated, ClassVar
 import numpy as np
 
 from stiffopt.connection.connection import ContactConnection
-from stiffopt.contact.hertz import mean_pressure
 from stiffopt.contact.surface import LOWEST_PRESSURE, SurfacePair
 from stiffopt.contact.surrogate import ContactLaw, LawName, contact_law
 from stiffopt.declaration import (
@@ -97,7 +96,7 @@ class GearPair(ContactConnection):
     def _bending_compliance(self) -> float:
         return 1 / (self.mesh_stiffness * self.face_width * self.base_radius**2)
 
-    def pressure(self, torque: Quantity, preload: Quantity | None = None) -> Quantity:
+    def pressure(self, torque: Quantity) -> Quantity:
         """Return the mean pressure on the strip of one tooth pair [Pa]."""
         force = np.absolute(torque) / (self.base_radius * self.contact_ratio)
         return mean_pressure(
@@ -117,3 +116,13 @@ class GearPair(ContactConnection):
         area = torque / (self.base_radius * self.contact_ratio) / pressure
         mesh = self.contact_ratio * self.law.stiffness(pressure) * area * self._lever_square
         return 1 / mesh + self._bending_compliance
+
+
+def mean_pressure(
+    force_per_length: Quantity, radius: Quantity, contact_modulus: Quantity
+) -> Quantity:
+    """Mean pressure of a smooth line contact [Pa], sqrt(pi E* F'/(16 R)).
+
+    F' [N/m], relative radius of curvature R [m], E* [Pa]: Johnson, Contact Mechanics (1985), 4.2.
+    """
+    return np.sqrt(math.pi * contact_modulus * force_per_length / (16 * radius))

@@ -92,7 +92,7 @@ class Key(ContactConnection):
         (r1, r2), (a1, a2) = self.radii, self.areas
         return torque / (r1 * a1) + self.prepressure, torque / (r2 * a2) + self.prepressure
 
-    def pressure(self, torque: Quantity, preload: Quantity | None = None) -> Quantity:
+    def pressure(self, torque: Quantity) -> Quantity:
         """Return the larger flank pressure [Pa]."""
         return np.maximum(*self.flank_pressures(np.absolute(torque)))
 

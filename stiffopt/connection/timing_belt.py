@@ -6,8 +6,6 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
-import numpy as np
-
 from stiffopt.connection.connection import LinearConnection
 from stiffopt.declaration import (
     DETAIL,
@@ -107,11 +105,6 @@ class TimingBelt(LinearConnection):
         along = (1 / first + 1 / second) / self.tooth_stiffness
         span = self.span_length / (2 * self.span_stiffness)
         return (along + span) / self.radius**2
-
-    def pressure(self, torque: Quantity, preload: Quantity | None = None) -> Quantity:
-        """Return the belt tooth pressure on the pulley with fewer teeth in mesh [Pa]."""
-        carrying = min(self.teeth_in_mesh()) * self.width * self.tooth_height
-        return np.absolute(torque) / (self.radius * carrying)
 
     def slack_torque(self, preload: Quantity | None = None) -> Quantity:
         """Return the torque at which a span goes slack, 2 F R [N m]; nan without preload."""

@@ -8,13 +8,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 
-from stiffopt.contact.spots import SpotLaw, spot_laws, total_force, total_stiffness
+from stiffopt.contact.spots import SpotLaw, total_force, total_stiffness
 from stiffopt.contact.surface import SurfacePair
-from stiffopt.contact.validate import require_one_of
 from stiffopt.errors import InputError
 
 # Inversion of the pressure: limit of its Newton steps, and relative step at which it has converged.
@@ -29,50 +27,16 @@ _TABLE_SIZE = 2001
 class FractalLaw:
     """Pressure and stiffness of a surface pair through the area of its largest spot.
 
-    Parameters
-    ----------
-    regimes : {3, 2}
-        Elastic, elastic-plastic and plastic spots (Kogut-Etsion), or elastic and plastic ones only
-        (Yan-Komvopoulos).
-    mode : {"hertz", "fractal"}
-        Incremental stiffness of an elastic spot, see `spots.spot_laws`.
-    domain_extension : bool
-        Use the factor psi of Wang and Komvopoulos (1994) in the size distribution. It changes
-        k_n(p) by about 3 % and is absorbed by the fractal roughness, hence off.
+    Without the factor psi of Wang and Komvopoulos (1994) in the size distribution: it changes
+    k_n(p) by about 3 %, which the fractal roughness absorbs.
     """
 
     surface: SurfacePair
-    regimes: Literal[2, 3] = 3
-    mode: Literal["hertz", "fractal"] = "hertz"
-    domain_extension: bool = False
 
-    def __post_init__(self) -> None:
-        require_one_of("fractal law", (2, 3), regimes=self.regimes)
-        require_one_of("fractal law", ("hertz", "fractal"), mode=self.mode)
-
-    @cached_property
+    @property
     def spots(self) -> tuple[SpotLaw, ...]:
         """Spot laws from plastic to elastic."""
-        surface = self.surface
-        return spot_laws(
-            surface.fractal_dimension,
-            surface.fractal_roughness,
-            surface.gamma,
-            surface.contact_modulus,
-            surface.softer.hardness,
-            surface.softer.poisson,
-            regimes=self.regimes,
-            mode=self.mode,
-            loading=surface.loading,
-        )
-
-    @cached_property
-    def extension_factor(self) -> float:
-        """psi^((3-D)/2) of the size distribution, 1 without domain extension."""
-        if not self.domain_extension:
-            return 1.0
-        dimension = self.surface.fractal_dimension
-        return float(domain_extension(dimension) ** ((3 - dimension) / 2))
+        return self.surface.spots
 
     @property
     def elastic_limit(self) -> float:
@@ -87,7 +51,7 @@ class FractalLaw:
     def pressure(self, largest_spot: np.ndarray) -> np.ndarray:
         """Nominal pressure [Pa] on the reference patch when the largest spot is a_L [m^2]."""
         force = total_force(self.spots, largest_spot, self.surface.fractal_dimension)
-        return self.extension_factor * force / self.surface.reference_area
+        return force / self.surface.reference_area
 
     def stiffness(self, largest_spot: np.ndarray) -> np.ndarray:
         """Normal stiffness per area [N/m^3] when the largest spot is a_L [m^2].
@@ -95,14 +59,7 @@ class FractalLaw:
         Of first loading or of reloading, by the surface's `loading`.
         """
         total = total_stiffness(self.spots, largest_spot, self.surface.fractal_dimension)
-        return self.extension_factor * total / self.surface.reference_area
-
-    def real_area_ratio(self, largest_spot: np.ndarray) -> np.ndarray:
-        """Sum of the truncated spot areas over the nominal area [-]."""
-        dimension = self.surface.fractal_dimension
-        largest = np.asarray(largest_spot, dtype=float)
-        ratio = self.extension_factor * (dimension - 1) / (3 - dimension) * largest
-        return np.asarray(ratio / self.surface.reference_area)
+        return total / self.surface.reference_area
 
     def largest_spot(self, pressure: np.ndarray) -> np.ndarray:
         """Invert `pressure`: area of the largest spot [m^2], shape as `pressure` (all above 0)."""
@@ -150,7 +107,7 @@ class FractalLaw:
         # If every spot were plastic the load would be hardness times real area.
         dimension = self.surface.fractal_dimension
         area = np.exp(goal) * self.surface.reference_area / self.surface.softer.hardness
-        start = np.log(area * (3 - dimension) / (dimension - 1) / self.extension_factor)
+        start = np.log(area * (3 - dimension) / (dimension - 1))
         lower, upper = self._bracket_spot_area(start, goal)
         return np.clip(start, lower, upper), lower, upper
 
@@ -185,7 +142,7 @@ class FractalLaw:
         for law in self.spots:
             inside = (largest > law.lower) & (largest <= law.upper)
             force = np.where(inside, law.force_factor * largest**law.force_exponent, force)
-        newest = half * force * self.extension_factor / self.surface.reference_area
+        newest = half * force / self.surface.reference_area
         return np.asarray(half + newest / pressure)
 
     def normal_stiffness_per_area(self, pressure: np.ndarray) -> np.ndarray:
@@ -197,24 +154,3 @@ class FractalLaw:
         loaded = p > 0.0
         safe = np.where(loaded, p, 1.0)
         return np.where(loaded, self.stiffness(self.largest_spot(safe)), 0.0)
-
-
-def domain_extension(dimension: float) -> float:
-    """Factor psi of Wang and Komvopoulos, J. Tribol. 116 (1994) 812, for 2 < D < 3.
-
-    Root of [psi^((3-D)/2) - (1 + psi^(-(D-1)/2))^(-(3-D)/(D-1))] (D-1)/(3-D) = 1.
-    """
-    ratio = (3 - dimension) / (dimension - 1)
-
-    def excess(psi: float) -> float:
-        grown = psi ** ((3 - dimension) / 2)
-        return float((grown - (1 + psi ** (-(dimension - 1) / 2)) ** (-ratio)) / ratio - 1)
-
-    lower, upper = 1.0, 100.0
-    while upper - lower > 1e-13 * upper:
-        middle = 0.5 * (lower + upper)
-        if excess(middle) < 0.0:
-            lower = middle
-        else:
-            upper = middle
-    return 0.5 * (lower + upper)

@@ -67,11 +67,9 @@ def spot_laws(
     hardness: float,
     poisson: float,
     *,
-    regimes: Literal[2, 3] = 3,
-    mode: Literal["hertz", "fractal"] = "hertz",
     loading: Loading = "first",
 ) -> tuple[SpotLaw, ...]:
-    """Laws of all regimes, from the smallest spots (plastic) to the largest (elastic).
+    """Laws of plastic, elastic-plastic and elastic spots, from the smallest to the largest.
 
     Parameters
     ----------
@@ -85,12 +83,6 @@ def spot_laws(
         Contact modulus E* [Pa].
     hardness, poisson : float
         Of the softer body, [Pa] and [-].
-    regimes : {3, 2}
-        3: elastic, elastic-plastic, plastic. 2: elastic and plastic only, with the limit of
-        Yan and Komvopoulos.
-    mode : {"hertz", "fractal"}
-        Stiffness of an elastic spot: of a given spot under more load, or the derivative of force
-        by interference from spot to spot (larger by 2/3 (4-D)/(3-D)).
     loading : {"first", "cyclic"}
         cyclic: an elastic or elastic-plastic spot keeps its area a and deforms as an elastic punch,
         k = 2 E* sqrt(a/pi). Plastic spots remain without stiffness: the sum of theirs diverges
@@ -102,17 +94,11 @@ def spot_laws(
         When the critical area is no usable number (D very close to 2).
     """
     big_lambda = roughness ** (dimension - 2) * math.sqrt(math.log(gamma))
-    yield_factor = 0.454 + 0.41 * poisson if regimes == 3 else 3.0
+    yield_factor = 0.454 + 0.41 * poisson
     strain = yield_factor * math.pi * hardness / modulus
-    pi_power = 0.0 if regimes == 3 else dimension - 2.0
-    log_limit = (
-        (11 - 2 * dimension) * math.log(2)
-        + 2 * math.log(big_lambda)
-        - 2 * math.log(strain)
-        + pi_power * math.log(math.pi)
+    log_limit = math.log(math.pi) + (
+        (11 - 2 * dimension) * math.log(2) + 2 * math.log(big_lambda) - 2 * math.log(strain)
     ) / (dimension - 2)
-    if regimes == 3:
-        log_limit += math.log(math.pi)
     if abs(log_limit) > _MAX_LOG_AREA:
         raise OutOfValidityError(
             "ln of the elastic limit area of a spot",
@@ -129,16 +115,11 @@ def spot_laws(
         * modulus
     )
     elastic_stiffness = 2 * modulus / math.sqrt(2 * math.pi)
-    if mode == "fractal" and loading == "first":
-        elastic_stiffness *= 2 / 3 * (4 - dimension) / (3 - dimension)
-    laws = [
-        SpotLaw(limit, math.inf, elastic_force, (4 - dimension) / 2, elastic_stiffness, 0.5),
-    ]
-    if regimes == 3:
-        worn = _elastic_plastic_laws(dimension, big_lambda, modulus, hardness, yield_factor, limit)
-        if loading == "cyclic":
-            worn = _unloading_laws(worn, dimension, modulus, limit)
-        laws += worn
+    elastic = SpotLaw(limit, math.inf, elastic_force, (4 - dimension) / 2, elastic_stiffness, 0.5)
+    worn = _elastic_plastic_laws(dimension, big_lambda, modulus, hardness, yield_factor, limit)
+    if loading == "cyclic":
+        worn = _unloading_laws(worn, dimension, modulus, limit)
+    laws = [elastic, *worn]
     laws.append(SpotLaw(0.0, laws[-1].lower, hardness, 1.0, 0.0, 0.0))
     return tuple(reversed(laws))
 

@@ -148,4 +148,5 @@ class SurfacePair:
             self.contact_modulus,
             self.softer.hardness,
             self.softer.poisson,
+            loading=self.loading,
         )

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
 # An angle error of 1 rad weighs as much as this distance: about the reach of a wrist. [m]
-_LENGTH_PER_RADIAN = 0.3
+LENGTH_PER_RADIAN = 0.3
 # Of one descent; further random starts are worth more than longer descents.
 _MAX_GAUSS_NEWTON_STEPS = 200
 
@@ -140,14 +140,14 @@ class _Search:
         if self.rotation is None:
             return np.asarray(left)
         turn = rotation_vector(self.rotation @ rotation.T)
-        return np.concatenate([left, _LENGTH_PER_RADIAN * turn])
+        return np.concatenate([left, LENGTH_PER_RADIAN * turn])
 
     def jacobian(self, q: np.ndarray) -> np.ndarray:
         """Return the Jacobian of the pose, weighted as the error."""
         full = self.bodies.jacobian(self.tool, q)
         if self.rotation is None:
             return np.asarray(full[:3])
-        return np.vstack([full[:3], _LENGTH_PER_RADIAN * full[3:]])
+        return np.vstack([full[:3], LENGTH_PER_RADIAN * full[3:]])
 
     def descend(self, start: np.ndarray, tolerance: float) -> tuple[np.ndarray, float]:
         """Return angles and norm of the error at the end of the iteration from `start`."""
@@ -182,7 +182,7 @@ class _Search:
             # The small side of the normal equations: 3 or 6 rows.
             gram = part @ part.T
             # The floor keeps singular poses solvable; its share of a step is below rounding.
-            floor = 1e-12 * (float(np.trace(gram)) + _LENGTH_PER_RADIAN**2)
+            floor = 1e-12 * (float(np.trace(gram)) + LENGTH_PER_RADIAN**2)
             gram += (damping * float(error @ error) + floor) * np.eye(len(error))
             step[free] = part.T @ np.linalg.solve(gram, error)
         largest = float(np.max(np.abs(step)))
@@ -210,7 +210,7 @@ class _Search:
         """Return the distance [m] and angle [rad] to the target at `q`."""
         error = self.error(q)
         angle = (
-            None if self.rotation is None else float(np.linalg.norm(error[3:])) / _LENGTH_PER_RADIAN
+            None if self.rotation is None else float(np.linalg.norm(error[3:])) / LENGTH_PER_RADIAN
         )
         return float(np.linalg.norm(error[:3])), angle
 

@@ -10,8 +10,7 @@ from stiffopt.connection import Bolt, BoltedFlange
 from stiffopt.drivetrain import catalogue
 from stiffopt.drivetrain.fasteners import BoltData
 from stiffopt.errors import InputError
-from stiffopt.fastening.bolt_geometry import bolt_data, clamp_length
-from stiffopt.fastening.bolt_strength import head_bearing, stripping_length
+from stiffopt.fastening.bolt_strength import bolt_data, clamp_length, head_bearing, stripping_length
 from stiffopt.fastening.compliance import (
     bolt_compliance,
     clamped_compliance,
@@ -151,15 +150,6 @@ def engagement_length(bolt: Bolt) -> float:
         return bolt.engagement
     assumed = catalogue.clamped_material(bolt.thread_material).engagement_assumed
     return assumed * catalogue.bolt(bolt.size).diameter
-
-
-def assumed_lengths(flange: BoltedFlange) -> dict[str, float]:
-    """Return the assumed lengths of a flange, by key [m]."""
-    bolt = flange_bolt(flange)
-    present = {"clamp_length": clamp_length(bolt)}
-    if not bolt.nut:
-        present["engagement"] = engagement_length(bolt)
-    return {name: value for name, value in present.items() if getattr(bolt, name) is None}
 
 
 def joint_compliances(flange: BoltedFlange) -> tuple[float, float]:

@@ -185,17 +185,16 @@ def load_factor(bolt: float, plates: float, introduction: float | None) -> LoadF
     return LoadFactor(most=introduction * whole, least=introduction * whole)
 
 
-# By load (VDI 2230 Table 5): upper bound of Rz [m], then embedding [um] of the thread, of each head
-# or nut, of each inner interface.
-_EMBEDDING_BY_ROUGHNESS = {
-    "axial": ((10e-6, 3.0, 2.5, 1.5), (40e-6, 3.0, 3.0, 2.0), (160e-6, 3.0, 4.0, 3.0)),
-    "shear": ((10e-6, 3.0, 3.0, 2.0), (40e-6, 3.0, 4.5, 2.5), (160e-6, 3.0, 6.5, 3.5)),
-}
+# Under shear, which settles more than axial loads (VDI 2230 Table 5): upper bound of Rz [m], then
+# embedding [um] of the thread, of each head or nut, of each inner interface.
+_EMBEDDING_BY_ROUGHNESS = (
+    (10e-6, 3.0, 3.0, 2.0),
+    (40e-6, 3.0, 4.5, 2.5),
+    (160e-6, 3.0, 6.5, 3.5),
+)
 
 
-def embedding(
-    roughness: float, interfaces: int, load: str = "shear", *, nut: bool = False
-) -> float:
+def embedding(roughness: float, interfaces: int, *, nut: bool = False) -> float:
     """Return the embedding f_Z of a bolt: thread, head, nut and inner interfaces [m] (Table 5).
 
     Parameters
@@ -204,12 +203,10 @@ def embedding(
         Rz [m], of the roughest face.
     interfaces : int
         Number of inner interfaces, including those at washers.
-    load : {"shear", "axial"}
-        Working load; "shear" for combined loads, since it settles more.
     nut : bool
         Counts as another head; a tapped hole adds only the thread.
     """
-    for bound, thread, head, inner in _EMBEDDING_BY_ROUGHNESS[load]:
+    for bound, thread, head, inner in _EMBEDDING_BY_ROUGHNESS:
         if roughness < bound:
             bearing = 2 if nut else 1
             return 1e-6 * (thread + bearing * head + interfaces * inner)

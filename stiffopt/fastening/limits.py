@@ -45,28 +45,11 @@ def preload_limits(element: Connection, tightening: Tightening) -> tuple[Preload
     return set_screws.limits(fastened)
 
 
-def assumed_lengths(element: Connection) -> dict[str, float]:
-    """Return the assumed lengths, by their key in the robot file [m]."""
+def check_preload(element: Connection, tightening: Tightening) -> None:
+    """Raise `InputError` if the preload of an element exceeds the capacity of its fasteners."""
     fastened = _require_fasteners(element)
-    if isinstance(fastened, BoltedFlange):
-        return bolts.assumed_lengths(fastened)
-    return set_screws.assumed_lengths(fastened)
-
-
-def check_preload(
-    element: Connection, tightening: Tightening, preload: float | None = None
-) -> None:
-    """Raise `InputError` if a preload exceeds the capacity of the fastener.
-
-    Parameters
-    ----------
-    preload : float or None
-        [N]; None: the element's own.
-    """
-    fastened = _require_fasteners(element)
-    force = fastened.preload if preload is None else preload
+    force = fastened.preload
     assert force is not None  # both kinds require a preload
-    require_positive(element.owner, preload=force)
     if isinstance(fastened, BoltedFlange):
         bolt = bolts.flange_bolt(fastened)
         most = bolts.permissible_preload(fastened, tightening)

@@ -63,12 +63,6 @@ def screw_length(pins: ClampingPins) -> float:
     return pins.screw.length
 
 
-def assumed_lengths(pins: ClampingPins) -> dict[str, float]:
-    """Return the assumed lengths of the element, by key [m]."""
-    given = pins.screw is not None and pins.screw.length is not None
-    return {} if given else {"length": screw_length(pins)}
-
-
 def pin_compliance(pins: ClampingPins) -> float:
     """Return the compliance of screw and half space under the tip in series [m/N]."""
     if pins.screw is None:

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from stiffopt.drivetrain import catalogue
-from stiffopt.fastening.bolt_geometry import clamp_length
 from stiffopt.fastening.bolt_strength import (
     BOLT_SHEAR_RATIO,
+    clamp_length,
     endurance_limit,
     head_bearing,
     transverse_slip_limit,

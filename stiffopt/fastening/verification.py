@@ -15,9 +15,13 @@ from stiffopt.connection import BoltedFlange
 from stiffopt.drivetrain import catalogue
 from stiffopt.errors import InputError
 from stiffopt.fastening import bolts
-from stiffopt.fastening.bolt_geometry import bolt_data
 from stiffopt.fastening.bolt_strength import MIN_ENDURANCE_SAFETY as ENDURANCE_SAFETY
-from stiffopt.fastening.bolt_strength import endurance_limit, head_bearing, largest_working_preload
+from stiffopt.fastening.bolt_strength import (
+    bolt_data,
+    endurance_limit,
+    head_bearing,
+    largest_working_preload,
+)
 from stiffopt.fastening.compliance import LoadFactor, load_factor
 from stiffopt.fastening.elastic_ring import elastic_ring
 from stiffopt.fastening.flange_load import (

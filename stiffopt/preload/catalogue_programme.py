@@ -20,10 +20,7 @@ from stiffopt.preload.catalogue_designs import CatalogueDesign
 from stiffopt.preload.flange_loads import tilt_deflection
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.model import PreloadModel
-from stiffopt.preload.nlp import Levels
-
-# Relative rounding of sums in another order.
-RELATIVE_ROUNDING = 1e-12
+from stiffopt.preload.nlp import RELATIVE_ROUNDING, Levels
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,8 +24,8 @@ _LABEL_FORMAT = "{}, {}"
 # limits, where multipliers are of order one; 1 / (4 penalty^2) = 2.8e-8 of a flat level. A larger
 # one costs accuracy: the KKT residual is 2e-7 with 1e4, 1e-8 with 1e3.
 _CEILING_PENALTY = 3e3
-# Relative rounding within which the bounds imply a slip row [-].
-_RELATIVE_ROUNDING = 1e-12
+# Relative rounding of sums in another order [-].
+RELATIVE_ROUNDING = 1e-12
 # Least preload in service over capacity [-], for a connection that requires less than the second
 # share.
 _MIN_SERVICE_PRELOAD_SHARE, _NEGLIGIBLE_PRELOAD_SHARE = 0.02, 1e-3
@@ -202,7 +202,7 @@ class PreloadNlp:
             torque = abs(float(case.torque[element.joint - 1]))
             if (
                 float(self.model.slip_torque(lower, index))
-                < (1.0 - _RELATIVE_ROUNDING) * safety * torque
+                < (1.0 - RELATIVE_ROUNDING) * safety * torque
             ):
                 labels.append(_LABEL_FORMAT.format(element.key, case.name))
                 rows.append(2.0 - self.model.slip_torque(self._preloads, index) / (safety * torque))

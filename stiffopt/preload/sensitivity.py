@@ -9,7 +9,6 @@ import casadi as ca
 import numpy as np
 
 from stiffopt.connection import BoltedFlange
-from stiffopt.errors import ProblemError
 from stiffopt.exact.chain import compliance_shares, windup_shares
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.model import PreloadModel
@@ -235,21 +234,13 @@ def loosening(
     preloads: np.ndarray,
     fractions: Sequence[float] = (1.0, 0.8, 0.5, 0.3),
 ) -> Loosening:
-    """Loosen one connection at a time.
+    """Loosen one connection at a time, to fractions of its least preload in service.
 
     Parameters
     ----------
     preloads : array (size,)
         Largest assembly preloads [N].
-    fractions : sequence of float
-        Of the least preload in service, above 0 and at most 1.
     """
-    for fraction in fractions:
-        if not 0.0 < fraction <= 1.0:
-            raise ProblemError(
-                f"loosening: fraction = {fraction:g} of the remaining preload must be above 0 and "
-                "at most 1. Leave it out."
-            )
     rims = [first_slip_torque(model, preloads, i) for i in range(len(model.elements))]
     slips = [float(model.slip_torque(preloads, i)) for i in range(len(model.elements))]
     rows: list[LoosenedConnection] = []

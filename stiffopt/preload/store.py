@@ -6,7 +6,6 @@ Values are SI with full precision; values that are not finite are null in JSON. 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,14 +15,13 @@ import numpy as np
 from stiffopt.connection import Bolt
 from stiffopt.drivetrain.tables import with_own
 from stiffopt.fastening.utilisation import SAFETY_FACTORS, UtilisationRow
-from stiffopt.files import atomic_write, to_json_types, write_csv
+from stiffopt.files import to_json_types, write_csv, write_json
 from stiffopt.preload.bolt_sheet import BoltSheet, bolt_sheets
 from stiffopt.preload.catalogue_choice import CatalogueChoice
 from stiffopt.preload.catalogue_designs import CatalogueDesign
 from stiffopt.preload.curves import curve_rows
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.motion_study import MotionStudy
-from stiffopt.preload.pareto import ParetoFront
 from stiffopt.preload.problem import OBJECTIVES, PreloadProblem
 from stiffopt.preload.solution import PreloadSolution
 from stiffopt.preload.study import PreloadStudy, named_values
@@ -65,10 +63,7 @@ def _compose_document(study: PreloadStudy) -> dict[str, Any]:
         "preloads": solution.preloads,
         "individual": solution.individual,
         "least_preloads": {e.key: e.least(solution.preloads[e.key]) for e in problem.elements},
-        "tightening_torques": {
-            key: None if each is None else _record_fields(each)
-            for key, each in solution.tightening.items()
-        },
+        "tightening_torques": solution.tightening,
         "utilisations": {row.name: row.utilisation for row in solution.rows},
         "active_limits": solution.active,
         **_stiffness_entries(study),
@@ -79,7 +74,7 @@ def _compose_document(study: PreloadStudy) -> dict[str, Any]:
         "values": {name: value for name, (value, _) in named_values(study).items()},
         "rows": [_row_entry(row) for row in solution.rows],
         "bolts": {sheet.key: _sheet_entry(sheet) for sheet in _study_sheets(study)},
-        "stoppers": [_record_fields(stop) for stop in solution.stoppers],
+        "stoppers": solution.stoppers,
         "load_cases": [
             {
                 "name": c.name,
@@ -90,26 +85,23 @@ def _compose_document(study: PreloadStudy) -> dict[str, Any]:
             }
             for c in solution.cases
         ],
-        "tightening": {**_record_fields(problem.tightening), "scatter": problem.tightening.alpha},
-        "front": None if study.front is None else _front_entry(study.front),
+        "tightening": {**vars(problem.tightening), "scatter": problem.tightening.alpha},
+        "front": study.front,
         "choice": None if study.choice is None else _choice_entry(study.choice),
         "sensitivity": {
-            "worth": [_record_fields(each) for each in study.sensitivity.worth],
-            "windup_shares": [_record_fields(each) for each in study.sensitivity.shares],
+            "worth": study.sensitivity.worth,
+            "windup_shares": study.sensitivity.shares,
             "weakest": study.sensitivity.weakest,
         },
-        "loosening": {
-            "rows": [_record_fields(each) for each in study.loosening.rows],
-            "first_slip_fraction": study.loosening.first_slip_fraction,
-            "slip_fraction": study.loosening.slip_fraction,
-        },
+        "loosening": study.loosening,
         "motion": None if study.motion is None else _motion_entry(study.motion),
         "notes": solution.notes,
         "seconds": study.seconds,
         "inputs_hash": study_hash(problem),
         "versions": study.versions,
     }
-    return {key: to_json_types(value) for key, value in document.items()}
+    found: dict[str, Any] = to_json_types(document)
+    return found
 
 
 def study_hash(problem: PreloadProblem) -> str:
@@ -129,9 +121,8 @@ def study_hash(problem: PreloadProblem) -> str:
 
 def write_study(study: PreloadStudy, directory: str | Path) -> Path:
     """Write study.json into `directory`; return its path."""
-    text = json.dumps(study_document(study), indent=1, ensure_ascii=False, allow_nan=False)
     path = Path(directory) / STUDY_FILE
-    atomic_write(path, text + "\n")
+    write_json(path, study_document(study))
     return path
 
 
@@ -141,11 +132,6 @@ def write_curves(study: PreloadStudy, directory: str | Path) -> Path:
     columns, rows = curve_rows(study.curves)
     write_csv(path, columns, rows)
     return path
-
-
-def _record_fields(record: Any) -> dict[str, Any]:
-    """Return the fields of a flat dataclass."""
-    return dict(vars(record))
 
 
 def _values_by_case(
@@ -178,15 +164,14 @@ def _sheet_entry(sheet: BoltSheet) -> dict[str, Any]:
     left_out = ("key", "flange", "loads", "chance", "safety")
     own = {key: value for key, value in vars(sheet).items() if key not in left_out}
     loads = dict(zip(sheet.loads.names, sheet.loads.values, strict=True))
-    own |= {"slip_probability": _record_fields(sheet.chance)}
+    own |= {"slip_probability": sheet.chance}
     safety = {symbol: _safety_entry(row) for symbol, row in sheet.safety.items()}
     alternating = sheet.loads.alternating
     return {**own, "safety_factors": safety, "loads": loads, "alternating": alternating}
 
 
 def _row_entry(row: UtilisationRow) -> dict[str, Any]:
-    safety = None if row.safety is None else _record_fields(row.safety)
-    return {"name": row.name, **_record_fields(row), "safety": safety, "active": row.active}
+    return {"name": row.name, **vars(row), "active": row.active}
 
 
 def _safety_entry(row: UtilisationRow) -> dict[str, Any]:
@@ -203,10 +188,6 @@ def _safety_entry(row: UtilisationRow) -> dict[str, Any]:
     }
 
 
-def _front_entry(front: ParetoFront) -> dict[str, Any]:
-    return {**vars(front), "points": [_record_fields(point) for point in front.points]}
-
-
 def _choice_entry(choice: CatalogueChoice) -> dict[str, Any]:
     return {
         "status": choice.status,
@@ -216,10 +197,10 @@ def _choice_entry(choice: CatalogueChoice) -> dict[str, Any]:
         "gap": choice.gap,
         "designs": {key: _design_entry(design) for key, design in choice.designs.items()},
         "table": [{**vars(row), "design": _design_entry(row.design)} for row in choice.table],
-        "proof": _record_fields(choice.proof),
-        "tie_proofs": [_record_fields(proof) for proof in choice.tie_proofs],
-        "stoppers": [_record_fields(stop) for stop in choice.stoppers],
-        "ways": [_record_fields(way) for way in choice.ways],
+        "proof": choice.proof,
+        "tie_proofs": choice.tie_proofs,
+        "stoppers": choice.stoppers,
+        "ways": choice.ways,
     }
 
 
@@ -233,6 +214,6 @@ def _motion_entry(motion: MotionStudy) -> dict[str, Any]:
     document: Mapping[str, Any] = {k: v for k, v in vars(motion).items() if k not in left_out}
     return {
         **document,
-        "rounds": [_record_fields(each) for each in motion.rounds],
+        "rounds": motion.rounds,
         "trajectory_inputs_hash": motion.trajectory.inputs_hash,
     }

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from stiffopt.dynamics.inverse_kinematics import solve_pose
+from stiffopt.dynamics.inverse_kinematics import LENGTH_PER_RADIAN, solve_pose
 from stiffopt.errors import ProblemError
 from stiffopt.robot.batched_kinematics import frame_positions, frame_rotations
 
@@ -21,7 +21,7 @@ _LONGEST_STEP, _MIN_STEPS, _MAX_STEPS, _STEPS_PER_PIECE = 5e-3, 400, 4000, 4
 _MAX_JOINT_STEP = 0.6
 # Least ratio of the singular values of the Jacobian, its rotations times a length [m/rad]: below,
 # the joints turn faster than the tool by more than its inverse.
-MIN_CONDITION, _LENGTH_PER_RADIAN = 2e-3, 0.3
+MIN_CONDITION = 2e-3
 # Iterations with the Jacobian of the nearest step, and the error [m] at which they end.
 _MAX_ITERATIONS, _CONVERGED_ERROR = 25, 1e-11
 
@@ -72,7 +72,7 @@ class PoseFollower:
             except ProblemError as error:
                 raise ProblemError(f"path, {place:.3f} m from its start: {error}") from error
             jacobian = bodies.jacobian(robot.tool, q)
-            jacobian[3:] *= _LENGTH_PER_RADIAN
+            jacobian[3:] *= LENGTH_PER_RADIAN
             self._check_step(place, q, q if before is None else before, jacobian)
             found.append(q)
             inverses.append(np.linalg.pinv(jacobian))
@@ -117,7 +117,7 @@ class PoseFollower:
         error = self._pose_errors(q, *self._poses(along))
         return (
             np.linalg.norm(error[:, :3], axis=1),
-            np.linalg.norm(error[:, 3:], axis=1) / _LENGTH_PER_RADIAN,
+            np.linalg.norm(error[:, 3:], axis=1) / LENGTH_PER_RADIAN,
         )
 
     def _pose_errors(
@@ -129,4 +129,4 @@ class PoseFollower:
             rotations @ axes.swapaxes(1, 2)
         ).as_rotvec()
         left = positions - frame_positions(tree, tool, q)
-        return np.hstack([left, _LENGTH_PER_RADIAN * turn])
+        return np.hstack([left, LENGTH_PER_RADIAN * turn])

@@ -65,7 +65,7 @@ class JointFacts:
 
     @property
     def sensor(self) -> bool:
-        """Return whether a torque or a link encoder is recorded."""
+        """Return whether a torque or a link encoder is recorded; named by `Need`."""
         return self.torque or self.link
 
     @property

@@ -7,7 +7,6 @@ Values are SI with full precision; numbers that are not finite are null in JSON.
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 import os
 from collections.abc import Sequence
@@ -17,13 +16,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stiffopt.errors import InputError, InputFileError
-from stiffopt.files import atomic_write, load_json, to_json_types, write_csv
+from stiffopt.files import load_json, to_json_types, write_csv, write_json
 from stiffopt.folders import check_result
-from stiffopt.result.assessment import Assessment, LowestStiffness, Violation
+from stiffopt.result.assessment import Assessment, Violation
 from stiffopt.result.compensation import COMMAND_FILE, compensation_document
 from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.simulation import Simulation, simulation_document
-from stiffopt.result.solution import Baseline, ObjectiveValue, Solution
+from stiffopt.result.solution import Baseline, Solution
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
@@ -87,20 +86,21 @@ def result_document(solution: Solution) -> dict[str, Any]:
         "schema": SCHEMA,
         "status": str(solution.status),
         "message": solution.message,
-        "objective": _objective_document(solution.objective),
+        "objective": solution.objective,
         "duration": solution.duration,
         "certificate": _certificate_document(solution.assessment),
         "baselines": {name: _baseline_document(each) for name, each in solution.baselines.items()},
         "ratio_to_better_baseline": solution.ratio_to_better_baseline,
         "strict_baseline": _strict_baseline_document(solution),
-        "solver": vars(solution.solver),
+        "solver": solution.solver,
         "notes": solution.notes,
         "simulation": simulation_document(solution.simulation),
         "compensation": compensation_document(solution.compensation),
         "inputs_hash": solution.inputs_hash,
         "versions": solution.versions,
     }
-    return {key: to_json_types(value) for key, value in document.items()}
+    found: dict[str, Any] = to_json_types(document)
+    return found
 
 
 def _strict_baseline_document(solution: Solution) -> dict[str, Any] | None:
@@ -149,7 +149,7 @@ def write_result(
     """
     document = result_document(solution)
     if leg is not None and stated is not None:
-        document["leg"] = {"number": leg, "duration": to_json_types(stated.duration)}
+        document["leg"] = {"number": leg, "duration": stated.duration}
     if stated is not None:
         document["title"] = stated.title
         document["joints"] = [
@@ -163,9 +163,8 @@ def write_result(
             document[key] = Path(os.path.relpath(file, home or directory)).as_posix()
     if changes:
         document["changes"] = list(changes)
-    text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
     path = Path(directory) / RESULT_FILE
-    atomic_write(path, text + "\n")
+    write_json(path, document)
     return path
 
 
@@ -326,7 +325,6 @@ def write_simulation(
         # The command was written by an earlier solve.
         led = {**(compensation_document(compensation) or {}), "command": compensation.file}
         content["compensation"] = {**led, "servo": compensation.loop or None}
-    document = to_json_types(content)
     found = simulation.optimised.simulated
     joints = range(1, found.position.shape[1] + 1)
     names = ["t", *(f"{error}_{axis}" for error in ("deviation", "rotation") for axis in "xyz")]
@@ -344,13 +342,8 @@ def write_simulation(
         found.windup,
     ]
     write_csv(folder / "simulation.csv", names, np.hstack(columns).tolist())
-    text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
-    atomic_write(folder / SIMULATION_FILE, text + "\n")
+    write_json(folder / SIMULATION_FILE, content)
     return folder / SIMULATION_FILE
-
-
-def _objective_document(objective: ObjectiveValue | None) -> dict[str, Any] | None:
-    return None if objective is None else dict(vars(objective))
 
 
 def _violation_document(violation: Violation) -> dict[str, Any]:
@@ -362,24 +355,16 @@ def _violation_document(violation: Violation) -> dict[str, Any]:
     }
 
 
-def _stiffness_document(lowest: LowestStiffness) -> dict[str, Any]:
-    return dict(vars(lowest))
-
-
-def _deflection_document(assessment: Assessment) -> dict[str, Any]:
-    return {part: dict(vars(value)) for part, value in assessment.deflection_summary().items()}
-
-
 def _certificate_document(assessment: Assessment | None) -> dict[str, Any] | None:
     if assessment is None:
         return None
     return {
         "points": len(assessment.time),
         "worst_violation": _violation_document(assessment.worst_violation),
-        "min_stiffness": _stiffness_document(assessment.min_stiffness),
-        "deflection": _deflection_document(assessment),
+        "min_stiffness": assessment.min_stiffness,
+        "deflection": assessment.deflection_summary(),
         "violations": [_violation_document(each) for each in assessment.violations],
-        "lowest_stiffness": [_stiffness_document(each) for each in assessment.lowest_stiffness],
+        "lowest_stiffness": assessment.lowest_stiffness,
         "integrals": assessment.integrals,
     }
 
@@ -390,8 +375,8 @@ def _baseline_document(baseline: Baseline) -> dict[str, Any]:
         "feasible": baseline.feasible,
         "duration": None if motion is None else motion.duration,
         "objective": baseline.objective,
-        "deflection": None if motion is None else _deflection_document(motion),
-        "min_stiffness": None if motion is None else _stiffness_document(motion.min_stiffness),
+        "deflection": motion and motion.deflection_summary(),
+        "min_stiffness": motion and motion.min_stiffness,
         "worst_violation": None if motion is None else _violation_document(motion.worst_violation),
         "reason": baseline.reason,
     }

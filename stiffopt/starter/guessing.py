@@ -39,8 +39,8 @@ _SPEED_UNITS_PER_RAD_S = {"": 1.0, "deg/s": np.degrees(1.0)}
 # Largest log ratio of values in the same unit; ratio of magnitudes above which columns may have
 # different units.
 _UNIT_LOG_TOLERANCE, _MIXED_UNIT_RATIO = 0.5, 10.0
-# Fewest rows for guessing.
-_MIN_ROWS = 3
+# Fewest rows of a motion.
+MIN_ROWS = 3
 # Median correlation of commands and positions below which these are other commands.
 _MIN_COMMAND_CORRELATION = 0.5
 # Largest plausible joint angle [rad].
@@ -99,7 +99,7 @@ def guess_columns(
     """
     reasons: list[str] = []
     time = find_time_column(table) if rate is None else COUNTED_TIME
-    if len(table[time]) < _MIN_ROWS:
+    if len(table[time]) < MIN_ROWS:
         raise InputError(f"a recording of {len(table[time])} row(s) shows no motion; record more.")
     columns: dict[str, tuple[str, ...]] = {}
     others: dict[str, list[tuple[str, ...]]] = {}
@@ -239,7 +239,7 @@ def _guess_command_unit(
 def _correlate(one: np.ndarray, two: np.ndarray) -> float:
     """Return the correlation of two columns; 0 where one of them does not change."""
     known = np.isfinite(one) & np.isfinite(two)
-    if known.sum() < _MIN_ROWS or np.ptp(one[known]) == 0.0 or np.ptp(two[known]) == 0.0:
+    if known.sum() < MIN_ROWS or np.ptp(one[known]) == 0.0 or np.ptp(two[known]) == 0.0:
         return 0.0
     return float(np.corrcoef(one[known], two[known])[0, 1])
 
@@ -384,7 +384,7 @@ def _guess_speed_unit(
 def _speed_ratios(values: np.ndarray, position: np.ndarray, seconds: np.ndarray) -> np.ndarray:
     """Return the ratio of speeds to the rate of positions (n,); nan if undetermined."""
     new = np.flatnonzero(np.diff(seconds, prepend=-np.inf) > 0.0)
-    if len(new) < _MIN_ROWS or values.shape != position.shape:
+    if len(new) < MIN_ROWS or values.shape != position.shape:
         return np.full(position.shape[1], np.nan)
     turning = _standard_deviations(np.gradient(position[new], seconds[new], axis=0))
     ratio = _standard_deviations(values[new]) / np.where(turning > 0.0, turning, np.nan)

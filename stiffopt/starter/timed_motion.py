@@ -15,6 +15,7 @@ from stiffopt.recording.signals import may_be_set_point
 from stiffopt.robot.robot import Robot
 from stiffopt.starter.column_names import columns_of_kind, stated_unit
 from stiffopt.starter.guessing import (
+    MIN_ROWS,
     SECONDS_PER_UNIT,
     find_time_column,
     guess_angle_unit,
@@ -25,7 +26,6 @@ from stiffopt.starter.table_layouts import read_message_table
 
 # Factors of angles to rad.
 _RADIANS_PER_UNIT = {"": 1.0, "rad": 1.0, "deg": np.pi / 180.0, "mrad": 1e-3}
-_MIN_ROWS = 3
 # Speed of a joint between two rows over its limit from which the file is wrong: a jump.
 _JUMP_RATIO = 20.0
 _REST_STEP = 1e-6  # largest step of a joint between two rows at rest [rad] or [m]
@@ -131,8 +131,8 @@ def _position_columns(path: Path, table: Table, clock: str, robot: Robot) -> Seq
 
 
 def _check_rows(path: Path, time: np.ndarray, values: np.ndarray, names: Sequence[str]) -> None:
-    if len(time) < _MIN_ROWS:
-        raise InputFileError(path, "", f"has {len(time)} row(s); a motion has {_MIN_ROWS} or more.")
+    if len(time) < MIN_ROWS:
+        raise InputFileError(path, "", f"has {len(time)} row(s); a motion has {MIN_ROWS} or more.")
     for row, k in np.argwhere(~np.isfinite(values)):
         raise InputFileError(
             path, f"row {row + 1}, {names[k]}", "is no number. Complete the row, or delete it."

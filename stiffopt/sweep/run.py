@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import time
 from collections import deque
@@ -16,7 +15,7 @@ from typing import Any, TypeGuard
 import numpy as np
 
 from stiffopt.errors import InputFileError
-from stiffopt.files import atomic_write, load_json
+from stiffopt.files import atomic_write, load_json, write_json
 from stiffopt.folders import is_regular
 from stiffopt.sweep.cases import Case, Sweep
 from stiffopt.sweep.solve_case import CaseResult, case_document, solve_case
@@ -238,8 +237,7 @@ def _is_document(found: Any) -> TypeGuard[dict[str, Any]]:
 
 
 def _write_case(folder: Path, found: dict[str, Any]) -> None:
-    text = json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False)
-    atomic_write(_case_file(folder, found["key"]), text + "\n")
+    write_json(_case_file(folder, found["key"]), found)
 
 
 def spread_order(cases: list[Case]) -> list[Case]:

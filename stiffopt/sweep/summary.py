@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from stiffopt.files import atomic_write, to_json_types, write_csv
+from stiffopt.files import atomic_write, write_csv, write_json
 from stiffopt.sweep.cases import Case, Sweep
 from stiffopt.sweep.run import is_unusable
 from stiffopt.units import number_and_unit
@@ -251,8 +250,5 @@ def write_sweep(summary: SweepSummary, directory: str | Path) -> Path:
         stream = io.BytesIO()
         parquet.write_table(pyarrow.table(uniform), stream)
         atomic_write(folder / PARQUET_FILE, stream.getvalue())
-    text = json.dumps(
-        to_json_types(summary.document()), indent=1, ensure_ascii=False, allow_nan=False
-    )
-    atomic_write(folder / SUMMARY_FILE, text + "\n")
+    write_json(folder / SUMMARY_FILE, summary.document())
     return folder / TABLE_FILE

@@ -1,39 +1,20 @@
-"""Nodes, quadrature and integration matrices on [0, 1], computed from Legendre polynomials."""
+"""Nodes, quadrature and integration matrices on [0, 1], by Legendre polynomials."""
 
 from __future__ import annotations
 
-from functools import cache
 from math import comb
 
+import casadi as ca
 import numpy as np
 from numpy.polynomial import legendre
 
 
-@cache
 def radau_nodes(degree: int) -> np.ndarray:
     """Flipped Legendre-Gauss-Radau nodes: `degree` points of (0, 1], the last one is 1.
 
-    Roots of P_d - P_{d-1}, where P is the Legendre polynomial on [0, 1]; the quadrature on them
-    is exact up to polynomial degree 2 d - 2.
+    The quadrature on them is exact up to polynomial degree 2 d - 2.
     """
-    series = np.zeros(degree + 1)
-    series[degree], series[degree - 1] = 1.0, -1.0
-    roots = np.sort(legendre.legroots(series).real)
-    roots = _refine_roots(series, roots[:-1])
-    return _make_read_only(np.append((roots + 1.0) / 2.0, 1.0))
-
-
-@cache
-def lobatto_nodes(count: int) -> np.ndarray:
-    """Legendre-Gauss-Lobatto nodes: `count` points of [0, 1] with both ends.
-
-    Inner nodes are the roots of P'_{count-1}; the quadrature is exact up to degree 2 count - 3.
-    """
-    series = np.zeros(count)
-    series[count - 1] = 1.0
-    slope = legendre.legder(series)
-    inner = _refine_roots(slope, np.sort(legendre.legroots(slope).real))
-    return _make_read_only(np.concatenate([[0.0], (inner + 1.0) / 2.0, [1.0]]))
+    return np.array(ca.collocation_points(degree, "radau"))
 
 
 def power_from_values(nodes: np.ndarray) -> np.ndarray:
@@ -103,16 +84,3 @@ def _to_symmetric_interval(points: np.ndarray) -> np.ndarray:
 def _legendre_from_values(nodes: np.ndarray) -> np.ndarray:
     # Well conditioned where the powers of the nodes are not.
     return np.linalg.inv(legendre.legvander(_to_symmetric_interval(nodes), len(nodes) - 1))
-
-
-def _refine_roots(series: np.ndarray, roots: np.ndarray) -> np.ndarray:
-    # Two Newton steps bring the companion-matrix roots to full precision.
-    slope = legendre.legder(series)
-    for _ in range(2):
-        roots = roots - legendre.legval(roots, series) / legendre.legval(roots, slope)
-    return roots
-
-
-def _make_read_only(array: np.ndarray) -> np.ndarray:
-    array.setflags(write=False)  # cached arrays are shared
-    return array

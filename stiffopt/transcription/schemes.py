@@ -14,7 +14,8 @@ from stiffopt.transcription.ocp import Rows
 from stiffopt.transcription.piecewise_linear import IntegratorChain, PiecewiseLinear
 from stiffopt.transcription.scheme import Defect, Scheme, StagePoints, Symbols
 
-_INTERVAL_NODES = grid.lobatto_nodes(3)
+# Gauss-Lobatto nodes of an interval: its ends and its middle.
+_INTERVAL_NODES = np.array([0.0, 0.5, 1.0])
 
 
 class HermiteSimpson(Scheme):

@@ -2,8 +2,6 @@ from __future__ import annotations
 
 import json
 import logging
-import subprocess
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from stiffopt.baseline.toppra_motion import _defer_pyplot_import, _DeferredModule, toppra_baseline
+from stiffopt.baseline.toppra_motion import toppra_baseline
 from stiffopt.problem.limit import Limits
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.trajectory import Trajectory
@@ -218,60 +216,3 @@ def test_toppra_output_is_suppressed(
         assert toppra_baseline(robot(slider()), given, JointPath.through([[0.0], [1.0]])).motion
     assert not [record for record in caplog.records if record.name.startswith("toppra")]
     assert capfd.readouterr() == ("", "")
-
-
-def test_deferred_module_can_be_inspected(monkeypatch: Any) -> None:
-    for name in ("toppra.algorithm", "matplotlib.pyplot"):
-        monkeypatch.delitem(sys.modules, name, raising=False)
-    with _defer_pyplot_import():
-        standing = sys.modules["matplotlib.pyplot"]
-        assert isinstance(standing, _DeferredModule)
-        assert getattr(standing, "__file__", None) is None
-        assert not hasattr(standing, "__path__")
-    assert "matplotlib.pyplot" not in sys.modules
-
-
-def test_toppra_import_does_not_load_pyplot() -> None:
-    """Nor does anybody who asks for figures afterwards, or meanwhile, miss a part of them."""
-    program = """
-import sys
-from stiffopt.baseline.toppra_motion import _defer_pyplot_import
-with _defer_pyplot_import():
-    import toppra.algorithm
-assert not [name for name in sys.modules if name.partition(".")[0] == "matplotlib"]
-for name in [name for name in sys.modules if name.partition(".")[0] == "toppra"]:
-    del sys.modules[name]
-with _defer_pyplot_import():
-    from matplotlib.figure import Figure
-    import toppra.algorithm
-import matplotlib.pyplot
-assert matplotlib.figure.Figure is Figure
-assert toppra.algorithm.algorithm.plt.figure is matplotlib.pyplot.figure
-"""
-    subprocess.run([sys.executable, "-c", program], check=True, timeout=60)
-
-
-def test_deferred_module_is_replaced_on_access(monkeypatch: Any) -> None:
-    standing = _DeferredModule("colorsys")
-    monkeypatch.setitem(sys.modules, "colorsys", standing)
-    assert standing.rgb_to_hsv(1.0, 1.0, 1.0) == (0.0, 0.0, 1.0)
-    assert sys.modules["colorsys"].__file__
-
-
-def test_no_deferred_module_while_toppra_computes(monkeypatch: Any) -> None:
-    """Another thread may ask for them at any time."""
-    from toppra.algorithm import TOPPRA
-
-    met = []
-    compute = TOPPRA.compute_parameterization
-
-    def watched(*given: Any) -> Any:
-        met.append(sys.modules.get("matplotlib.pyplot"))
-        return compute(*given)
-
-    monkeypatch.setattr(TOPPRA, "compute_parameterization", watched)
-    monkeypatch.delitem(sys.modules, "matplotlib.pyplot", raising=False)
-    path = JointPath.through([[0.0], [1.0]])
-    toppra_baseline(robot(slider()), limits(1, torque=np.array([2.0])), path)
-    assert met
-    assert set(met) == {None}

@@ -214,7 +214,6 @@ def test_preload_given_or_stored_is_the_same(name: str) -> None:
         exact_law.tangent_compliance(other, torques),
     )
     assert element.slip_torque(given_force) == other.slip_torque()
-    assert element.pressure(0.0, given_force) == other.pressure(0.0)
 
 
 @preloaded
@@ -239,11 +238,6 @@ def test_exact_compliance_takes_any_shape_and_sign(name: str) -> None:
 
 
 @every
-def test_pressure_and_slip_are_defined_or_nan(name: str) -> None:
+def test_connections_with_preload_slip(name: str) -> None:
     element = ELEMENTS[name]
-    pressure = element.pressure(np.array([0.1, 1.0]) * element.torque_max)
-    assert pressure.shape == (2,)
-    assert np.all(np.isnan(pressure)) == isinstance(
-        element, kinds.Constant | kinds.Reducer | kinds.Shaft
-    )
     assert np.isfinite(element.slip_torque()) == element.needs_preload

@@ -11,7 +11,7 @@ from test_sanity_gate import doubted
 
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.sanity.gate import _is_odd
-from stiffopt.report.diagnosis.terminal import fault_lines
+from stiffopt.report.diagnosis.sections import fault_lines
 from stiffopt.report.diagnosis.words import (
     headline,
     unassessed_joint_sentences,

@@ -11,7 +11,7 @@ from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.extended.model import load_extended
 from stiffopt.recording.recording_set import load_recordings
 from stiffopt.report.diagnosis.regimes import channel_residuals
-from stiffopt.report.diagnosis.terminal import print_diagnosis
+from stiffopt.report.diagnosis.sections import print_diagnosis
 from stiffopt.report.diagnosis.words import headline, paragraph
 
 # What the joint's own recordings leave, as unfiltered noise [N m].

@@ -8,7 +8,7 @@ import pytest
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.store import answer_document
 from stiffopt.report.diagnosis.page import write_diagnosis_report
-from stiffopt.report.diagnosis.terminal import outside_lines
+from stiffopt.report.diagnosis.sections import outside_lines
 from tests.discovery.own_machines import SCARA, Machine
 from tests.discovery.test_states_of_a_robot import UPRIGHT
 

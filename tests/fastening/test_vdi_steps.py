@@ -127,7 +127,6 @@ def test_unknown_load_introduction_uses_both_bounds():
 def test_embedding_of_table_5():
     # Rz below 10 um under shear: 3 in the thread, 3 at the head, 2 at the face.
     assert embedding(6.3e-6, 1) == pytest.approx(8e-6)
-    assert embedding(6.3e-6, 1, "axial") == pytest.approx(7e-6)
     assert embedding(16e-6, 1) == pytest.approx(10e-6)
     assert embedding(16e-6, 3) == pytest.approx(15e-6)
     assert embedding(63e-6, 1) == pytest.approx(13e-6)

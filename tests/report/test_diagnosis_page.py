@@ -28,7 +28,7 @@ from stiffopt.report.diagnosis.regimes import (
     motion_direction,
     regimes,
 )
-from stiffopt.report.diagnosis.terminal import print_diagnosis
+from stiffopt.report.diagnosis.sections import print_diagnosis
 from stiffopt.report.diagnosis.words import (
     channels_in_words,
     headline,

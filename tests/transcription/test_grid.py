@@ -13,12 +13,6 @@ def test_radau_nodes_equal_known_values():
     assert grid.radau_nodes(3) == pytest.approx([*inner, 1.0], abs=1e-15)
 
 
-def test_lobatto_nodes_equal_known_values():
-    assert grid.lobatto_nodes(3) == pytest.approx([0.0, 0.5, 1.0], abs=1e-15)
-    root = np.sqrt(1 / 5) / 2
-    assert grid.lobatto_nodes(4) == pytest.approx([0, 0.5 - root, 0.5 + root, 1], abs=1e-15)
-
-
 @pytest.mark.parametrize("count", [1, 2, 3, 5, 9])
 def test_radau_quadrature_is_exact_to_its_degree(count):
     nodes = grid.radau_nodes(count)
@@ -27,14 +21,6 @@ def test_radau_quadrature_is_exact_to_its_degree(count):
         assert weights @ nodes**power == pytest.approx(1 / (power + 1), abs=1e-13)
     if count <= 5:  # beyond, the error of the next power drowns in rounding
         assert abs(weights @ nodes ** (2 * count - 1) - 1 / (2 * count)) > 1e-7
-
-
-@pytest.mark.parametrize("count", [2, 3, 4, 6])
-def test_lobatto_quadrature_is_exact_to_its_degree(count):
-    nodes = grid.lobatto_nodes(count)
-    weights = grid.quadrature_weights(nodes)
-    for power in range(2 * count - 2):
-        assert weights @ nodes**power == pytest.approx(1 / (power + 1), abs=1e-13)
 
 
 def test_differentiation_inverts_integration():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as arrow
@@ -11,6 +12,7 @@ import pyarrow.compute as compute
 import pyarrow.parquet as parquet
 
 from stiffopt.errors import InputFileError, nearest
+from stiffopt.files import load_json
 from stiffopt.recording.readers.checks import (
     check_columns,
     check_numbers,
@@ -19,7 +21,6 @@ from stiffopt.recording.readers.checks import (
     split_part,
 )
 from stiffopt.recording.readers.columns import MAX_ENTRIES, Table, expand_vectors
-from stiffopt.recording.readers.lerobot import vector_names
 from stiffopt.recording.signals import Signals
 
 _ENTRY_PATTERN = re.compile(r"(.+)\[([^\]]+)\]")
@@ -155,3 +156,23 @@ def _vector_entries(path: Path, name: str, column: arrow.ChunkedArray) -> Table:
         return {}
     names = vector_names(path, name)
     return expand_vectors(name, np.array(rows, dtype=float), names)
+
+
+def vector_names(path: Path, feature: str) -> list[str]:
+    """Names of the entries of a vector column in the file's dataset; empty where not given."""
+    return _entry_names(_dataset_features(path).get(feature))
+
+
+def _entry_names(feature: Any) -> list[str]:
+    """Names of a feature's entries; some datasets nest them one level deeper."""
+    names = feature.get("names") if isinstance(feature, dict) else None
+    if isinstance(names, dict):
+        names = next(iter(names.values()), None)
+    return [str(name) for name in names] if isinstance(names, list) else []
+
+
+def _dataset_features(path: Path) -> dict[str, Any]:
+    found = find_dataset_info(path)
+    document = {} if found is None else load_json(found)
+    features = document.get("features") if isinstance(document, dict) else None
+    return features if isinstance(features, dict) else {}

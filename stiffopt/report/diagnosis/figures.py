@@ -42,8 +42,7 @@ _NARROW_WIDTH = 4.2  # of a figure that a screen of 390 px shows whole [in]
 _SIGNAL_UNITS = {"q": "rad", "qd": "rad/s", "qdd": "rad/s^2", "torque": "N m"}
 _ROLE_TITLES = (("test", "test runs"), ("extrapolate", "extrapolation runs"))
 _WINDOW_LENGTH = 0.5  # of a held-out run, in which the residual is averaged [s]
-# Points of a plotted curve, and missing samples that it bridges.
-_MAX_CURVE_POINTS, _MAX_BRIDGED_SAMPLES = 1400, 10
+_MAX_BRIDGED_SAMPLES = 10  # that are missing in a plotted curve
 # Least residual over noise of a listed window, and number of windows.
 _MIN_LISTED_RATIO, _MAX_WINDOWS = 2.0, 8
 
@@ -319,7 +318,7 @@ def _draw_curve(
     known = np.flatnonzero(np.isfinite(values))
     if not len(known):
         return
-    x, y = decimate_curve(time[known], values[known], _MAX_CURVE_POINTS)
+    x, y = decimate_curve(time[known], values[known])
     gap = np.flatnonzero(np.diff(known) > _MAX_BRIDGED_SAMPLES)
     # A nan in the middle of every gap interrupts the line.
     middle = 0.5 * (time[known[gap]] + time[known[gap + 1]])

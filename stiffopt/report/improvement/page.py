@@ -155,7 +155,7 @@ def error_section(found: Improvement) -> Section:
         return Section(head=head)
     flight, after = given.both.error.flight, given.both.error.after
     peaks: list[tuple[str, float | None, float | None]] = [
-        ("given: servo alone", *(_peak(given.servo, mask) for mask in (flight, after))),
+        ("given: servo alone", _peak(given.servo, flight), _peak(given.servo, after)),
         ("given: elasticity alone", given.elastic.peak, given.elastic.peak_after),
         ("given: together", given.both.peak, given.both.peak_after),
     ]
