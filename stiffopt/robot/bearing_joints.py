@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
@@ -66,9 +66,9 @@ def with_bearing_joints(robot: Robot) -> tuple[Robot, np.ndarray]:
         if bearing is not None:
             here.translation = bearing.position * axes[:, 2]
             frame = here.inverse()
-            for name, joint, stiffness in _components(bearing):
+            for name, joint, spring in _components(bearing):
                 last = model.addJoint(last, joint, here, f"bearing of {body.name}, {name}")
-                springs.append(stiffness)
+                springs.append(spring)
                 chains.append(None)
                 here = pin.SE3.Identity()
         ends[i] = (last, frame)
@@ -80,7 +80,9 @@ def with_bearing_joints(robot: Robot) -> tuple[Robot, np.ndarray]:
         return replace(link, joint=joint, offset=found.translation, rotation=found.rotation)
 
     stiffness = np.array(springs)
-    arrays = {key: np.full(model.nv, value) for key, value in _UNDRIVEN_JOINT_VALUES.items()}
+    arrays: dict[str, Any] = {
+        key: np.full(model.nv, value) for key, value in _UNDRIVEN_JOINT_VALUES.items()
+    }
     for key, values in arrays.items():
         own = getattr(robot, key)
         if own is not None:
