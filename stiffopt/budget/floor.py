@@ -1,4 +1,4 @@
-"""What bounds the tool error of a commanded motion: its sources, and the geometry beside them.
+"""Sources of the tool error of a commanded motion, and the floor of the geometry beside them.
 
 Tolerances of the geometry are the same for every motion to the same poses, and no command leads
 them: they are no part of the objective, but the floor below which it gains nothing.

@@ -47,12 +47,12 @@ def _deflection_and_lead(
     arm: ElasticArm, plan: JointMotion, time: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Deflection (K, 6) of the tool by the bearings beyond their sag, and the lead (K, n) [rad]."""
-    moving = [np.array(plan(time, k)) for k in range(3)]
+    q, v, a = (np.array(plan(time, k)) for k in range(3))
     # Ends are at rest, where the sag is calibrated away.
-    moving[1][[0, -1]] = moving[2][[0, -1]] = 0.0
+    v[[0, -1]] = a[[0, -1]] = 0.0
     force = None if arm.path_force is None else arm.path_force(time)
-    away = dynamic_bearing_deflections(arm.robot, *moving, arm.process_force, force).sum(axis=1)
-    return away, correcting_joints(arm.robot, moving[0], away)
+    away = dynamic_bearing_deflections(arm.robot, q, v, a, arm.process_force, force).sum(axis=1)
+    return away, correcting_joints(arm.robot, q, away)
 
 
 class _BearingLead:

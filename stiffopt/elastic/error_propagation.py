@@ -109,10 +109,12 @@ class _MotionSamples:
     def __init__(self, arm: ElasticArm, plan: JointMotion, driven: np.ndarray) -> None:
         self._arm, self._driven = arm, driven
         numbers = np.searchsorted(driven, np.arange(arm.robot.n), side="right")
-        self._names = [
-            f"stiffness of joint {number}" if j in driven else arm.robot.joint_names[j]
-            for j, number in enumerate(numbers)
-        ]
+        self._names = np.array(
+            [
+                f"{'stiffness' if j in driven else 'bearing'} of joint {number}"
+                for j, number in enumerate(numbers)
+            ]
+        )
         slowest = min((mode.frequency for mode in modes(arm, plan(np.zeros(1))[0])), default=1.0)
         count = int(np.ceil(plan.duration / _TIME_STEP))
         self.step = plan.duration / count
@@ -142,10 +144,11 @@ class _MotionSamples:
         arm = self._arm
         away = self._windup_departure(self._torque[0], bounds)
         away -= self._windup_departure(self._weight[0], bounds)
-        for j in np.flatnonzero(arm.elastic & (bounds > 0.0)):
-            own = np.zeros_like(self.q)
-            own[:, j] = self._finite_stiffness[:, j] * away[:, j]
-            yield self._names[j], own
+        uncertain = arm.elastic & (bounds > 0.0)
+        # All components of a bearing are soft or stiff together.
+        for name in dict.fromkeys(self._names[uncertain].tolist()):
+            own = uncertain & (self._names == name)
+            yield name, np.where(own, self._finite_stiffness * away, 0.0)
         if uncertainty.damping and arm.damping.any():
             rate = np.gradient(self._windup, self.step, axis=0)
             yield "damping", uncertainty.damping * arm.damping * rate

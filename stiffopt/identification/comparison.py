@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -59,6 +59,10 @@ class JointComparison:
         Element that a difference points to, and the factor on its compliance that explains it.
     bound : float or None
         Relative bound of the modelled stiffness that covers what was identified.
+    tilt : tuple of float or None
+        Moment stiffness of the output bearing by set; None where its tilt is not supported.
+    modelled_tilt : float or None
+        Moment stiffness of the robot file [N m/rad].
     """
 
     joint: int
@@ -73,6 +77,8 @@ class JointComparison:
     element: str = ""
     factor: float | None = None
     bound: float | None = None
+    tilt: tuple[float | None, ...] = ()
+    modelled_tilt: float | None = None
 
 
 def compare_stiffness(
@@ -88,9 +94,18 @@ def compare_stiffness(
         With the drivetrains of all joints.
     """
     count = min(len(each.joints) for each in results)
-    return tuple(
-        _compare_joint([each.joints[j] for each in results], robot, j) for j in range(count)
-    )
+    found = []
+    for j in range(count):
+        tilts = [{each.joint: each.compliance for each in own.tilt} for own in results]
+        bearing = robot.bearings[j] if robot is not None and j < len(robot.bearings) else None
+        found.append(
+            replace(
+                _compare_joint([each.joints[j] for each in results], robot, j),
+                tilt=tuple(1.0 / own[j + 1] if j + 1 in own else None for own in tilts),
+                modelled_tilt=None if bearing is None else bearing.moment_stiffness,
+            )
+        )
+    return tuple(found)
 
 
 def _compare_joint(sets: Sequence[JointStiffness], robot: Robot | None, j: int) -> JointComparison:

@@ -75,7 +75,7 @@ def dynamic_bearing_deflections(
     """Deflections (K, n, 6) of a motion less those at rest in the same poses under `force`."""
     pressed = force if path_force is None else path_force + (0.0 if force is None else force)
     moving = bearing_deflections(robot, position, velocity, acceleration, pressed)
-    return moving - bearing_deflections(robot, position, force=force)
+    return np.asarray(moving - bearing_deflections(robot, position, force=force))
 
 
 def correcting_joints(robot: Robot, position: np.ndarray, deflection: np.ndarray) -> np.ndarray:

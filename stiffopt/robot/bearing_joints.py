@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
 # Of joints without a motor.
-_UNDRIVEN = {
+_UNDRIVEN_JOINT_VALUES = {
     "torque_max": np.inf,
     "position_lower": -np.inf,
     "position_upper": np.inf,
@@ -66,21 +66,23 @@ def with_bearing_joints(robot: Robot) -> tuple[Robot, np.ndarray]:
         if bearing is not None:
             here.translation = bearing.position * axes[:, 2]
             frame = here.inverse()
-            for name, joint, stiffness in _components(bearing):
+            for name, joint, spring in _components(bearing):
                 last = model.addJoint(last, joint, here, f"bearing of {body.name}, {name}")
-                springs.append(stiffness)
+                springs.append(spring)
                 chains.append(None)
                 here = pin.SE3.Identity()
         ends[i] = (last, frame)
         model.appendBodyToJoint(last, robot.model.inertias[i], frame)
 
-    def placed(link: LinkFrame) -> LinkFrame:
+    def move_frame(link: LinkFrame) -> LinkFrame:
         joint, frame = ends[link.joint]
         found = frame * pin.SE3(link.rotation, link.offset)
         return replace(link, joint=joint, offset=found.translation, rotation=found.rotation)
 
     stiffness = np.array(springs)
-    arrays = {key: np.full(model.nv, value) for key, value in _UNDRIVEN.items()}
+    arrays: dict[str, Any] = {
+        key: np.full(model.nv, value) for key, value in _UNDRIVEN_JOINT_VALUES.items()
+    }
     for key, values in arrays.items():
         own = getattr(robot, key)
         if own is not None:
@@ -91,8 +93,8 @@ def with_bearing_joints(robot: Robot) -> tuple[Robot, np.ndarray]:
         chains=tuple(chains),
         bearings=(),
         shapes=(),
-        tool=placed(robot.tool),
-        flange=placed(robot.flange),
+        tool=move_frame(robot.tool),
+        flange=move_frame(robot.flange),
         **arrays,
     )
     return found, stiffness

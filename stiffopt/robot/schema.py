@@ -211,11 +211,11 @@ def _robot_file_of(kinds: tuple[type[Connection], ...]) -> type[RobotFile]:
     """`RobotFile` whose elements are of these kinds."""
     elements: Any = Union[tuple(build_element_section(kind) for kind in kinds)]  # noqa: UP007
     element: Any = Annotated[elements, Field(discriminator="type")]
+    keys: dict[str, Any] = {
+        name: build_section_key(field) for name, field in declared(OutputBearing).items()
+    }
     bearing: Any = create_model(
-        "BearingSection",
-        __base__=BearingSection,
-        __doc__=BearingSection.__doc__,
-        **{name: build_section_key(field) for name, field in declared(OutputBearing).items()},
+        "BearingSection", __base__=BearingSection, __doc__=BearingSection.__doc__, **keys
     )
     joint: Any = _replace_key_types(
         JointSection, element=tuple[element, ...], bearing=bearing | None

@@ -245,7 +245,7 @@ def test_shares_of_the_commanded_error_join_the_joints():
         shares={
             "stiffness of joint 1": 3.0 * along,
             "stiffness of joint 2": 4.0 * along,
-            "bearing of waist, tilt x": 5.0 * along,
+            "bearing of joint 1": 5.0 * along,
             "servo": 0.0 * along,
         },
         mean=np.zeros((3, 3)),

@@ -122,8 +122,7 @@ def test_propagated_shares_of_bearings_equal_differences_of_simulated_arms(tilti
             ]
         )
         share = 0.5 * (errors.position[0] - errors.position[1])
-        name = f"bearing of {arm.robot.joint_names[j]}"
-        own = sum(np.mean(value, axis=0) for key, value in found.shares.items() if name in key)
+        own = np.mean(found.shares[f"bearing of joint {j + 1}"], axis=0)
         assert _peak(own) == pytest.approx(_peak(share), rel=0.03)
     # Three joints reach all three directions: the nominal tilt is led.
     assert np.linalg.norm(found.mean, axis=1).max() < 1e-7

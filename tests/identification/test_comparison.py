@@ -1,5 +1,6 @@
 """Identified stiffness of several sets beside each other and beside the drivetrains' model."""
 
+import json
 import tomllib
 from dataclasses import replace
 from types import SimpleNamespace
@@ -7,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from stiffopt.cli import run
 from stiffopt.exact.chain import exact_windup, windup_shares
 from stiffopt.identification.comparison import (
     UNCERTAINTY_FILE,
@@ -37,7 +39,7 @@ def identified(stiffness, share=0.02):
 
 
 def sets(*joints):
-    return [SimpleNamespace(joints=(joint,)) for joint in joints]
+    return [SimpleNamespace(joints=(joint,), tilt=()) for joint in joints]
 
 
 def modelled(robot):
@@ -74,10 +76,19 @@ def test_softer_joint_points_to_the_element_that_explains_it():
     assert joint.bound == pytest.approx(0.3 + 2.0 * 0.02 * 0.7)
 
 
+def test_tilt_of_bearings_stands_beside_that_of_the_robot_file():
+    robot = load_robot("er3a_c60", changes=["joint[1].bearing.moment_stiffness=1e5"])
+    tilt = (SimpleNamespace(joint=1, compliance=2e-5),)
+    results = [SimpleNamespace(joints=(identified(1e5),), tilt=own) for own in (tilt, ())]
+    (joint,) = compare_stiffness(results, robot)
+    assert joint.tilt == (pytest.approx(5e4), None)
+    assert joint.modelled_tilt == 1e5
+
+
 def test_bounds_are_those_of_a_problem_file(tmp_path):
     robot = load_robot("er3a_c60")
     unknown = replace_status(identified(1e5))
-    results = [SimpleNamespace(joints=(identified(modelled(robot)), unknown))]
+    results = [SimpleNamespace(joints=(identified(modelled(robot)), unknown), tilt=())]
     write_comparison(["before"], compare_stiffness(results, robot), tmp_path)
     bounds = tomllib.loads((tmp_path / UNCERTAINTY_FILE).read_text())["uncertainty"]["stiffness"]
     assert bounds == pytest.approx([0.04, 0.2])
@@ -99,3 +110,20 @@ def test_sets_of_two_arms_stand_side_by_side(tmp_path):
     assert joints[1].stiffness == pytest.approx((2e6, 1e6), rel=0.01)
     assert joints[1].spread > 10.0
     assert joints[0].spread < 4.0
+
+
+def test_command_line_compares_sets_and_robot(tmp_path, capsys):
+    folders = []
+    for seed in (3, 4):
+        folder = tmp_path / str(seed)
+        folder.mkdir()
+        measure(BentArm(), 20, seed, noise=1e-6).write(folder)
+        folders.append(str(folder))
+    out = tmp_path / "out"
+    given = ["--beside", folders[1], "--robot", "er3a_c60", "--out", str(out)]
+    assert run(["identify-stiffness", folders[0], *given]) == 0
+    assert "Joint stiffness side by side" in capsys.readouterr().out
+    joints = json.loads((out / "comparison.json").read_text())["joints"]
+    assert [len(joint["stiffness"]) for joint in joints] == [2] * 6
+    assert joints[0]["model"] is not None
+    assert (out / UNCERTAINTY_FILE).is_file()

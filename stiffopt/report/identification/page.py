@@ -172,6 +172,11 @@ def print_comparison(names: Sequence[str], joints: Sequence[JointComparison]) ->
         )
         for joint in joints
     ]
+    rows += [
+        (f"J{joint.joint}, tilt", *map(decades, joint.tilt), DASH, decades(joint.modelled_tilt))
+        for joint in joints
+        if any(joint.tilt) or joint.modelled_tilt is not None
+    ]
     print_table(("", *columns), rows, title="Joint stiffness side by side", numbers=columns)
     print_lines(
         f"J{joint.joint}: {told}." for joint in joints if (told := describe_difference(joint))
