@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from servo_sets import COULOMB, DELAY, KP, VISCOUS, write_servo_set
+from servo_sets import ARMATURE, COULOMB, DELAY, KP, VISCOUS, write_servo_set
 
 from stiffopt.cli import run as run_command
 from stiffopt.discovery.diagnose import diagnose
@@ -189,6 +189,31 @@ def test_doubts_end_with_exit_code_2(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 def test_right_commands_raise_no_doubt(servo: RecordingSet) -> None:
     assert list(doubt_commands(servo, open_training_runs(servo))) == []
+
+
+def state_drive(folder: Path) -> None:
+    """State friction and rotor of the servo with narrow tolerances."""
+    file = folder / "recordings.toml"
+    stated = {"coulomb": COULOMB, "viscous": VISCOUS, "rotor_inertia": ARMATURE}
+    lines = ["[nominal]", *(f"{key} = [{value}]" for key, value in stated.items())]
+    lines += ["[tolerance]", "mass = 0.01", "com = 0.001", *(f"{key} = 0.05" for key in stated)]
+    text = file.read_text()
+    file.write_text(text.replace("[actuator]", "\n".join([*lines, "[actuator]"])))
+
+
+def test_a_limit_of_the_drive_is_named_and_simulated(tmp_path: Path) -> None:
+    actuator = f"kp = [{KP}]\nkd = [0.0]\ntolerance = 0.01"
+    folder = write_servo_set(tmp_path / "set", actuator=actuator, limit=1.6)
+    state_drive(folder)
+    found = diagnose(folder, experiment=False)
+    (finding,) = found.findings
+    assert finding.effect.name == "saturation"
+    (limit,) = finding.parameters
+    assert limit.sd is not None
+    assert abs(limit.value - 1.6) < 2.0 * limit.sd < 0.16
+    (run,) = found.positions
+    before, after = (np.std(x - run.measured) for x in (run.before, run.after))
+    assert after < 0.3 * before
 
 
 @pytest.mark.slow
