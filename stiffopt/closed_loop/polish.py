@@ -37,12 +37,34 @@ class Polished:
         Root mean square of the positions' residual in the training runs [rad].
     evaluations : int
         Simulations of all runs.
+    places : array (m,) of int
+        Fitted parameters.
+    covariance : array (m, m)
+        Of the fitted parameters.
     """
 
     parameters: Parameters
     deviations: np.ndarray
     residual: np.ndarray
     evaluations: int
+    places: np.ndarray
+    covariance: np.ndarray
+
+    def over_gain(self, name: str, stiffness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return a joint parameter over the fitted gain, and its standard deviations (n,).
+
+        Such ratios are told where nothing gives torque a scale. `stiffness` (n,) is the gain that
+        the fit began with.
+        """
+        gain = 1.0 + self.parameters.of("gain")
+        value, spread = self.parameters.of(name) / gain, np.zeros_like(gain)
+        of_gain, own = (self.parameters.place(each).start for each in ("gain", name))
+        for j in range(len(gain)):
+            slope = np.zeros(len(self.places))
+            slope[self.places == own + j] = 1.0
+            slope[self.places == of_gain + j] -= value[j]
+            spread[j] = np.sqrt(slope @ self.covariance @ slope) / gain[j]
+        return value / stiffness, spread / stiffness
 
 
 def polish(
@@ -131,9 +153,10 @@ class _Fit:
             if last < _NOISE_ROUNDS - 1:
                 noise = self.noise(point)
         spread = np.zeros_like(start.values)
-        spread[self.places] = self.deviations(point, self.noise(point))
+        covariance = self.covariance(point, self.noise(point))
+        spread[self.places] = np.sqrt(np.diag(covariance))
         residual = np.sqrt(np.nanmean(point.residual**2, axis=0))
-        return Polished(current, spread, residual, self.evaluations)
+        return Polished(current, spread, residual, self.evaluations, self.places, covariance)
 
     def evaluate(self, parameters: Parameters) -> _Point:
         """Simulate all runs by stretches."""
@@ -196,10 +219,10 @@ class _Fit:
                 break
         return parameters, point
 
-    def deviations(self, point: _Point, noise: np.ndarray) -> np.ndarray:
-        """Return standard deviations of the fitted parameters."""
+    def covariance(self, point: _Point, noise: np.ndarray) -> np.ndarray:
+        """Return the covariance (m, m) of the fitted parameters."""
         hessian, _ = self._normal_equations(self._prior, point, noise)
-        return np.asarray(self._size * np.sqrt(np.diag(np.linalg.inv(hessian))))
+        return np.asarray(self._size[:, None] * np.linalg.inv(hessian) * self._size)
 
     def _cost(self, parameters: Parameters, point: _Point, noise: np.ndarray) -> float:
         away = self._distance(parameters)

@@ -8,18 +8,29 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from servo_sets import ARMATURE, COULOMB, DELAY, KP, VISCOUS, write_servo_set
+from servo_sets import (
+    ARMATURE,
+    COULOMB,
+    DELAY,
+    INERTIA,
+    KP,
+    LEVER,
+    MASS,
+    VISCOUS,
+    write_servo_set,
+)
 
 from stiffopt.cli import run as run_command
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.identifiable import effect_checks
-from stiffopt.discovery.position_fit import fit_positions, simulate_run
+from stiffopt.discovery.position_fit import fit_positions, model_section, simulate_run
 from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
 from stiffopt.discovery.sanity.command_doubts import doubt_commands
 from stiffopt.discovery.sanity.position_errors import take_errors_as_commands
 from stiffopt.discovery.training import open_training_runs
 from stiffopt.recording.joint_facts import joint_facts
 from stiffopt.recording.recording_set import RecordingSet, load_recordings
+from stiffopt.report.diagnosis.positions import value_section
 
 GO2 = Path("../shared/recordings/go2_leg_fl")
 Columns = dict[str, np.ndarray]
@@ -66,10 +77,17 @@ def test_a_joint_without_scale_is_simulated_by_its_ratios(tmp_path: Path) -> Non
     assert not own.recordings.actuator.scaled.any()
     model = fit_positions(own.recordings, own.runs, estimated=own.parameters)
     assert model is not None
-    fitted = model.fitted
-    gain = model.loop.law.stiffness * (1.0 + fitted.of("gain"))
-    np.testing.assert_allclose(fitted.of("coulomb") / gain, COULOMB / KP, rtol=0.05)
-    np.testing.assert_allclose(fitted.of("viscous") / gain, VISCOUS / KP, rtol=0.05)
+    section = model_section(own.recordings, model)
+    assert section is not None
+    about = INERTIA + MASS * LEVER**2
+    for name, true in (("coulomb", COULOMB), ("viscous", VISCOUS)):
+        np.testing.assert_allclose(section.ratios[name], true / KP, rtol=0.05)
+        # Values have no scale: ratios are told many times better.
+        relative = section.deviations[name][0] / section.values[name][0]
+        assert section.ratio_deviations[name][0] * KP / true < 0.3 * relative
+    assert 0.0 < section.ratios["armature"][0] < (ARMATURE + about) / KP
+    lines = value_section(section, np.zeros(1, dtype=bool)).rows
+    assert "dry friction over gain" in {line[1] for line in lines}
     (entry,) = found.with_role("test")
     run = simulate_run(own.recordings, model, found.open(entry))
     assert float(np.sqrt(np.mean((run.after - run.measured) ** 2))) < 2e-3
