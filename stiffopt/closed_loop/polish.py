@@ -91,6 +91,11 @@ def polish(
         One standard deviation of each; 0 fixes a parameter.
     say : callable
         Called with a sentence at every iteration.
+
+    Raises
+    ------
+    FloatingPointError
+        The simulation diverges with the prior.
     """
     begun = polish_leading(loop, runs, prior, deviations, say)
     whole = _Fit(loop, runs, prior, deviations).polish(begun.parameters, say)
@@ -147,6 +152,8 @@ class _Fit:
     def polish(self, start: Parameters, say: Callable[[str], object]) -> Polished:
         """Return the fit that begins with some parameters; its noise is estimated in rounds."""
         current, point = start, self.evaluate(start)
+        if not np.isfinite(point.slopes).all():
+            raise FloatingPointError("the simulation diverges")
         noise = self.noise(point)
         for last in range(_NOISE_ROUNDS):
             current, point = self.descend(current, point, noise, say)

@@ -26,6 +26,7 @@ from stiffopt.discovery.identifiable import effect_checks
 from stiffopt.discovery.position_fit import fit_positions, model_section, simulate_run
 from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
 from stiffopt.discovery.sanity.command_doubts import doubt_commands
+from stiffopt.discovery.sanity.doubt import DoubtfulRecordings
 from stiffopt.discovery.sanity.position_errors import take_errors_as_commands
 from stiffopt.discovery.training import open_training_runs
 from stiffopt.recording.joint_facts import joint_facts
@@ -194,6 +195,8 @@ def test_commands_that_contradict_positions_are_doubted(tmp_path: Path, mistake:
     doubts = list(doubt_commands(found, open_training_runs(found)))
     assert [doubt.kind for doubt in doubts] == [kind]
     assert says in doubts[0].evidence
+    with pytest.raises(DoubtfulRecordings, match=says):
+        diagnose(found)
 
 
 def test_doubts_end_with_exit_code_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
