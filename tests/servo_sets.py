@@ -20,7 +20,7 @@ _SUBSTEPS = 20
 
 
 def commanded_motion(
-    seed: int, seconds: float = 8.0, gravity: float = GRAVITY
+    seed: int, seconds: float = 8.0, gravity: float = GRAVITY, limit: float = np.inf
 ) -> tuple[np.ndarray, ...]:
     """Return time, held commands and positions (K,) of one run."""
     rng = np.random.default_rng(seed)
@@ -39,7 +39,7 @@ def commanded_motion(
         position[k] = q
         for s in range(_SUBSTEPS):
             u = sent[max(k * _SUBSTEPS + s - late, 0)]
-            drive = KP * (u - q) - MASS * gravity * LEVER * np.sin(q)
+            drive = np.clip(KP * (u - q), -limit, limit) - MASS * gravity * LEVER * np.sin(q)
             # Semi-implicit, dry friction as an impulse that at most stops the link.
             free = (v + h * drive / about) / (1.0 + h * VISCOUS / about)
             most = h * COULOMB / about
@@ -49,7 +49,7 @@ def commanded_motion(
 
 
 def write_servo_set(
-    folder: Path, *, actuator: str = "", signals: str = "", runs: int = 3, gravity: float = GRAVITY
+    folder: Path, *, actuator: str = "", signals: str = "", runs: int = 3, **physics: float
 ) -> Path:
     """Write a set of runs, the last one held out; `signals` and `actuator` are TOML lines."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -64,7 +64,7 @@ def write_servo_set(
     ]
     lines += ["[actuator]", 'kind = "position_servo"', actuator] if actuator else []
     for k in range(runs):
-        time, command, position = commanded_motion(k, gravity=gravity)
+        time, command, position = commanded_motion(k, **physics)
         np.savez(folder / f"run{k}.npz", t=time, goal_position=command, present_position=position)
         role = "test" if k == runs - 1 else "train"
         lines += ["[[runs]]", f'file = "run{k}.npz"', f'role = "{role}"']

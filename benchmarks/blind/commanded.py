@@ -14,7 +14,7 @@ import json
 import os
 import threading
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,13 +44,13 @@ GAIN_ERROR, DELAY_ERROR = 0.02, 1e-3
 FITTED = ("armature", "coulomb", "viscous")
 
 
-def spec_of(key: Key, suite: str, index: int) -> CommandedSpec:
+def spec_of(key: Key, suite: str, index: int, arms: Sequence[str] = tuple(ARMS)) -> CommandedSpec:
     """Return the case of one of the suites "commanded" and "idle" (nothing missing)."""
-    name = f"{suite}_{index:04d}"
+    name = "_".join([suite, *(arms if len(arms) < len(ARMS) else ()), f"{index:04d}"])
     missing = suite == "commanded"
     return CommandedSpec(
         name=name,
-        arm=dealt(key, tuple(ARMS), index, suite, "arm"),
+        arm=dealt(key, arms, index, suite, "arm"),
         effect=dealt(key, tuple(COMMANDED_EFFECTS), index, suite, "effect") if missing else "",
         size=dealt(key, SIZES, index, suite, "size") if missing else 0.0,
         gains_stated=dealt(key, GAINS_STATED, index, suite, "gains"),
@@ -264,9 +264,11 @@ def page(rows: list[Scored], key: Key) -> str:
     return "\n".join(lines) + "\n"
 
 
-def run(key: Key, store: Store, counts: dict[str, int], jobs: int) -> list[Scored]:
+def run(
+    key: Key, store: Store, counts: dict[str, int], jobs: int, arms: Sequence[str] = tuple(ARMS)
+) -> list[Scored]:
     """Make, answer and score all cases."""
-    specs = [spec_of(key, suite, i) for suite, count in counts.items() for i in range(count)]
+    specs = [spec_of(key, suite, i, arms) for suite, count in counts.items() for i in range(count)]
     stop = threading.Event()
 
     def one(spec: CommandedSpec) -> Scored | None:
@@ -291,6 +293,7 @@ def main(argv: list[str] | None = None, say: Callable[[str], object] = print) ->
     parser = argparse.ArgumentParser(prog="python -m benchmarks.blind.commanded")
     parser.add_argument("--cases", type=int, default=45, help="with an effect")
     parser.add_argument("--none", type=int, default=30, help="with nothing missing")
+    parser.add_argument("--arms", nargs="+", choices=list(ARMS), default=list(ARMS))
     parser.add_argument("--key", help="a key for development, dev-...")
     parser.add_argument("--commit", default="HEAD")
     parser.add_argument("--jobs", type=int, default=1)
@@ -300,7 +303,8 @@ def main(argv: list[str] | None = None, say: Callable[[str], object] = print) ->
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     key = key_under_test(given.key, given.commit)
     store = Store(given.work.resolve() / key.text)
-    rows = run(key, store, {"commanded": given.cases, "idle": given.none}, given.jobs)
+    counts = {"commanded": given.cases, "idle": given.none}
+    rows = run(key, store, counts, given.jobs, given.arms)
     text = page(rows, key)
     write_text(PAGE if not key.development else store.folder / PAGE.name, text)
     say(text)

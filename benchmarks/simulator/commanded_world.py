@@ -15,11 +15,11 @@ import numpy as np
 
 from .commanded_arms import Arm, mjcf_text
 
-TIMESTEP = 2.5e-4  # [s]
+TIMESTEP = 5e-4  # [s]
 MASS_TOLERANCE, GAIN_TOLERANCE, FRICTION_TOLERANCE = 0.02, 0.03, 0.1
 # Teeth of a gear with backlash: their stiffness lets the lighter side ring at this angular
 # frequency [rad/s], with this share of critical damping.
-_TOOTH_FREQUENCY, _TOOTH_DAMPING = 800.0, 0.3
+_TOOTH_FREQUENCY, _TOOTH_DAMPING = 400.0, 0.3
 
 
 @dataclass

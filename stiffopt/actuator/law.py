@@ -58,7 +58,8 @@ class ActuatorLaw:
     def scaled(self) -> np.ndarray:
         """Return the joints (n,) whose gain gives torque its scale."""
         guessed = np.zeros(len(self.stiffness), bool) if self.estimated is None else self.estimated
-        return np.isfinite(self.stiffness) & ~(guessed & (self.tolerance > MAX_GAIN_DEVIATION))
+        loose = guessed & (self.tolerance > MAX_GAIN_DEVIATION)
+        return np.asarray(np.isfinite(self.stiffness) & ~loose)
 
     def reordered(self, order: Sequence[int] | np.ndarray) -> ActuatorLaw:
         """Return the law of the joints in another order."""

@@ -19,6 +19,8 @@ JOINT_PARAMETERS = {
     "offset": "N m",
     "zero": "rad",  # reading of the encoder less the angle of the bodies
 }
+# Parameters over the actuator's gain, and units of the ratios.
+RATIO_UNITS = {"armature": "s^2", "viscous": "s", "coulomb": "rad"}
 # Those that decide how an arm follows, and that a fit begins with: the rest refines.
 LEADING_PARAMETERS = ("gain", "damping", "armature", "viscous", "coulomb", "offset")
 # Of each body: mass, first moment and inertia about its axis frame, as changes.

@@ -37,12 +37,34 @@ class Polished:
         Root mean square of the positions' residual in the training runs [rad].
     evaluations : int
         Simulations of all runs.
+    places : array (m,) of int
+        Fitted parameters.
+    covariance : array (m, m)
+        Of the fitted parameters.
     """
 
     parameters: Parameters
     deviations: np.ndarray
     residual: np.ndarray
     evaluations: int
+    places: np.ndarray
+    covariance: np.ndarray
+
+    def over_gain(self, name: str, stiffness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return a joint parameter over the fitted gain, and its standard deviations (n,).
+
+        Such ratios are told where nothing gives torque a scale. `stiffness` (n,) is the gain that
+        the fit began with.
+        """
+        gain = 1.0 + self.parameters.of("gain")
+        value, spread = self.parameters.of(name) / gain, np.zeros_like(gain)
+        of_gain, own = (self.parameters.place(each).start for each in ("gain", name))
+        for j in range(len(gain)):
+            slope = np.zeros(len(self.places))
+            slope[self.places == own + j] = 1.0
+            slope[self.places == of_gain + j] -= value[j]
+            spread[j] = np.sqrt(slope @ self.covariance @ slope) / gain[j]
+        return value / stiffness, spread / stiffness
 
 
 def polish(
@@ -69,6 +91,11 @@ def polish(
         One standard deviation of each; 0 fixes a parameter.
     say : callable
         Called with a sentence at every iteration.
+
+    Raises
+    ------
+    FloatingPointError
+        The simulation diverges with the prior.
     """
     begun = polish_leading(loop, runs, prior, deviations, say)
     whole = _Fit(loop, runs, prior, deviations).polish(begun.parameters, say)
@@ -125,15 +152,18 @@ class _Fit:
     def polish(self, start: Parameters, say: Callable[[str], object]) -> Polished:
         """Return the fit that begins with some parameters; its noise is estimated in rounds."""
         current, point = start, self.evaluate(start)
+        if not np.isfinite(point.slopes).all():
+            raise FloatingPointError("the simulation diverges")
         noise = self.noise(point)
         for last in range(_NOISE_ROUNDS):
             current, point = self.descend(current, point, noise, say)
             if last < _NOISE_ROUNDS - 1:
                 noise = self.noise(point)
         spread = np.zeros_like(start.values)
-        spread[self.places] = self.deviations(point, self.noise(point))
+        covariance = self.covariance(point, self.noise(point))
+        spread[self.places] = np.sqrt(np.diag(covariance))
         residual = np.sqrt(np.nanmean(point.residual**2, axis=0))
-        return Polished(current, spread, residual, self.evaluations)
+        return Polished(current, spread, residual, self.evaluations, self.places, covariance)
 
     def evaluate(self, parameters: Parameters) -> _Point:
         """Simulate all runs by stretches."""
@@ -196,10 +226,10 @@ class _Fit:
                 break
         return parameters, point
 
-    def deviations(self, point: _Point, noise: np.ndarray) -> np.ndarray:
-        """Return standard deviations of the fitted parameters."""
+    def covariance(self, point: _Point, noise: np.ndarray) -> np.ndarray:
+        """Return the covariance (m, m) of the fitted parameters."""
         hessian, _ = self._normal_equations(self._prior, point, noise)
-        return np.asarray(self._size * np.sqrt(np.diag(np.linalg.inv(hessian))))
+        return np.asarray(self._size[:, None] * np.linalg.inv(hessian) * self._size)
 
     def _cost(self, parameters: Parameters, point: _Point, noise: np.ndarray) -> float:
         away = self._distance(parameters)

@@ -172,7 +172,8 @@ def fit_loop(
 ) -> tuple[CommandedArm, Polished] | None:
     """Fit a closed loop to training runs, beginning with a prior; or the leading parameters alone.
 
-    None where a joint has no gain, which would not be held, or no command.
+    None where a joint has no gain, which would not be held, or no command, and where the simulation
+    diverges with the prior.
     """
     law = recordings.actuator
     if law is None or not np.isfinite(law.stiffness).all():
@@ -183,7 +184,10 @@ def fit_loop(
     loop = build_loop(recordings, commanded, tree or recordings.robot.tree, added)
     deviations = expected_deviations(recordings, commanded, loop, prior)
     fit = polish_leading if leading else polish
-    return loop, fit(loop, _limit_motion(commanded), prior, deviations, say)
+    try:
+        return loop, fit(loop, _limit_motion(commanded), prior, deviations, say)
+    except FloatingPointError:
+        return None
 
 
 def _limit_motion(runs: Sequence[CommandedRun]) -> list[CommandedRun]:

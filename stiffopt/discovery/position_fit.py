@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -13,9 +13,11 @@ from stiffopt.closed_loop.parameters import (
     BODY_PARAMETERS,
     DELAY,
     JOINT_PARAMETERS,
+    RATIO_UNITS,
     Parameters,
     zero_parameters,
 )
+from stiffopt.closed_loop.polish import Polished
 from stiffopt.closed_loop.simulation import simulate
 from stiffopt.discovery.extended.model import ExtendedModel
 from stiffopt.discovery.extended.schema import ClosedLoopSection
@@ -43,6 +45,8 @@ class ClosedLoopModel:
     nominal, fitted : Parameters
     deviations : array (p,)
         One standard deviation of each fitted parameter.
+    ratios : mapping of str to pair of array (n,)
+        Parameters over the gain with standard deviations, where torque has no scale; else nan.
     """
 
     nominal_loop: CommandedArm
@@ -50,6 +54,7 @@ class ClosedLoopModel:
     nominal: Parameters
     fitted: Parameters
     deviations: np.ndarray
+    ratios: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -111,7 +116,19 @@ def fit_positions(
         nominal=nominal_parameters(recordings, recordings.robot),
         fitted=fitted.parameters,
         deviations=fitted.deviations,
+        ratios=_ratios_to_gain(loop.law, fitted),
     )
+
+
+def _ratios_to_gain(law: ActuatorLaw, fitted: Polished) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Return parameters over the gain of joints whose torque has no scale; nan for the others."""
+    if law.scaled.all():
+        return {}
+    found = {}
+    for name in RATIO_UNITS:
+        value, spread = fitted.over_gain(name, law.stiffness)
+        found[name] = (np.where(law.scaled, np.nan, value), np.where(law.scaled, np.nan, spread))
+    return found
 
 
 def simulate_run(recordings: RecordingSet, model: ClosedLoopModel, run: RecordedRun) -> PositionRun:
@@ -161,6 +178,8 @@ def model_section(
         middle=tuple(model.loop.middle[order]),
         values=values,
         deviations=deviations,
+        ratios={name: tuple(value[order]) for name, (value, _) in model.ratios.items()},
+        ratio_deviations={name: tuple(sd[order]) for name, (_, sd) in model.ratios.items()},
     )
 
 

@@ -33,9 +33,8 @@ def roll_out(recordings: RecordingSet, model: ExtendedModel) -> tuple[PositionRu
         )
     if model.closed_loop is None:
         raise InputFileError(
-            model.source, "closed_loop", "is missing: this model is of a diagnosis of torques, or"
-            " of commands with a gain that nothing told. Diagnose a set with commands and with kp"
-            " in [actuator]."
+            model.source, "closed_loop", "is missing: this model is of a diagnosis of torques."
+            " Diagnose a set with commands."
         )  # fmt: skip
     try:
         simulation = read_model(recordings, model)

@@ -67,7 +67,10 @@ def search_training_runs(
     """
     comparison = training.comparison()
     # Contacts that show already beside the nominal model are excluded from the first search.
-    touched = find_episodes(training_tracks(comparison, comparison.fit()))
+    # Torque that a drive at its limit is asked for in vain looks like one.
+    touched: tuple[Episode, ...] = ()
+    if not recordings.signals.commanded:
+        touched = find_episodes(training_tracks(comparison, comparison.fit()))
     if touched:
         say(_describe_exclusion(touched))
         training = _prepare_without(recordings, training, settings, base, say, touched)

@@ -218,6 +218,8 @@ class MotionSignals:
         Nominal wind-up under the spring torque [rad].
     drive_torque, drive_torque_rate
         Nominal prediction [N m], [N m/s].
+    asked_torque, optional
+        Torque by an actuator's law without a limit [N m]; None where torques are measured.
     """
 
     time: Quantity
@@ -237,6 +239,7 @@ class MotionSignals:
     drive_torque: Quantity
     drive_torque_rate: Quantity
     run: str = ""
+    asked_torque: Quantity | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -423,6 +426,7 @@ class RobotSignals(MotionSignals):
             previous_velocity=before("motor_velocity"),
             previous_acceleration=before("motor_acceleration"),
             constants=self.constants.joints[index],
+            asked_torque=None if self.asked_torque is None else own("asked_torque"),
             **{name: own(name) for name in JOINT_SIGNAL_NAMES},
         )
 

@@ -8,18 +8,30 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from servo_sets import COULOMB, DELAY, KP, VISCOUS, write_servo_set
+from servo_sets import (
+    ARMATURE,
+    COULOMB,
+    DELAY,
+    INERTIA,
+    KP,
+    LEVER,
+    MASS,
+    VISCOUS,
+    write_servo_set,
+)
 
 from stiffopt.cli import run as run_command
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.identifiable import effect_checks
-from stiffopt.discovery.position_fit import fit_positions, simulate_run
+from stiffopt.discovery.position_fit import fit_positions, model_section, simulate_run
 from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
 from stiffopt.discovery.sanity.command_doubts import doubt_commands
+from stiffopt.discovery.sanity.doubt import DoubtfulRecordings
 from stiffopt.discovery.sanity.position_errors import take_errors_as_commands
 from stiffopt.discovery.training import open_training_runs
 from stiffopt.recording.joint_facts import joint_facts
 from stiffopt.recording.recording_set import RecordingSet, load_recordings
+from stiffopt.report.diagnosis.positions import value_section
 
 GO2 = Path("../shared/recordings/go2_leg_fl")
 Columns = dict[str, np.ndarray]
@@ -66,10 +78,17 @@ def test_a_joint_without_scale_is_simulated_by_its_ratios(tmp_path: Path) -> Non
     assert not own.recordings.actuator.scaled.any()
     model = fit_positions(own.recordings, own.runs, estimated=own.parameters)
     assert model is not None
-    fitted = model.fitted
-    gain = model.loop.law.stiffness * (1.0 + fitted.of("gain"))
-    np.testing.assert_allclose(fitted.of("coulomb") / gain, COULOMB / KP, rtol=0.05)
-    np.testing.assert_allclose(fitted.of("viscous") / gain, VISCOUS / KP, rtol=0.05)
+    section = model_section(own.recordings, model)
+    assert section is not None
+    about = INERTIA + MASS * LEVER**2
+    for name, true in (("coulomb", COULOMB), ("viscous", VISCOUS)):
+        np.testing.assert_allclose(section.ratios[name], true / KP, rtol=0.05)
+        # Values have no scale: ratios are told many times better.
+        relative = section.deviations[name][0] / section.values[name][0]
+        assert section.ratio_deviations[name][0] * KP / true < 0.3 * relative
+    assert 0.0 < section.ratios["armature"][0] < (ARMATURE + about) / KP
+    lines = value_section(section, np.zeros(1, dtype=bool)).rows
+    assert "dry friction over gain" in {line[1] for line in lines}
     (entry,) = found.with_role("test")
     run = simulate_run(own.recordings, model, found.open(entry))
     assert float(np.sqrt(np.mean((run.after - run.measured) ** 2))) < 2e-3
@@ -176,6 +195,8 @@ def test_commands_that_contradict_positions_are_doubted(tmp_path: Path, mistake:
     doubts = list(doubt_commands(found, open_training_runs(found)))
     assert [doubt.kind for doubt in doubts] == [kind]
     assert says in doubts[0].evidence
+    with pytest.raises(DoubtfulRecordings, match=says):
+        diagnose(found)
 
 
 def test_doubts_end_with_exit_code_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -189,6 +210,31 @@ def test_doubts_end_with_exit_code_2(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 def test_right_commands_raise_no_doubt(servo: RecordingSet) -> None:
     assert list(doubt_commands(servo, open_training_runs(servo))) == []
+
+
+def state_drive(folder: Path) -> None:
+    """State friction and rotor of the servo with narrow tolerances."""
+    file = folder / "recordings.toml"
+    stated = {"coulomb": COULOMB, "viscous": VISCOUS, "rotor_inertia": ARMATURE}
+    lines = ["[nominal]", *(f"{key} = [{value}]" for key, value in stated.items())]
+    lines += ["[tolerance]", "mass = 0.01", "com = 0.001", *(f"{key} = 0.05" for key in stated)]
+    text = file.read_text()
+    file.write_text(text.replace("[actuator]", "\n".join([*lines, "[actuator]"])))
+
+
+def test_a_limit_of_the_drive_is_named_and_simulated(tmp_path: Path) -> None:
+    actuator = f"kp = [{KP}]\nkd = [0.0]\ntolerance = 0.01"
+    folder = write_servo_set(tmp_path / "set", actuator=actuator, limit=1.6)
+    state_drive(folder)
+    found = diagnose(folder, experiment=False)
+    (finding,) = found.findings
+    assert finding.effect.name == "saturation"
+    (limit,) = finding.parameters
+    assert limit.sd is not None
+    assert abs(limit.value - 1.6) < 2.0 * limit.sd < 0.16
+    (run,) = found.positions
+    before, after = (np.std(x - run.measured) for x in (run.before, run.after))
+    assert after < 0.3 * before
 
 
 @pytest.mark.slow

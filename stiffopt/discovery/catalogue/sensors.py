@@ -56,12 +56,15 @@ def saturation_term(
 ) -> Term:
     """Return the demanded torque beyond a drive's limit, or the part clipped in a reading.
 
+    Torque by an actuator's law is what it asks for: what lies beyond the limit is not given.
     Recorded motions need only the torque that the drive gives, so a demanded torque leaves the
     predicted one steeply near the limit.
     """
     highest = signals.constants.torque_max
     rounding = _LIMIT_ROUNDING * highest
     limit, asked = shapes[0] * highest, signals.drive_torque
+    if signals.asked_torque is not None:
+        asked = signals.asked_torque
     beyond = softplus((asked - limit) / rounding) - softplus((-asked - limit) / rounding)
     return Term(drive_torque=amplitudes[0] * rounding * beyond)
 

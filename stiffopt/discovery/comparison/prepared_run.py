@@ -298,6 +298,7 @@ def prepare_run(
     if vibration is not None:
         friction = wide(friction)
     drive = robot.rotor_inertia * acceleration + links.torque + friction
+    derived = robot.recordings.signals.commanded
     signals = RobotSignals(
         time=time,
         run=run.name,
@@ -320,6 +321,7 @@ def prepare_run(
         last_link=robot.n - 1,
         link=robot.n - 1,
         constants=constants or robot.constants,
+        asked_torque=np.where(np.isfinite(torque), torque, drive) if derived else None,
     )
     moving = np.abs(velocity) >= settings.slow
     inside = np.zeros(len(time), dtype=bool)

@@ -186,6 +186,13 @@ class ClosedLoopSection(Section):
     deviations: Annotated[
         dict[str, tuple[Ratio, ...]], Doc("One standard deviation of each; 0 if not fitted.")
     ]
+    ratios: Annotated[
+        dict[str, tuple[Ratio, ...]],
+        Doc("Parameters over the gain in SI, of joints whose torque has no scale; else nan."),
+    ] = Field(default_factory=dict)
+    ratio_deviations: Annotated[
+        dict[str, tuple[Ratio, ...]], Doc("One standard deviation of each.")
+    ] = Field(default_factory=dict)
 
 
 class ExtendedFile(Section):

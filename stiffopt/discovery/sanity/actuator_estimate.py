@@ -13,6 +13,7 @@ from stiffopt.closed_loop.parameters import Parameters
 from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter, bridge_gaps, derivative
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.loop_fit import DRIVE_PARAMETERS, fit_loop, nominal_parameters
+from stiffopt.discovery.sanity.command_doubts import doubt_commands
 from stiffopt.discovery.sanity.doubt import format_joints
 from stiffopt.discovery.settings import DEFAULT_TOLERANCE, MIN_MOVING_SPEED
 from stiffopt.discovery.signals import smooth_sign
@@ -105,7 +106,8 @@ def resolve_actuator(
 ) -> ResolvedActuator:
     """Estimate the unknown values of a set's actuators.
 
-    Sets with recorded torques, or with a law that is known, are returned unchanged.
+    Sets with recorded torques, or with a law that is known, are returned unchanged. Commands that
+    contradict the positions are not simulated: the gate doubts them.
     """
     law = recordings.actuator
     if law is None:
@@ -113,7 +115,9 @@ def resolve_actuator(
     parameters, notes = None, _DERIVED
     if not law.known:
         guess = estimate_actuator(RobotModel(recordings), runs, law)
-        found, parameters = _refine_law(recordings, runs, guess, say)
+        found = guess.law
+        if not any(doubt_commands(recordings, runs)):
+            found, parameters = _refine_law(recordings, runs, guess, say)
         notes = (*notes, *_describe(law, found, guess.evidence))
         law = found
     known = recordings.with_actuator(law)
@@ -190,9 +194,10 @@ def _refine_law(
         law,
         stiffness=np.where(law.estimated, law.stiffness * factor, law.stiffness),
         tolerance=np.where(law.estimated, spread / factor, law.tolerance),
-        delay=fitted.parameters.delay,
-        delay_deviation=max(float(fitted.deviations[-1]), _DELAY_DEVIATION),
     )
+    if law.delay_deviation:
+        spread = max(float(fitted.deviations[-1]), _DELAY_DEVIATION)
+        refined = replace(refined, delay=fitted.parameters.delay, delay_deviation=spread)
     return refined, fitted.parameters
 
 

@@ -366,7 +366,9 @@ def find_odd_runs(together: Explanations, runs: Sequence[RecordedRun]) -> list[O
         if odd.any():
             joints = tuple(int(j) for j in np.flatnonzero(odd))
             beside = [other.samples for _, other in searches if other is not search]
-            there = _select_shared_range(search.samples, beside)
+            there = _select_shared_range(
+                search.samples, beside, asked=together.robot.recordings.signals.commanded
+            )
             outside_range = (
                 there is None
                 or not _is_odd(Explanations(together.robot, there).strict, others).any()
@@ -394,10 +396,15 @@ def _is_odd(shares: np.ndarray, others: np.ndarray) -> np.ndarray:
         return np.asarray(far & (others < _MAX_OTHERS_SHARE))
 
 
-def _select_shared_range(samples: Samples, others: Sequence[Samples]) -> Samples | None:
-    """Select instants within the range of positions and speeds of other runs; None if too few."""
+def _select_shared_range(
+    samples: Samples, others: Sequence[Samples], *, asked: bool
+) -> Samples | None:
+    """Select instants within the range of positions and speeds of other runs; None if too few.
+
+    Torques that a law asks for (`asked`) count as well: a limit of the drive shows at the largest.
+    """
     inside = np.ones(len(samples.position), dtype=bool)
-    for name in ("position", "velocity", "acceleration"):
+    for name in ("position", "velocity", "acceleration", *(("torque",) if asked else ())):
         beside = np.vstack([getattr(each, name) for each in others])
         low, high = np.nanmin(beside, axis=0), np.nanmax(beside, axis=0)
         margin = _RANGE_MARGIN * (high - low)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.closed_loop.parameters import DELAY, JOINT_PARAMETERS
+from stiffopt.closed_loop.parameters import DELAY, JOINT_PARAMETERS, RATIO_UNITS
 from stiffopt.report.common.terminal import Section
 from stiffopt.report.common.text import joint_unit, pm, significant
 
@@ -88,8 +88,21 @@ def position_section(runs: Sequence[PositionRun], prismatic: np.ndarray) -> Sect
 
 def value_section(section: ClosedLoopSection | None, prismatic: np.ndarray) -> Section:
     """Return the fitted values of a simulation that stand out of their deviations."""
-    rows = []
+    rows: list[tuple[str, str, str]] = []
     if section is not None:
+        for name, own in RATIO_UNITS.items():
+            pairs = zip(
+                section.ratios.get(name, ()), section.ratio_deviations.get(name, ()), strict=True
+            )
+            rows += [
+                (
+                    f"joint {j + 1}",
+                    f"{_VALUE_WORDS[name]} over gain",
+                    pm(value, sd, joint_unit(own, bool(prismatic[j]))),
+                )
+                for j, (value, sd) in enumerate(pairs)
+                if abs(value) >= _MIN_SHOWN_DEVIATIONS * sd
+            ]
         for name, unit in (*JOINT_PARAMETERS.items(), (DELAY, "s")):
             pairs = zip(section.values[name], section.deviations[name], strict=True)
             for j, (value, sd) in enumerate(pairs):
