@@ -163,7 +163,7 @@ def test_collinear_amplitudes_are_insignificant_apart(monkeypatch: pytest.Monkey
             stack_columns=lambda _: columns,
             fit=lambda _: SimpleNamespace(amplitudes=lambda: amplitudes),
         )
-        name = ("coulomb", "gravity_spring")[columns.shape[1] - 1]
+        name = ("coulomb", "asym_friction")[columns.shape[1] - 1]
         located = LocatedEffect(effect=effect(name), joint=0)
         assert len(located.effect.amplitudes) == columns.shape[1]
         together, single = uncertainty.jackknife_significance(comparison, [located])

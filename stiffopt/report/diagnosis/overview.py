@@ -114,7 +114,7 @@ def sharpest_limits(diagnosis: Diagnosis) -> list[str]:
 
 def moved_values(diagnosis: Diagnosis) -> list[MovedValue]:
     """Return the nominal values that moved most relative to their tolerances."""
-    names, sd, _ = diagnosis.search.comparison.nuisance
+    names, sd = diagnosis.search.comparison.priors
     moved = diagnosis.search.fit.posterior.mean[: len(names)]
     units = {"com": "m", "encoder_zero": "rad"}
     order = [k for k in np.argsort(-np.abs(moved / sd)) if names[k].kind != "body"]
