@@ -158,12 +158,14 @@ class Servo:
         matrix = np.array([[0.0, 1.0], [0.0 if lag else -inner * gain, -inner]])
         step_state, first, second = _linear_hold(matrix, step)
         state = np.zeros((len(times), 2, y.shape[1]))
-        for k in range(len(times) - 1):
-            begin, end = force[k], force[k + 1]
+        # Until the delay has passed, delayed positions are those of steps before.
+        for k in range(0, len(times) - 1, lag or len(times)):
+            pull = force[k : k + lag + 1 if lag else None]
             if lag:
-                begin = begin - inner * gain * state[max(k - lag, 0), 0]
-                end = end - inner * gain * state[max(k + 1 - lag, 0), 0]
-            state[k + 1] = step_state @ state[k] + first * begin + second * end
+                known = np.maximum(np.arange(k, k + len(pull)) - lag, 0)
+                pull = pull - inner * gain * state[known, 0]
+            driven = first * pull[:-1, None] + second * pull[1:, None]
+            state[k + 1 : k + len(pull)] = _recur_linearly(step_state, driven, state[k])
         return MotorMotion(times, y + state[:, 0], rate + state[:, 1], command.duration)
 
     def _set_points(
@@ -202,10 +204,8 @@ class Servo:
         matrix = np.array([[0.0, 1.0], [-inner * gain / torque, -inner * forward / torque]])
         step_state, first, second = _linear_hold(matrix, times[1])
         state = np.zeros((len(times), 2, force.shape[1]))
-        for k in range(len(times) - 1):
-            state[k + 1] = (
-                step_state @ state[k] + (first * force[k] + second * force[k + 1]) / torque
-            )
+        driven = (first * force[:-1, None] + second * force[1:, None]) / torque
+        state[1:] = _recur_linearly(step_state, driven, state[0])
         lead = np.stack([state[:, 0], state[:, 1], np.zeros_like(force), np.zeros_like(force)])
         lead[2] = (force - inner * forward * lead[1] - inner * gain * lead[0]) / torque
         lead[3] = (rate - inner * forward * lead[2] - inner * gain * lead[1]) / torque
@@ -225,6 +225,22 @@ def _hold_at_ends(motion: Trajectory, times: np.ndarray) -> np.ndarray:
     found = np.stack([motion(inside, k) for k in range(4)])
     found[1:, (times < 0.0) | (times > motion.duration)] = 0.0
     return found
+
+
+def _recur_linearly(step: np.ndarray, driven: np.ndarray, begin: np.ndarray) -> np.ndarray:
+    """Return the states (K, 2, n) of z[k + 1] = step z[k] + driven[k] after a first one (2, n).
+
+    A triangular system of four diagonals, solved by substitution for all motors at once.
+    """
+    count, _, motors = driven.shape
+    driven = driven.copy()
+    driven[0] += step @ begin
+    diagonals = np.zeros((4, 2 * count))
+    diagonals[0] = 1.0
+    diagonals[2, ::2], diagonals[3, ::2] = -step[:, 0]
+    diagonals[1, 1::2], diagonals[2, 1::2] = -step[:, 1]
+    found, _ = scipy.linalg.lapack.dtbtrs(diagonals, driven.reshape(2 * count, motors), uplo="L")
+    return np.asarray(found.reshape(driven.shape))
 
 
 def _linear_hold(matrix: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

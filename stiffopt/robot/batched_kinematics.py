@@ -206,7 +206,7 @@ def _rotate_vectors(rotation: np.ndarray, vectors: np.ndarray) -> np.ndarray:
 
 def _cross_product(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Vector product along the axis before the last."""
-    (x0, x1, x2), (y0, y1, y2) = (np.moveaxis(z, -2, 0) for z in (x, y))
+    (x0, x1, x2), (y0, y1, y2) = ([z[..., i, :] for i in range(3)] for z in (x, y))
     return np.stack([x1 * y2 - x2 * y1, x2 * y0 - x0 * y2, x0 * y1 - x1 * y0], axis=-2)
 
 

@@ -163,11 +163,13 @@ def test_collinear_amplitudes_are_insignificant_apart(monkeypatch: pytest.Monkey
         amplitudes = np.linalg.solve(gram, columns.T @ target)
         comparison: Any = SimpleNamespace(
             target=target,
-            nuisance=([], np.zeros(0), np.zeros((count, 0))),
-            effect_columns=lambda _: columns,
+            priors=([], np.zeros(0)),
+            stack_columns=lambda _: columns,
             fit=lambda _: SimpleNamespace(amplitudes=lambda: amplitudes),
         )
-        located = LocatedEffect(effect=effect("gravity_spring"), joint=0)
+        name = ("coulomb", "asym_friction")[columns.shape[1] - 1]
+        located = LocatedEffect(effect=effect(name), joint=0)
+        assert len(located.effect.amplitudes) == columns.shape[1]
         together, single = uncertainty.jackknife_significance(comparison, [located])
         return float(together[0]), float(single[0])
 

@@ -312,3 +312,23 @@ def test_what_no_law_explains_is_kept_as_a_table_within_its_range(tmp_path) -> N
     beyond = replace(tables[0], source=LawSource("session_time"), carrier=())
     far = SimpleNamespace(session_time=np.array([-1e6, 1e6]))
     assert list(beyond.value(far)) == [beyond.values[0], beyond.values[-1]]
+
+
+def test_stop_follows_and_slides() -> None:
+    x = np.cumsum(np.random.default_rng(4).normal(size=300))
+    play, slid = x[0], []
+    for value in x:
+        play = min(max(play, value - 0.8), value + 0.8)
+        slid.append(value - play)
+    np.testing.assert_array_equal(operators.stop(x, 0.8), slid)
+
+
+@pytest.mark.parametrize("lag", [0.05, 0.05 + 1e-3j])
+def test_linear_operators_equal_their_recurrences(lag: complex) -> None:
+    x = np.cumsum(np.random.default_rng(5).normal(size=300))
+    kept, y = np.exp(-0.002 / lag), [x[0]]
+    for value in x[1:]:
+        y.append(kept * y[-1] + (1.0 - kept) * value)
+    np.testing.assert_allclose(operators.lag(x, lag, 0.002), y, rtol=1e-12, atol=1e-12)
+    rest = operators.sprung(np.full(50, 3.0), 5.0, 0.1, 0.002)
+    np.testing.assert_allclose(rest, 3.0, rtol=1e-12)

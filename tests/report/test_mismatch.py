@@ -32,7 +32,7 @@ def told(part, left, part_of=OFFSETS, kinds=("torque",), rigid=None, moved=()):
         training=SimpleNamespace(box=4.0),
         search=SimpleNamespace(
             rigid=rigid,
-            comparison=SimpleNamespace(nuisance=(names, np.full(len(names), 0.3), None)),
+            comparison=SimpleNamespace(priors=(names, np.full(len(names), 0.3))),
             fit=SimpleNamespace(posterior=SimpleNamespace(mean=changes)),
         ),
     )

@@ -334,8 +334,10 @@ class DesignMatrix:
             and each.key not in self._recent_cache
         ]
         many = min(_batch_size(run) for run in self.runs)
-        for begin in range(0, len(asked), many):
-            part = asked[begin : begin + many]
+        while asked:
+            loads = np.cumsum([len(each.effect.amplitudes) for each in asked])
+            count = max(1, int(np.searchsorted(loads, many, "right")))
+            part, asked = asked[:count], asked[count:]
             for each, columns in zip(part, self._joint_effect_pieces(part), strict=True):
                 self._cache_columns(each, columns)
         return len(first)

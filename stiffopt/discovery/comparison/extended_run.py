@@ -183,6 +183,8 @@ def _extend_to_first_order(
     assert run.vibration is not None
     change = extension_change(run, robot, extension)
     ((torque, deflection),) = run.vibration.respond([(change.link_torque, change.deflection)])
+    assert torque is not None
+    assert deflection is not None
     signals = replace(run.signals, drive_torque=run.signals.drive_torque + torque)
     return replace(run, signals=signals, added_deflection=run.added_deflection + deflection)
 

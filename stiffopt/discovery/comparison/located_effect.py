@@ -253,7 +253,7 @@ class LocatedEffect:
         self, run: PreparedRun, robot: RobotModel
     ) -> list[tuple[np.ndarray | None, np.ndarray | None]]:
         """Return the changes of torque and deflection per unit of each amplitude."""
-        units = np.eye(len(self.effect.amplitudes))
+        units = np.eye(len(self.effect.amplitudes)).tolist()
         return channel_changes([self.contribution(run, unit) for unit in units], run, robot)
 
 

@@ -313,6 +313,11 @@ class BodyRegressor:
             (self, body), size, lambda: self._robot.body_torques(body, *self._motion)
         )
 
+    def torque_of_body(self, body: int, change: np.ndarray) -> np.ndarray:
+        """Return the torques (K, n) of changed parameters (10,) of one body (from 0)."""
+        # Instants are contiguous in memory: one product of a row with a matrix.
+        return np.asarray(np.tensordot(change, self.of_body(body).T, 1).T)
+
     def torque(self, change: np.ndarray) -> np.ndarray:
         """Return the torques (K, n) of changed parameters (n, 10) of all bodies."""
         key = change.tobytes()

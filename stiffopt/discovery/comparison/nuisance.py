@@ -317,7 +317,7 @@ def _body_columns(
     for name, change in robot.body_value_slopes.items():
         sd = getattr(tolerance, name.kind)
         if sd and selected(name):
-            torque = run.signals.body_regressor.of_body(name.place) @ change
+            torque = run.signals.body_regressor.torque_of_body(name.place, change)
             yield NuisanceColumn(name, sd, Contribution(link_torque=torque))
 
 

@@ -195,22 +195,29 @@ class Vibration:
             if deflection is not None:
                 np.multiply(self.stiffness, deflection, out=own)
             np.add(own, 0.0 if link_torque is None else link_torque, out=whole)
-        z, velocity = self.response.moved(-needed)
-        torque = -self.stiffness * z - pushed - self.damping * velocity
+        moved, torque = self._spring_response(*self.response.moved(-needed))
+        torque -= pushed
         found: list[tuple[np.ndarray | None, np.ndarray | None]] = [(None, None)] * len(loads)
-        for k, changed, moved in zip(acting, torque, -z, strict=True):
-            found[k] = changed, moved
+        for k, changed, away in zip(acting, torque, moved, strict=True):
+            found[k] = changed, away
         return found
+
+    def _spring_response(
+        self, z: np.ndarray, velocity: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return deflection and torque (m, K, n) of springs whose links move, in place."""
+        velocity *= self.damping
+        velocity += self.stiffness * z
+        return np.negative(z, out=z), np.negative(velocity, out=velocity)
 
     def respond_at_joints(
         self, joints: np.ndarray, link_torque: np.ndarray, deflection: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the responses (m, K, n) to m loads (m, K), each at one joint."""
         wound = self.stiffness.T[joints] * deflection
-        z, velocity = self.response.pushed(joints, -(wound + link_torque))
-        torque = -self.stiffness * z - self.damping * velocity
+        moved, torque = self._spring_response(*self.response.pushed(joints, -(wound + link_torque)))
         torque[np.arange(len(joints)), :, joints] -= wound
-        return torque, -z
+        return torque, moved
 
     def with_nearest_start(self, links: LinkMotion, near: LinkMotion, window: slice) -> LinkMotion:
         """Return the link motion with the initial state nearest to another motion in a window.

@@ -15,6 +15,7 @@ from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.judging.modes import matches_mode
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import SearchResult
+from stiffopt.discovery.search.tournament import EQUAL_RESIDUALS
 from stiffopt.discovery.thresholds import (
     EXPLAINED_SHARE,
     FAINT_RATIO,
@@ -338,8 +339,10 @@ def _select_regressors(
                 continue
             columns = np.hstack([bases[c] for c in (*chosen, name)])
             tries[name] = _predict_blocks(columns, residual, block)
-        best = min(tries, key=lambda name: float(np.sum((residual - tries[name]) ** 2)))
-        now = float(np.sum((residual - tries[best]) ** 2))
+        squares = {name: float(np.sum((residual - fit) ** 2)) for name, fit in tries.items()}
+        now = min(squares.values())
+        # Of collinear signals the first, whatever the rounding.
+        best = next(name for name in tries if squares[name] <= (1.0 + EQUAL_RESIDUALS) * now)
         if now > (1.0 - _MIN_RELATIVE_GAIN) * left:
             break
         chosen.append(best)

@@ -27,6 +27,10 @@ FRICTION_LINES, SINGLE_BODY, BASE_PARAMETERS, CATALOGUE_MODEL = (
 )
 
 
+# Relative difference of residuals below which rounding decides.
+EQUAL_RESIDUALS = 1e-9
+
+
 @dataclass(frozen=True, eq=False)
 class Contender:
     """A model of the tournament.
@@ -79,7 +83,9 @@ def hold_tournament(
     found = [
         Contender(name, model, own, _residual_left_out(model, own)) for name, model, own in entries
     ]
-    return tuple(sorted(found, key=lambda each: each.residual))
+    # Models that predict equally well keep their order, whatever the rounding.
+    least = (1.0 + EQUAL_RESIDUALS) * min(each.residual for each in found)
+    return tuple(sorted(found, key=lambda each: max(each.residual, least)))
 
 
 def _residual_left_out(model: Comparison, effects: Sequence[LocatedEffect]) -> float:
