@@ -383,12 +383,7 @@ class _State:
         """Return log odds of laws among one another, on the scale of rivals of the catalogue."""
         width = _evidence_width(ranked)
         return np.array(
-            [
-                each.evidence / width
-                + each.law.log_prior(self.comparison.robot.n)
-                - PARAMETER_LOG_PRICE * each.law.parameter_count
-                for each in ranked
-            ]
+            [each.evidence / width + each.law.log_prior(self.comparison.robot.n) for each in ranked]
         )
 
     def answer(self, result: SearchResult) -> SearchResult:
