@@ -231,6 +231,9 @@ class Effect:
     shifts_weight : bool
         True where it changes the weight that several joints carry: a single one competes with
         re-identified masses.
+    yields : bool
+        True where its deflection depends on the load of its joint: the spring is softer or stiffer
+        by it; default: in the family elastic.
     lags : bool
         True where its wind-up lags the load: the tangent stiffness is then that under a sudden
         change of load.
@@ -316,6 +319,7 @@ class Effect:
     usual: bool = False
     couples_joints: bool = False
     shifts_weight: bool = False
+    yields: bool = False
     lags: bool = False
     is_play: bool = False
     linear_about: bool = False
@@ -348,6 +352,7 @@ class Effect:
             ("remedy", f"Look for the cause at {{where}}: {self.title or self.name}."),
             ("nominal_words", self.nominal.replace("_", " ")),
             ("tolerances", (self.nominal,) if self.nominal else ()),
+            ("yields", self.family == "elastic"),
         ):
             if not getattr(self, field_name):
                 object.__setattr__(self, field_name, default)

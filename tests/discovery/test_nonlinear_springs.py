@@ -11,6 +11,8 @@ from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison import extended_run
 from stiffopt.discovery.comparison.extension_change import relative_compliance
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
+from stiffopt.discovery.laws.law import Factor, Law, law_effect
+from stiffopt.discovery.laws.sources import LawSource
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import prepare_training
 from stiffopt.recording.recording_set import load_recordings
@@ -84,3 +86,18 @@ def test_simulate_links_with_creeping_belt_converges_in_few_rounds(creeping, mon
     assert np.max(np.abs(added.deflection)) > 1e-4
     np.testing.assert_allclose(found.added_deflection, added.deflection, atol=1e-6)
     assert len(rounds) < 60
+
+
+@pytest.mark.parametrize("kind", ["speed", "load"])
+def test_a_law_of_the_load_makes_the_spring_softer_and_others_do_not(creeping, kind):
+    """Links vibrated on the nominal spring: predictions were off by twice the law itself."""
+    run, robot, _ = creeping
+    compliance = float(robot.compliance(0.0 * run.torque[:1])[0, 1])
+    law = Law(1, "deflection", (Factor(LawSource(kind, 1), "linear"),))
+    located = LocatedEffect(effect=law_effect(law, [1.0]), joint=1)
+    softer = EstimatedEffect(located=located, amplitudes=(0.3 * compliance,))
+    found = relative_compliance(run, robot, Extension(effects=(softer,)))
+    nominal = robot.compliance(run.signals.spring_torque)[:, 1] / compliance
+    expected = 1.3 if kind == "load" else 1.0
+    np.testing.assert_allclose(found[:, 0], 1.0)
+    assert np.median((found[:, 1] - 1.0) * nominal + 1.0) == pytest.approx(expected, abs=1e-3)

@@ -118,7 +118,7 @@ def extended_damping(robot: RobotModel, extension: Extension, run: str) -> np.nd
 def relative_compliance(run: PreparedRun, robot: RobotModel, extension: Extension) -> np.ndarray:
     """Return the tangent compliance (K, n) with an extension over the nominal one."""
     effects = tuple(e for e in extension.effects if not is_damping(e))
-    if not any(e.effect.family == "elastic" for e in effects):
+    if not any(e.effect.yields for e in effects):
         effects = ()
     if not effects and not extension.calibration:
         return np.ones(run.torque.shape)

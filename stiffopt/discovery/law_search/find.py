@@ -37,9 +37,6 @@ from stiffopt.discovery.thresholds import (
 
 # Share of the excess in parts left out from which a free function is kept as a table.
 MIN_KEPT_SHARE = 0.3
-# Relative difference of two functions, root mean square over the range met, below which they are
-# one law.
-SAME_FUNCTION = 0.07
 # Laws that are added at most, and channels without one after which the search ends.
 MAX_LAWS, _MAX_REFUSED = 3, 2
 
@@ -216,11 +213,15 @@ class _Ranked:
     located: LocatedEffect
     rows: np.ndarray
 
-    def is_same_as(self, other: _Ranked) -> bool:
-        """Return True where both are one function of the same signals, in other words."""
+    def is_same_as(self, other: _Ranked, width: float) -> bool:
+        """Return True where both are one function of the same signals, in other words.
+
+        The rows hold less evidence of their difference, in units of `width`, than the parameters of
+        one of them are worth.
+        """
         signals = [{f.source for f in each.law.factors} for each in (self, other)]
-        apart = float(np.sum((self.rows - other.rows) ** 2))
-        return signals[0] == signals[1] and apart < SAME_FUNCTION**2 * float(np.sum(other.rows**2))
+        apart = 0.5 * float(np.sum((self.rows - other.rows) ** 2)) / width
+        return signals[0] == signals[1] and apart < PARAMETER_LOG_PRICE * self.law.parameter_count
 
 
 class _State:
@@ -372,24 +373,20 @@ class _State:
                     price = 0.5 * len(law.shapes) * np.log(len(rows))
                     found.append(_Ranked(candidate.evidence - float(price), law, located, rows))
         odds = dict(zip(map(id, found), self._log_odds(found), strict=True))
+        width = _evidence_width(found)
         kept: list[_Ranked] = []
         for own in sorted(found, key=lambda each: -odds[id(each)]):
             if kept and odds[id(kept[0])] - odds[id(own)] >= RIVAL_LOG_ODDS:
                 break
-            if not any(own.is_same_as(other) for other in kept):
+            if not any(own.is_same_as(other, width) for other in kept):
                 kept.append(own)
         return kept
 
     def _log_odds(self, ranked: Sequence[_Ranked]) -> np.ndarray:
         """Return log odds of laws among one another, on the scale of rivals of the catalogue."""
-        width = tempering_width(max((each.evidence for each in ranked), default=0.0))
+        width = _evidence_width(ranked)
         return np.array(
-            [
-                each.evidence / width
-                + each.law.log_prior(self.comparison.robot.n)
-                - PARAMETER_LOG_PRICE * each.law.parameter_count
-                for each in ranked
-            ]
+            [each.evidence / width + each.law.log_prior(self.comparison.robot.n) for each in ranked]
         )
 
     def answer(self, result: SearchResult) -> SearchResult:
@@ -424,6 +421,11 @@ class _State:
             fit=fit,
             after=self.comparison.channel_ratio(fit.residual),
         )
+
+
+def _evidence_width(ranked: Sequence[_Ranked]) -> float:
+    """Return the unit of differences of evidence among laws."""
+    return tempering_width(max((each.evidence for each in ranked), default=0.0))
 
 
 def _is_determined(

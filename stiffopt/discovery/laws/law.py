@@ -111,6 +111,18 @@ class Law:
         return not all(factor.source.is_of_joint(self.joint) for factor in self.factors)
 
     @property
+    def yields(self) -> bool:
+        """True where its deflection depends on the load of its joint."""
+        load = LawSource("load", self.joint)
+        return self.place == "deflection" and any(f.source == load for f in self.factors)
+
+    @property
+    def lags(self) -> bool:
+        """True where that deflection lags the load."""
+        load = LawSource("load", self.joint)
+        return self.yields and any(f.own.has_memory for f in self.factors if f.source == load)
+
+    @property
     def structure(self) -> tuple[object, ...]:
         """Joint, signals and forms, whatever the shapes."""
         return (self.joint, tuple((factor.source, factor.form) for factor in self.factors))
@@ -315,6 +327,8 @@ def law_effect(law: Law, amplitudes: Sequence[float]) -> Effect:
         remedy=f"Look for its cause at {{where}}{like}. {describe_test(law)}",
         needs=("torque" if law.place != "deflection" else "link", "moves"),
         couples_joints=law.of_robot,
+        yields=law.yields,
+        lags=law.lags,
         applies=partial(_is_joint, law.joint + 1) if law.of_robot else None,
         term=partial(law_term, law),
         amplitudes=tuple(

@@ -43,6 +43,8 @@ LAW_{number} = Effect(
     shapes=({shapes}),
     needs=({needs}, "moves"),
     couples_joints={couples},
+    yields={yields},
+    lags={lags},
     applies={applies},
     separate={separate},
 )
@@ -110,6 +112,8 @@ def _format_law(
         ).strip(),
         needs='"link"' if law.place == "deflection" else '"torque"',
         couples=law.of_robot,
+        yields=law.yields,
+        lags=law.lags,
         applies=f"lambda constants: constants.joint == {law.joint + 1}" if law.of_robot else None,
         separate=json.dumps(describe_test(law)),
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -103,7 +104,8 @@ def _with_joint_value(robot: Robot, law: Law, amplitude: float, joint: int) -> R
         return None
     values = np.array(getattr(robot, name), dtype=float)
     values[joint] += amplitude
-    return replace(robot, **{name: values}) if values[joint] >= 0.0 else None
+    changed: dict[str, Any] = {name: values}
+    return replace(robot, **changed) if values[joint] >= 0.0 else None
 
 
 def _why_not_planned(law: Law) -> str:
