@@ -104,7 +104,7 @@ class Estimate:
             for shape, size in zip(located.effect.shapes, self.shape_sizes[index], strict=True)
         ]
         prior = np.array([*np.ones(len(self.sizes[index])), *ranges])
-        own = [np.linalg.norm((row * prior)[row != 0.0]) for row in slopes]
+        own = [np.linalg.norm(row[row != 0.0] * prior[row != 0.0]) for row in slopes]
         return {name: float(sd) for name, sd in zip(values, own, strict=True)}
 
     def _reported_values(
