@@ -278,7 +278,7 @@ def log_likelihood_gain(mean: np.ndarray, covariance: np.ndarray) -> float:
     precision = np.linalg.inv(covariance)
     known, axes = np.linalg.eigh(precision - np.eye(len(precision)))
     moment = axes.T @ precision @ mean
-    seen = known > _MIN_KNOWN_SHARE * known.max()
+    seen = known > _MIN_KNOWN_SHARE * max(float(known.max()), 1.0)
     return 0.5 * float(np.sum(moment[seen] ** 2 / known[seen]))
 
 
