@@ -31,6 +31,10 @@ from stiffopt.discovery.thresholds import (
 # fewer folds than the second value.
 _FOLDS_OF_FEW_RUNS, _MIN_ACTIVE_FOLDS = 6, 3
 
+# One-sided 95 % point of a correlation that is zero, in its standard deviations: a law that is
+# missing shows as more.
+_CHANCE_DEVIATIONS = 1.645
+
 
 @dataclass(frozen=True, eq=False)
 class _FoldSums:
@@ -252,7 +256,7 @@ def _smooth_squares(comparison: Comparison, residual: np.ndarray, own: np.ndarra
     """Return the squares of a residual (m,) in some rows that neighbouring rows share.
 
     Filtered noise is correlated as far as the filter makes it; what is correlated beyond that, and
-    beyond the standard deviation of that correlation, is no noise.
+    beyond chance, is no noise.
     """
     run = comparison.rows.sample_signal(lambda each: np.full(len(each.time), float(each.index)))
     time = comparison.rows.sample_signal(lambda each: each.time)
@@ -266,7 +270,7 @@ def _smooth_squares(comparison: Comparison, residual: np.ndarray, own: np.ndarra
         beside, white = gaps < 1.5 * gaps.min(), low_pass.row_correlation
         shared += float(np.sum((left[1:] * left[:-1])[beside])) / float(np.mean(beside))
         square += float(left @ left)
-    chance = int(own.sum()) ** -0.5
+    chance = _CHANCE_DEVIATIONS * int(own.sum()) ** -0.5
     return max(shared - (white + chance) * square, 0.0) / (1.0 - white)
 
 
