@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
+from stiffopt.discovery.comparison.channel_rows import noise_above_cutoff
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.design_matrix import MIN_RUNS_AS_BLOCKS
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
@@ -25,6 +26,7 @@ from stiffopt.discovery.thresholds import (
     MIN_HELD_OUT_SHARE,
     MIN_HELPED_FOLDS,
     RARE_CHANGE_SHARE,
+    UNEXPLAINED_RATIO,
 )
 
 # Number of folds, over all runs, where runs are few; runs are cut as well if an effect acts in
@@ -185,8 +187,8 @@ class LeftOutGain:
     removed : float
         Squares over the stated noise that it removes in its best channel.
     left_open : float
-        Squares of what the fit with it leaves there from sample to sample alike, as a law that is
-        missing does; noise, however large, does not.
+        Squares that the fit with it leaves there and that noise does not make: alike from row to
+        row, or beyond those of the noise by more than inexact formulas make.
     share : float
         Share of the channel's squares that it removes, 0 to 1.
     support : float
@@ -218,6 +220,10 @@ def left_out_gains(
     if stretch.max() < fold.max():
         stretch = fold
     channel, noise = comparison.rows.channel, comparison.inflation[comparison.rows.channel] ** 2
+    # Noise above the filter's band may exceed the stated one.
+    stated = np.concatenate([comparison.noise.torque, comparison.noise.deflection])
+    held = np.fmax(noise_above_cutoff(comparison.nominal_runs) / stated, 1.0)
+    usual = (UNEXPLAINED_RATIO * held) ** 2
     now = _predict_folds(comparison, columns, prior, fold)
     gains = []
     for k in range(len(effects)):
@@ -229,7 +235,10 @@ def left_out_gains(
         gains.append(
             LeftOutGain(
                 removed=removed,
-                left_open=_smooth_squares(comparison, now * noise**0.5, own),
+                left_open=max(
+                    _smooth_squares(comparison, now * noise**0.5, own),
+                    float(np.sum((now**2 * noise)[own] - usual[channel[own]])),
+                ),
                 share=float(np.clip(np.sum(fall[own]) / before, 0.0, 1.0)) if before > 0.0 else 0.0,
                 support=_probability_of_gain(np.bincount(stretch, fall)),
             )
