@@ -224,10 +224,11 @@ def left_out_gains(
     stated = np.concatenate([comparison.noise.torque, comparison.noise.deflection])
     held = np.fmax(noise_above_cutoff(comparison.nominal_runs) / stated, 1.0)
     usual = (UNEXPLAINED_RATIO * held) ** 2
-    now = _predict_folds(comparison, columns, prior, fold)
+    predictions = _FoldPredictions(columns, comparison.target, prior, fold)
+    now = predictions.residual(np.ones(len(owner), dtype=bool))
     gains = []
     for k in range(len(effects)):
-        without = _predict_folds(comparison, columns[:, owner != k], prior[owner != k], fold)
+        without = predictions.residual(owner != k)
         fall = without**2 - now**2
         own = channel == int(np.argmax(np.bincount(channel, fall)))
         removed = max(float(np.sum((fall * noise)[own])), 0.0)
@@ -246,19 +247,26 @@ def left_out_gains(
     return tuple(gains)
 
 
-def _predict_folds(
-    comparison: Comparison, columns: np.ndarray, prior: np.ndarray, fold: np.ndarray
-) -> np.ndarray:
-    """Return the residual (m,) of every fold by a fit to the other folds."""
-    target = comparison.target
-    gram, moment = columns.T @ columns + np.diag(prior**-2.0), columns.T @ target
-    left = np.empty_like(target)
-    for number in range(int(fold.max()) + 1):
-        own = fold == number
-        part = columns[own]
-        values = np.linalg.solve(gram - part.T @ part, moment - part.T @ target[own])
-        left[own] = target[own] - part @ values
-    return left
+class _FoldPredictions:
+    """Predictions of every fold by fits to the other folds, with some of the columns (m, p)."""
+
+    def __init__(
+        self, columns: np.ndarray, target: np.ndarray, prior: np.ndarray, fold: np.ndarray
+    ) -> None:
+        self._columns, self._target, self._precision = columns, target, np.diag(prior**-2.0)
+        self._rows = [np.flatnonzero(fold == number) for number in range(int(fold.max()) + 1)]
+        self._gram = np.array([columns[own].T @ columns[own] for own in self._rows])
+        self._moment = np.array([columns[own].T @ target[own] for own in self._rows])
+
+    def residual(self, kept: np.ndarray) -> np.ndarray:
+        """Return the residual (m,) with the columns of a mask (p,)."""
+        whole, moment = self._gram.sum(axis=0) + self._precision, self._moment.sum(axis=0)
+        left = self._target.copy()
+        for own, gram, part in zip(self._rows, self._gram, self._moment, strict=True):
+            values = np.zeros(len(kept))
+            values[kept] = np.linalg.solve((whole - gram)[kept][:, kept], (moment - part)[kept])
+            left[own] -= self._columns[own] @ values
+        return left
 
 
 def _smooth_squares(comparison: Comparison, residual: np.ndarray, own: np.ndarray) -> float:
@@ -278,9 +286,10 @@ def _smooth_squares(comparison: Comparison, residual: np.ndarray, own: np.ndarra
             continue
         beside, white = gaps < 1.5 * gaps.min(), low_pass.row_correlation
         shared += float(np.sum((left[1:] * left[:-1])[beside])) / float(np.mean(beside))
+        shared -= white * float(left @ left)
         square += float(left @ left)
-    chance = _CHANCE_DEVIATIONS * int(own.sum()) ** -0.5
-    return max(shared - (white + chance) * square, 0.0) / (1.0 - white)
+    chance = _CHANCE_DEVIATIONS * float(own.sum()) ** -0.5
+    return max(shared - chance * square, 0.0) / (1.0 - white)
 
 
 def _probability_of_gain(falls: np.ndarray) -> float:

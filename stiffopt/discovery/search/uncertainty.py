@@ -122,7 +122,7 @@ class Estimate:
 
         def difference(step: np.ndarray) -> np.ndarray:
             ends = [list(report(inputs + sign * step).values()) for sign in (1.0, -1.0)]
-            return np.subtract(*np.array(ends, dtype=float)) / (2.0 * _DIFFERENCE_STEP)
+            return np.asarray(np.subtract(*np.array(ends)) / (2.0 * _DIFFERENCE_STEP))
 
         slopes = np.column_stack([difference(_DIFFERENCE_STEP * step) for step in np.diag(steps)])
         return {name: float(value) for name, value in report(inputs).items()}, slopes
