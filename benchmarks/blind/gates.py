@@ -111,6 +111,11 @@ def _always(value: Any) -> Callable[..., Any]:
     return lambda *_, **__: value
 
 
+def _gains_with(**values: float) -> Callable[..., Any]:
+    """Return the gains in folds left out with other values."""
+    return lambda gate, *given: tuple(dataclasses.replace(g, **values) for g in gate(*given))
+
+
 def _third(*given: Any) -> Any:
     """Return the estimate among (gate, training, comparison, estimate)."""
     return given[-1]
@@ -134,7 +139,7 @@ GATES = tuple(
         ("pruned", "pruning", (f"{_SEARCH}.search:prune_effects",), _all, None),
         ("confirmed", "jackknife over stretches", _CONFIRMED, _all, None),
         ("local", "exemption of brief effects", (f"{_E}:_is_locally_supported",), _always(False), None),
-        ("held_out", "share in folds left out, tolerances stated", (f"{_E}:left_out_gains",), lambda gate, c, e: tuple(dataclasses.replace(each, share=1.0) for each in gate(c, e)), lambda found, *_: min((each.share for each in found), default=1.0) < 0.01),
+        ("held_out", "share in folds left out, tolerances stated", (f"{_E}:left_out_gains",), _gains_with(share=1.0), lambda found, *_: min((each.share for each in found), default=1.0) < 0.01),
         ("nominal", "exemption by nominal values", (f"{_E}:_is_supported_by_nominal",), _always(False), None),
         ("predictive", "prediction of folds left out, tolerances not stated", _PREDICTIVE, _all, None),
         ("cancelling", "effects that cancel others", (f"{_SEARCH}.cross_validation:drop_cancelling",), _all, None),
@@ -151,8 +156,10 @@ GATES = tuple(
         ("significance", "2 deviations from zero, all counted", (f"{_DIAGNOSE}:drop_insignificant",), _keep_all, _dropped),
         ("moving_samples", "friction refitted to moving samples", (f"{_DIAGNOSE}:refit_friction",), _estimate_only, None),
         ("band", "deviation: half the band", (f"{_DIAGNOSE}:add_band_deviation",), _third, None),
-        ("left_open", "deviation: open residual of a model", (f"{_DIAGNOSE}:add_left_open_deviation",), _third, None),
+        ("model_residual", "deviation: open residual of a model", (f"{_DIAGNOSE}:add_left_open_deviation",), _third, None),
         ("scale", "deviation: torque constant", (f"{_DIAGNOSE}:add_scale_deviation",), lambda _, estimate, selected: estimate, None),
+        ("left_open", "odds: laws left open", (f"{_CONCLUSIONS}:left_out_gains",), _gains_with(left_open=0.0), None),
+        ("spread", "odds: spread of the gain", (f"{_CONCLUSIONS}:left_out_gains",), _gains_with(support=1.0), None),
         ("null", "odds: p-value", (f"{_CONCLUSIONS}:_null_share",), _always(0.0), None),
         ("ensemble", "odds: perturbation ensemble", (f"{_DIAGNOSE}:recurrence",), lambda _, comparison, selected, *__, **___: np.ones(len(selected)), None),
         ("quasi_static", "quasi-static retry", (f"{_TRAINING}:_retry_quasi_static",), lambda _, recordings, training, asked, base, say, result: (training, result), None),

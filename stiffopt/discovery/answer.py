@@ -86,6 +86,20 @@ def explained_squares(diagnosis: Diagnosis, finding: Finding) -> float:
     return max(excess, 0.0) * finding.variance_explained
 
 
+def held_out_share(diagnosis: Diagnosis, finding: Finding) -> float:
+    """Return the share of the mismatch on held-out runs that a finding and its like explain.
+
+    The largest of torques and link encoders; infinite where no held-out run tells.
+    """
+    own = [
+        each.share
+        for each in diagnosis.shares
+        if each.part is not None
+        and any(located.key == finding.located.key for located in each.part.effects)
+    ]
+    return max(own, default=float("inf"))
+
+
 def channel_number(diagnosis: Diagnosis, name: str) -> int:
     """Return the index of a channel among the torques, then the deflections, of all joints."""
     kind, _, joint = name.rpartition("_")

@@ -27,6 +27,7 @@ from stiffopt.discovery.search.uncertainty import (
     null_probability,
 )
 from stiffopt.discovery.thresholds import (
+    KNOWN_CAUSE_ODDS,
     OPEN_RATIO,
     OPEN_SHARE,
     UNSTATED_DEVIATIONS,
@@ -74,7 +75,8 @@ def build_findings(
         if selected.located.calibrated and parameters.min_deviations(index) < UNSTATED_DEVIATIONS:
             continue
         located, effect = selected.located, selected.located.effect
-        unknown = gains[index].open_share
+        odds = KNOWN_CAUSE_ODDS if located.calibrated else 1.0
+        unknown = odds * gains[index].open_share
         values = parameters.parameters(index, located.constants(constants))
         before = parameters.prior_deviations(index, located.constants(constants))
         reported = tuple(

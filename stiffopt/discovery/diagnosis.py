@@ -33,6 +33,9 @@ from stiffopt.recording.run import Fault
 from stiffopt.recording.state_pair import StatePair
 from stiffopt.result.solution import DisplayedResult
 
+# Standard deviation of a determined value over that before any recording: half the variance.
+_DETERMINED_SHARE = 0.5**0.5
+
 Verdict = Literal["named", "law_found", "nothing_missing", "outside_catalogue"]
 Certainty = Literal["found", "likely", "one of these", "possible"]
 
@@ -60,7 +63,7 @@ class Parameter:
     @property
     def determined(self) -> bool:
         """False where the recordings say next to nothing of the value."""
-        return self.sd <= max(self.prior_sd, abs(self.value))
+        return self.sd <= max(_DETERMINED_SHARE * self.prior_sd, abs(self.value))
 
     @property
     def text(self) -> str:
@@ -95,9 +98,9 @@ class Finding:
     probability : float
         Against its rivals and an unknown cause (`misfit`).
     misfit : float
-        Probability of an unknown cause: its channel stays above twice the noise, the finding of
-        one half of the recordings does not help in the other, or neither its scatter over parts of
-        the recordings nor its reported values exclude zero.
+        Probability of an unknown cause: by what laws leave open in its channel over what it
+        removes there, by the spread of its gain in stretches left out, by the members of the
+        perturbation ensemble that lack it, and by its values where these do not exclude zero.
     rivals : tuple of Rival
     parameters : tuple of Parameter
     where : str

@@ -382,8 +382,13 @@ class Effect:
         return [k for k, each in enumerate(self.amplitudes) if each.own]
 
     def is_twin(self, other: Effect) -> bool:
-        """Return True where both are nearly equivalent forms."""
-        return self.twin == other.name or other.twin == self.name
+        """Return True where both are the same, or nearly equivalent forms.
+
+        Such are compared by fit, not by the prior of their amplitudes: the inertia of one link that
+        equals a mass on another is far from its usual size, which says nothing of the place.
+        """
+        same = self.identity == other.identity
+        return same or self.twin == other.name or other.twin == self.name
 
     def phrase_of(self, amplitudes: Sequence[float]) -> str:
         """Return the missing physics for a headline."""

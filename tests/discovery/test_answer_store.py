@@ -10,7 +10,7 @@ from simulated_sets import COULOMB
 
 NUMBER, TEXT = (int, float), (str,)
 NULL = (type(None),)
-PARAMETER = {"value": NUMBER, "sd": NUMBER, "unit": TEXT, "determined": bool}
+PARAMETER = {"value": NUMBER, "sd": NUMBER, "unit": TEXT, "determined": (bool,)}
 RIVAL = {"effect": TEXT, "joint": (int, *NULL), "probability": NUMBER}
 FINDING = {
     "effect": TEXT,

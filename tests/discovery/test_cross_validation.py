@@ -10,6 +10,8 @@ import pytest
 from shipped_set import SHIPPED
 
 from stiffopt.discovery.catalogue import effect
+from stiffopt.discovery.comparison.channel_rows import ChannelNoise
+from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.judging.friction_refit import _apply_steps, _MovingSamples, refit_friction
@@ -214,3 +216,13 @@ def test_present_effect_has_support_and_absent_none() -> None:
     assert present.open_share < 0.1
     assert absent.support < 0.9
     assert absent.share < MIN_HELD_OUT_SHARE
+
+
+def test_noise_that_is_stated_too_small_leaves_nothing_open() -> None:
+    """What the channels hold above the filter's band is noise, whatever the set states."""
+    whole = prepare_training(load_recordings(SHIPPED), Settings()).comparison()
+    noise = ChannelNoise(0.5 * whole.noise.torque, 0.5 * whole.noise.deflection)
+    optimistic = Comparison(whole.robot, whole.runs, noise, whole.tolerance)
+    there = LocatedEffect(effect=effect("coulomb"), joint=1)
+    (gain,) = left_out_gains(optimistic, [there])
+    assert gain.open_share < 0.1

@@ -97,6 +97,7 @@ def test_null_probability_is_sellke_bound():
         (0.34, 0.02, 2.0, "340 ± 20 mrad"),
         (0.001, 0.02, 2.0, "0 ± 20 mrad"),  # a place may be zero
         (1.0, 10.0, 2.0, "not determined"),
+        (0.0, 1.9, 2.0, "not determined"),  # as before the recordings
     ],
 )
 def test_value_that_the_recordings_do_not_tell_is_not_printed(

@@ -14,7 +14,7 @@ from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.conclusions import _null_share
 from stiffopt.discovery.diagnosis import Parameter, Rival
 from stiffopt.discovery.extended.value_changes import ValueChange
-from stiffopt.discovery.judging.explained_shares import MismatchShare
+from stiffopt.discovery.judging.explained_shares import ExtensionPart, MismatchShare
 from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.recording.run import Fault
 from stiffopt.report.common.text import pm, significant
@@ -324,6 +324,24 @@ def test_headline_of_values_without_nominal_value(friction):
         f"6.8 times the noise remains unexplained in the torque of joint 1; i{values}"
     )
     assert "Enter" not in answer.action(replace(silent, unexplained=left))
+
+
+@pytest.mark.parametrize(("share", "leads"), [(0.005, False), (0.05, True)])
+def test_finding_that_explains_next_to_nothing_leads_no_headline(friction, share, leads):
+    """Beside values that the nominal model does not state."""
+    (finding,) = friction.findings
+    calibrated = replace(finding.located, calibrated=True)
+    value = replace(finding, estimated=replace(finding.estimated, located=calibrated))
+    there = replace(finding.located, joint=0)
+    small = replace(finding, estimated=replace(finding.estimated, located=there))
+    shares = (
+        MismatchShare(
+            part=ExtensionPart(kind="finding", effects=(there,)), measured="torque", share=share
+        ),
+    )
+    text = headline(replace(friction, findings=(small, value), shares=shares))
+    assert text.startswith("Joint 1") == leads
+    assert "small beside them: joint 1" in text or leads
 
 
 def test_possible_finding_does_not_lead_beside_an_open_residual(friction):

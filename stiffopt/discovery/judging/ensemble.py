@@ -17,6 +17,7 @@ from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.evidence import (
     BlockSums,
     Posterior,
+    log_likelihood_gain,
     posterior,
     savage_dickey,
 )
@@ -174,20 +175,26 @@ class _Member:
             drifts = each.located.effect.of_runs is not None
             same_sign = drifts or mean[main] * self._signs[rows[main] - first] > 0.0
             asked = MIN_EVIDENCE_KEPT * share * min(NAMED_EVIDENCE, each.loss)
-            ahead = (self._best_rival(k, kept) - gained) / tempering_width(gained)
+            ahead = self._rival_lead(k, kept, mean, covariance) / tempering_width(gained)
             again[k] = gained >= asked and same_sign and ahead <= RIVAL_LOG_ODDS
         return again, acts
 
-    def _best_rival(self, k: int, kept: np.ndarray) -> float:
-        """Return the largest log evidence of a rival in place of a finding; -inf without one."""
-        others = self._owner != k
+    def _rival_lead(
+        self, k: int, kept: np.ndarray, mean: np.ndarray, covariance: np.ndarray
+    ) -> float:
+        """Return the largest lead of a rival in place of a finding; -inf without one."""
+        others, effect = self._owner != k, self._selected[k].located.effect
         best = -math.inf
-        for rival in self._rivals[k]:
+        for (located, _), rival in zip(self._selected[k].rivals, self._rivals[k], strict=True):
             columns = np.column_stack([self._columns[:, others], rival])[kept]
             prior = np.concatenate([self._prior[others], np.ones(rival.shape[1])])
             found = _fit(columns, self._target[kept], prior)
             rows = slice(int(others.sum()), None)
-            best = max(best, savage_dickey(found.mean[rows], found.covariance[rows, rows]))
+            measure = log_likelihood_gain if located.effect.is_twin(effect) else savage_dickey
+            best = max(
+                best,
+                measure(found.mean[rows], found.covariance[rows, rows]) - measure(mean, covariance),
+            )
         return best
 
 

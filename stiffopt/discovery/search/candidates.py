@@ -15,6 +15,7 @@ from stiffopt.discovery.comparison.evidence import (
     AddedColumnsPosterior,
     AddedPosterior,
     AddedSums,
+    log_likelihood_gain,
     posterior,
 )
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, effect_places
@@ -22,9 +23,6 @@ from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.progress import RoundProgress
 from stiffopt.discovery.thresholds import MIN_ACTIVE_SHARE, NAMED_DEVIATIONS, NAMED_EVIDENCE
 
-# Least information of the data on a direction of the amplitudes, over the most on any: less is
-# rounding.
-_MIN_KNOWN_SHARE = 1e-9
 # Nelder-Mead evaluations per shape.
 _MAX_REFINEMENT_STEPS = 40
 # Fits of a secant, and the change of its shapes that ends them, relative and in their unit.
@@ -68,12 +66,7 @@ class Candidate:
     def log_likelihood(self) -> float:
         """Gain of the log likelihood at its best amplitudes, whatever their prior."""
         fitted = np.flatnonzero(np.diag(self.covariance))
-        precision = np.linalg.inv(self.covariance[np.ix_(fitted, fitted)])
-        # The prior of every amplitude is one.
-        known, axes = np.linalg.eigh(precision - np.eye(len(fitted)))
-        moment = axes.T @ precision @ self.amplitudes[fitted]
-        seen = known > _MIN_KNOWN_SHARE * known.max()
-        return 0.5 * float(np.sum(moment[seen] ** 2 / known[seen]))
+        return log_likelihood_gain(self.amplitudes[fitted], self.covariance[np.ix_(fitted, fitted)])
 
     @property
     def explained(self) -> float:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
+from stiffopt.discovery.comparison.channel_rows import noise_above_cutoff
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.design_matrix import MIN_RUNS_AS_BLOCKS
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
@@ -25,11 +26,16 @@ from stiffopt.discovery.thresholds import (
     MIN_HELD_OUT_SHARE,
     MIN_HELPED_FOLDS,
     RARE_CHANGE_SHARE,
+    UNEXPLAINED_RATIO,
 )
 
 # Number of folds, over all runs, where runs are few; runs are cut as well if an effect acts in
 # fewer folds than the second value.
 _FOLDS_OF_FEW_RUNS, _MIN_ACTIVE_FOLDS = 6, 3
+
+# One-sided 95 % point of a correlation that is zero, in its standard deviations: a law that is
+# missing shows as more.
+_CHANCE_DEVIATIONS = 1.645
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,8 +187,8 @@ class LeftOutGain:
     removed : float
         Squares over the stated noise that it removes in its best channel.
     left_open : float
-        Squares of what the fit with it leaves there from sample to sample alike, as a law that is
-        missing does; noise, however large, does not.
+        Squares that the fit with it leaves there and that noise does not make: alike from row to
+        row, or beyond those of the noise by more than inexact formulas make.
     share : float
         Share of the channel's squares that it removes, 0 to 1.
     support : float
@@ -214,10 +220,15 @@ def left_out_gains(
     if stretch.max() < fold.max():
         stretch = fold
     channel, noise = comparison.rows.channel, comparison.inflation[comparison.rows.channel] ** 2
-    now = _predict_folds(comparison, columns, prior, fold)
+    # Noise above the filter's band may exceed the stated one.
+    stated = np.concatenate([comparison.noise.torque, comparison.noise.deflection])
+    held = np.fmax(noise_above_cutoff(comparison.nominal_runs) / stated, 1.0)
+    usual = (UNEXPLAINED_RATIO * held) ** 2
+    predictions = _FoldPredictions(columns, comparison.target, prior, fold)
+    now = predictions.residual(np.ones(len(owner), dtype=bool))
     gains = []
     for k in range(len(effects)):
-        without = _predict_folds(comparison, columns[:, owner != k], prior[owner != k], fold)
+        without = predictions.residual(owner != k)
         fall = without**2 - now**2
         own = channel == int(np.argmax(np.bincount(channel, fall)))
         removed = max(float(np.sum((fall * noise)[own])), 0.0)
@@ -225,7 +236,10 @@ def left_out_gains(
         gains.append(
             LeftOutGain(
                 removed=removed,
-                left_open=_smooth_squares(comparison, now * noise**0.5, own),
+                left_open=max(
+                    _smooth_squares(comparison, now * noise**0.5, own),
+                    float(np.sum((now**2 * noise)[own] - usual[channel[own]])),
+                ),
                 share=float(np.clip(np.sum(fall[own]) / before, 0.0, 1.0)) if before > 0.0 else 0.0,
                 support=_probability_of_gain(np.bincount(stretch, fall)),
             )
@@ -233,26 +247,33 @@ def left_out_gains(
     return tuple(gains)
 
 
-def _predict_folds(
-    comparison: Comparison, columns: np.ndarray, prior: np.ndarray, fold: np.ndarray
-) -> np.ndarray:
-    """Return the residual (m,) of every fold by a fit to the other folds."""
-    target = comparison.target
-    gram, moment = columns.T @ columns + np.diag(prior**-2.0), columns.T @ target
-    left = np.empty_like(target)
-    for number in range(int(fold.max()) + 1):
-        own = fold == number
-        part = columns[own]
-        values = np.linalg.solve(gram - part.T @ part, moment - part.T @ target[own])
-        left[own] = target[own] - part @ values
-    return left
+class _FoldPredictions:
+    """Predictions of every fold by fits to the other folds, with some of the columns (m, p)."""
+
+    def __init__(
+        self, columns: np.ndarray, target: np.ndarray, prior: np.ndarray, fold: np.ndarray
+    ) -> None:
+        self._columns, self._target, self._precision = columns, target, np.diag(prior**-2.0)
+        self._rows = [np.flatnonzero(fold == number) for number in range(int(fold.max()) + 1)]
+        self._gram = np.array([columns[own].T @ columns[own] for own in self._rows])
+        self._moment = np.array([columns[own].T @ target[own] for own in self._rows])
+
+    def residual(self, kept: np.ndarray) -> np.ndarray:
+        """Return the residual (m,) with the columns of a mask (p,)."""
+        whole, moment = self._gram.sum(axis=0) + self._precision, self._moment.sum(axis=0)
+        left = self._target.copy()
+        for own, gram, part in zip(self._rows, self._gram, self._moment, strict=True):
+            values = np.zeros(len(kept))
+            values[kept] = np.linalg.solve((whole - gram)[kept][:, kept], (moment - part)[kept])
+            left[own] -= self._columns[own] @ values
+        return left
 
 
 def _smooth_squares(comparison: Comparison, residual: np.ndarray, own: np.ndarray) -> float:
     """Return the squares of a residual (m,) in some rows that neighbouring rows share.
 
     Filtered noise is correlated as far as the filter makes it; what is correlated beyond that, and
-    beyond the standard deviation of that correlation, is no noise.
+    beyond chance, is no noise.
     """
     run = comparison.rows.sample_signal(lambda each: np.full(len(each.time), float(each.index)))
     time = comparison.rows.sample_signal(lambda each: each.time)
@@ -265,9 +286,10 @@ def _smooth_squares(comparison: Comparison, residual: np.ndarray, own: np.ndarra
             continue
         beside, white = gaps < 1.5 * gaps.min(), low_pass.row_correlation
         shared += float(np.sum((left[1:] * left[:-1])[beside])) / float(np.mean(beside))
+        shared -= white * float(left @ left)
         square += float(left @ left)
-    chance = int(own.sum()) ** -0.5
-    return max(shared - (white + chance) * square, 0.0) / (1.0 - white)
+    chance = _CHANCE_DEVIATIONS * float(own.sum()) ** -0.5
+    return max(shared - chance * square, 0.0) / (1.0 - white)
 
 
 def _probability_of_gain(falls: np.ndarray) -> float:

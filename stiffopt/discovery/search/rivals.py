@@ -118,12 +118,9 @@ def _evidence_lead(candidate: Candidate, own: Candidate) -> float:
     """Return the log evidence of a candidate less that of another; of twins the log likelihood.
 
     The prior of an amplitude costs evidence, a shape costs none: a counterbalance, three amplitudes
-    and a shape, had 6 to 13 less than a worse fitting cable with two and one. The same effect at
-    two places is compared by fit as well: the inertia of one link that equals a mass on another is
-    far from its usual size, which says nothing of the place.
+    and a shape, had 6 to 13 less than a worse fitting cable with two and one.
     """
-    one, other = candidate.located.effect, own.located.effect
-    if one.is_twin(other) or one.identity == other.identity:
+    if candidate.located.effect.is_twin(own.located.effect):
         return candidate.log_likelihood - own.log_likelihood
     return candidate.evidence - own.evidence
 

@@ -104,7 +104,7 @@ class Estimate:
             for shape, size in zip(located.effect.shapes, self.shape_sizes[index], strict=True)
         ]
         prior = np.array([*np.ones(len(self.sizes[index])), *ranges])
-        own = [np.linalg.norm((row * prior)[row != 0.0]) for row in slopes]
+        own = [np.linalg.norm(row[row != 0.0] * prior[row != 0.0]) for row in slopes]
         return {name: float(sd) for name, sd in zip(values, own, strict=True)}
 
     def _reported_values(
@@ -122,7 +122,7 @@ class Estimate:
 
         def difference(step: np.ndarray) -> np.ndarray:
             ends = [list(report(inputs + sign * step).values()) for sign in (1.0, -1.0)]
-            return np.subtract(*np.array(ends, dtype=float)) / (2.0 * _DIFFERENCE_STEP)
+            return np.asarray(np.subtract(*np.array(ends)) / (2.0 * _DIFFERENCE_STEP))
 
         slopes = np.column_stack([difference(_DIFFERENCE_STEP * step) for step in np.diag(steps)])
         return {name: float(value) for name, value in report(inputs).items()}, slopes

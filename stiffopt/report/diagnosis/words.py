@@ -13,6 +13,7 @@ from stiffopt.discovery.answer import (
     Statement,
     action,
     channel_number,
+    held_out_share,
     statement_headline,
     statements,
 )
@@ -33,6 +34,8 @@ CHANNEL_OUTCOMES = {
 # Residual over noise of held-out runs above which the worst channel is named.
 _LARGE_RESIDUAL_RATIO = 2.0
 
+# Share of the mismatch on held-out runs from which findings lead a headline.
+_MIN_HEADLINE_SHARE = 0.01
 # Length of the mean over the root mean square of forces, above which they are called constant.
 _STEADY_FORCE = 0.9
 # Share of a run above which a saturated torque is reported.
@@ -84,8 +87,9 @@ def headline(diagnosis: Diagnosis) -> str:
         return f"An effect outside the catalogue acts on {where}"
     new, unstated = new_and_unstated(diagnosis)
     text = statement_headline(diagnosis, new)
-    if not new:
-        text = f"identified values without nominal value: {_unstated_phrase(unstated)}"
+    if all(held_out_share(diagnosis, each) < _MIN_HEADLINE_SHARE for each in new) and unstated:
+        values = f"identified values without nominal value: {_unstated_phrase(unstated)}"
+        text = f"{values}; small beside them: {text}" if new else values
     left = diagnosis.unexplained
     if left is None:
         return capital(text)

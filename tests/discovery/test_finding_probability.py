@@ -1,0 +1,52 @@
+"""Probability of a finding on the shipped two-link set, which lacks dry friction of joint 2."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from shipped_set import SHIPPED
+
+from stiffopt.discovery import conclusions
+from stiffopt.discovery.catalogue import effect
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.conclusions import build_findings
+from stiffopt.discovery.search.cross_validation import LeftOutGain
+from stiffopt.discovery.search.rivals import Selected
+from stiffopt.discovery.search.uncertainty import Estimate, estimate_parameters
+from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.training import Training, prepare_training
+from stiffopt.recording.recording_set import load_recordings
+
+
+@pytest.fixture(scope="module")
+def training() -> Training:
+    return prepare_training(load_recordings(SHIPPED), Settings())
+
+
+@pytest.mark.parametrize(
+    ("calibrated", "left_open", "support", "again", "probability"),
+    [
+        (False, 0.0, 1.0, 1.0, 1.0),
+        (False, 10.0, 1.0, 1.0, 0.5),  # as much open as explained
+        (True, 10.0, 1.0, 1.0, 0.75),  # a value that every joint has
+        (False, 0.0, 0.7, 1.0, 0.7),
+        (False, 0.0, 1.0, 0.5, 0.5),
+    ],
+)
+def test_probability_is_the_product_of_its_shares(
+    training: Training,
+    monkeypatch: pytest.MonkeyPatch,
+    calibrated: bool,
+    left_open: float,
+    support: float,
+    again: float,
+    probability: float,
+) -> None:
+    gain = LeftOutGain(removed=10.0, left_open=left_open, share=0.5, support=support)
+    monkeypatch.setattr(conclusions, "left_out_gains", lambda *_: (gain,))
+    located = LocatedEffect(effect=effect("coulomb"), joint=1, calibrated=calibrated)
+    comparison = training.comparison()
+    known: Estimate = estimate_parameters(comparison, [located])
+    there = Selected(located, 1.0, 1.0, 1.0, (), 1)
+    (found,) = build_findings(comparison, [there], known, training, np.array([again]))
+    assert found.probability == pytest.approx(probability, abs=0.01)
