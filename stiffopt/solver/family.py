@@ -232,7 +232,7 @@ class ProblemFamily:
         outcome = certify_outcome(run, made, raw, warm.smoothing)
         if not _is_certified_optimum(outcome):
             # A mesh that is fine enough for one problem may not be for another.
-            outcome = refine(run, outcome, None)
+            outcome = refine(run, outcome)
             self._store_programme(Programme(outcome.transcription, outcome.solver))
         sound = _is_certified_optimum(outcome)
         if problem.avoids_collisions and outcome.collisions:

@@ -189,16 +189,16 @@ def _optimise(
     compare: bool,
 ) -> Solution:
     """Return the best motion of all starts, clear of collisions and chosen for uncertain arms."""
-    problem, rival = run.problem, better_baseline(run.problem, compared)
+    problem = run.problem
     end_deferral()
     begin = _select_guess(problem, run.motion, compared, guess)
     if start:
         begin = perturb_guess(begin, problem, np.random.default_rng([problem.method.seed, start]))
-    outcome = _best_of_starts(run, begin, rival)
+    outcome = _best_of_starts(run, begin)
     rivals = _all_rivals(compared, _strict_baseline_of(run, compared) if compare else None)
-    outcome = run.optimum = _restart_from_better_baseline(run, outcome, rivals, rival)
+    outcome = run.optimum = _restart_from_better_baseline(run, outcome, rivals)
     if problem.avoids_collisions:
-        outcome = avoid_collisions(run, outcome, rival, searches=problem.method.starts)
+        outcome = avoid_collisions(run, outcome, searches=problem.method.starts)
         # Clearance rows hold for this motion only: no warm start from there.
         run.optimum = None if run.avoidance else outcome
         compared |= {} if run.detour is None else {run.detour.name: run.detour}
@@ -305,18 +305,18 @@ def _objective_scales(problem: TrajectoryProblem, compared: dict[str, Baseline])
     return Scales()
 
 
-def _best_of_starts(run: SolveRun, guess: Guess, rival: Baseline | None) -> Outcome:
+def _best_of_starts(run: SolveRun, guess: Guess) -> Outcome:
     """Return the best certified outcome of the problem's number of starts."""
     problem = run.problem
     random = np.random.default_rng(problem.method.seed)
-    last = best = _solve_and_refine(run, guess, rival)
+    last = best = _solve_and_refine(run, guess)
     made = [best]
     for start in range(1, problem.method.starts):
         ended = last.raw.status == "time_limit"
-        if ended or run.elapsed > problem.method.time_limit:
+        if ended or run.is_over:
             run.leave_out(f"{problem.method.starts - start} of {problem.method.starts} starts")
             break
-        last = _solve_and_refine(run, perturb_guess(guess, problem, random), rival)
+        last = _solve_and_refine(run, perturb_guess(guess, problem, random))
         made.append(last)
         run.starts_made = len(made)
         best = min(made, key=lambda outcome: rank_outcome(run, outcome))
@@ -326,17 +326,17 @@ def _best_of_starts(run: SolveRun, guess: Guess, rival: Baseline | None) -> Outc
 
 
 def _restart_from_better_baseline(
-    run: SolveRun, outcome: Outcome, compared: dict[str, Baseline], rival: Baseline | None
+    run: SolveRun, outcome: Outcome, compared: dict[str, Baseline]
 ) -> Outcome:
     """Return the better of an outcome and one started from a baseline that is better than it."""
     above = find_better_baseline(run.problem, outcome, compared)
     if above is None or above.assessment is None:
         return outcome
-    if run.elapsed > run.problem.method.time_limit:
+    if run.is_over:
         run.leave_out("the start from a better baseline")
         return outcome
     guess = guess_from_motion(run.problem, run.motion, above.assessment)
-    found = _solve_and_refine(run, guess, rival)
+    found = _solve_and_refine(run, guess)
     return min(outcome, found, key=lambda each: rank_outcome(run, each))
 
 
@@ -357,15 +357,15 @@ def _describe_spread(problem: TrajectoryProblem, made: list[Outcome]) -> str:
     return f"{kept}: {near} within {share} of the best, the furthest {100 * max(off):.2g} % off."
 
 
-def _solve_and_refine(run: SolveRun, guess: Guess, rival: Baseline | None) -> Outcome:
+def _solve_and_refine(run: SolveRun, guess: Guess) -> Outcome:
     """Solve in stages, then refine until the certificate passes."""
     plan = plan_stages(run.problem, run.problem.method.intervals, run.motor_smoothing)
-    found = refine(run, run_stages(run, plan, guess, {}), rival)
+    found = refine(run, run_stages(run, plan, guess, {}))
     if run.end_modes and not _is_certified_optimum(found):
         # Residual vibration of the motor law exceeds the limits, or there was no optimum in time: a
         # plan that ends at rest has less.
         run.require_rest_at_arrival()
-        resting = refine(run, run_stages(run, plan, guess, {}), rival)
+        resting = refine(run, run_stages(run, plan, guess, {}))
         if _is_certified_optimum(resting) or not found.assessment.feasible(CERTIFICATE_TOLERANCE):
             found = resting
             if found.assessment.feasible(CERTIFICATE_TOLERANCE):
@@ -391,9 +391,9 @@ def solution_of(
 ) -> Solution:
     """Return the solution of an outcome; `compare` searches the baseline that keeps every limit."""
     problem, assessment = run.problem, with_collisions(run.problem, outcome.assessment)
-    strict = run.strict
-    if compare and outcome.raw.status != "infeasible":
-        strict = _strict_baseline_of(run, compared)
+    strict = None
+    if outcome.raw.status != "infeasible":
+        strict = _strict_baseline_of(run, compared) if compare else run.strict
     rivals = _all_rivals(compared, strict)
     found = judge_outcome(problem, outcome, assessment, rivals)
     if found.status is SolveStatus.OPTIMAL:

@@ -129,9 +129,9 @@ def test_plan_ends_at_rest_without_optimum_with_vibration(shortest, monkeypatch)
     problem, _ = shortest["residual"]
     ways = []
 
-    def unfinished(run, outcome, rival):
+    def unfinished(run, outcome):
         ways.append(bool(run.end_modes))
-        found = refine(run, outcome, rival)
+        found = refine(run, outcome)
         if run.end_modes:
             # It keeps all limits, and may be anywhere.
             return replace(found, raw=replace(found.raw, status="iteration_limit"))

@@ -348,8 +348,8 @@ def test_solve_restarts_from_a_better_baseline(tmp_path, monkeypatch, why):
     begun = []
     best_of_starts, certified_solve = solve_module._best_of_starts, solve_module._solve_and_refine
 
-    def behind(run, guess, rival):
-        found = best_of_starts(run, guess, rival)
+    def behind(run, guess):
+        found = best_of_starts(run, guess)
         quintic = baselines(problem, run.motion)["quintic"].assessment
         assert quintic.feasible(EXCESS)
         if why == "exceeds a limit":
@@ -358,9 +358,9 @@ def test_solve_restarts_from_a_better_baseline(tmp_path, monkeypatch, why):
         poor = {name: 1.1 * value for name, value in quintic.integrals.items()}
         return replace(found, assessment=replace(quintic, integrals=poor))
 
-    def counted(run, guess, rival):
+    def counted(run, guess):
         begun.append(guess)
-        return certified_solve(run, guess, rival)
+        return certified_solve(run, guess)
 
     expected = solve(problem).objective.value
     monkeypatch.setattr(solve_module, "_best_of_starts", behind)

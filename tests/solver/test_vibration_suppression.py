@@ -48,7 +48,9 @@ def solved(request, tmp_path_factory):
 
 
 def solve_run(problem=None):
-    return SimpleNamespace(problem=problem, step="", exchanges=[], left_out=[], iterations=0)
+    return SimpleNamespace(
+        problem=problem, step="", exchanges=[], left_out=[], iterations=0, is_over=False
+    )
 
 
 def refused(*_):
