@@ -68,6 +68,12 @@ def solve(
     with defer_until_result():
         from stiffopt.certificate.assess import assess
         from stiffopt.problem.files import load_problem
+        from stiffopt.recipe.stored_result import (
+            STATE_FILE,
+            read_guess,
+            read_state,
+            write_state,
+        )
         from stiffopt.result.compensation import RIVAL_TRAJECTORY_FILE, write_command
         from stiffopt.result.status import SolveStatus
         from stiffopt.result.store import (
@@ -78,13 +84,7 @@ def solve(
             write_trajectory,
         )
         from stiffopt.solver.family import ProblemFamily
-        from stiffopt.solver.simulation import with_simulation
-        from stiffopt.solver.stored_result import (
-            STATE_FILE,
-            read_guess,
-            read_state,
-            write_state,
-        )
+        from stiffopt.solver.simulated_solution import with_simulation
 
         loaded = load_problem(problem, changes)
         stated = loaded.problem
@@ -152,10 +152,10 @@ def _solve_cycle(
     problem: Path, out: Path | None, changes: Changes, open_report: bool, quiet: bool
 ) -> int:
     """Optimise a cycle: cycle.json, cycle.csv, report.html, and a folder for each leg."""
+    from stiffopt.cycle.cycle_store import write_cycle_result
+    from stiffopt.cycle.solve_cycle import solve_cycle
     from stiffopt.problem.cycle_files import load_cycle
     from stiffopt.report.cycle.page import print_cycle, write_cycle_report
-    from stiffopt.solver.cycle import solve_cycle
-    from stiffopt.solver.cycle_store import write_cycle_result
 
     cycle = load_cycle(problem, changes).cycle
     folder = out or default_folder(problem.stem, changes)

@@ -10,7 +10,7 @@ from stiffopt.folders import output_folder
 from stiffopt.interrupts import defer_while_writing
 
 if TYPE_CHECKING:
-    from stiffopt.solver.replay import Replay
+    from stiffopt.recipe.replay import Replay
 
 
 @app.command
@@ -68,8 +68,8 @@ def report(folder: Path, *, open_report: Open = False, quiet: bool = False) -> i
 def _solve_again(folder: Path, quiet: bool, *, simulate: bool) -> Replay:
     from contextlib import nullcontext
 
+    from stiffopt.recipe.replay import replay as solve_again
     from stiffopt.report.common.progress import ProgressDisplay
-    from stiffopt.solver.replay import replay as solve_again
 
     with nullcontext() if quiet else ProgressDisplay(str(folder), "") as progress:
         return solve_again(folder, progress=progress, simulate=simulate)

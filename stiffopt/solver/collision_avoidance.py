@@ -16,13 +16,13 @@ import numpy as np
 from stiffopt.baseline.baselines import detour_baseline
 from stiffopt.dynamics.inverse_kinematics import solve_pose
 from stiffopt.errors import ProblemError
+from stiffopt.path.path_search import FreeSpace
 from stiffopt.problem.input_checks import located_targets
 from stiffopt.result.assessment import Violation
 from stiffopt.result.joint_path import JointPath
 from stiffopt.solver.clearance_rows import ClearanceRows
 from stiffopt.solver.exchange import OutcomeOracle, Proposal, exchange, rank_outcome
 from stiffopt.solver.initial_guess import guess_from_motion
-from stiffopt.solver.path_search import FreeSpace
 from stiffopt.solver.programme import Outcome, solve_again
 from stiffopt.solver.refinement import refine
 from stiffopt.solver.solve_run import SolveProgress, SolveRun

@@ -25,6 +25,11 @@ from stiffopt.certificate.assess import assess, drive_violations
 from stiffopt.certificate.collisions import with_collisions
 from stiffopt.certificate.objective_value import improvement, objective_value
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
+from stiffopt.command.smoothing_width import (
+    KINK_EXCESS,
+    KNOT_SPACINGS,
+    motors_with_sufficient_smoothing,
+)
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.modes import modes
 from stiffopt.elastic.smooth_motion import smooth_motion
@@ -41,11 +46,6 @@ from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.solution import Baseline, Solution
 from stiffopt.result.status import SolveStatus
 from stiffopt.result.trajectory import JointMotion, Trajectory
-from stiffopt.solver.smoothing_width import (
-    KINK_EXCESS,
-    KNOT_SPACINGS,
-    motors_with_sufficient_smoothing,
-)
 from stiffopt.solver.solve_run import MIN_SOLVE_TIME
 
 # Samples of the motion that is averaged.

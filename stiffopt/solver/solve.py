@@ -22,9 +22,11 @@ from stiffopt.certificate.objective_value import (
     objective_value,
 )
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE, describe_slips, find_slips
+from stiffopt.command.simulation import check_simulation
 from stiffopt.elastic.arm import questionable_springs
 from stiffopt.errors import NoSolutionFound, ProblemError
 from stiffopt.interrupts import end_deferral
+from stiffopt.path.timed_path import FASTEST_REASON, timed_motion
 from stiffopt.problem.bounds import check_bounds, shortest_duration
 from stiffopt.problem.files import LoadedProblem
 from stiffopt.problem.formulation import Scales
@@ -43,11 +45,10 @@ from stiffopt.solver.input_shaping import Window, mark_solution_interrupted, sol
 from stiffopt.solver.programme import Outcome
 from stiffopt.solver.refinement import refine
 from stiffopt.solver.robust_plan import choose_shaped_motion, robust_plan
-from stiffopt.solver.simulation import check_simulation, with_simulation
+from stiffopt.solver.simulated_solution import with_simulation
 from stiffopt.solver.solve_run import MIN_SOLVE_TIME, ProgressCallback, SolveRun
 from stiffopt.solver.stage_plan import plan_stages
 from stiffopt.solver.stages import run_stages
-from stiffopt.solver.timed_path import FASTEST_REASON, timed_motion
 from stiffopt.solver.trivial_outcomes import (
     baseline_as_optimum,
     baseline_at_bound,

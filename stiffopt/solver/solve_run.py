@@ -14,6 +14,7 @@ import numpy as np
 
 from stiffopt.certificate.assess import drive_violations
 from stiffopt.certificate.objective_value import is_maximised
+from stiffopt.command.smoothing_width import TOLERABLE_KINK_EXCESS, narrowest_sufficient_width
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.modes import Mode, modes
 from stiffopt.elastic.smooth_motion import smooth_motion
@@ -24,12 +25,11 @@ from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
 from stiffopt.result.solution import Baseline
 from stiffopt.solver.clearance_rows import ClearanceRows
 from stiffopt.solver.ipopt import RawSolution
-from stiffopt.solver.smoothing_width import TOLERABLE_KINK_EXCESS, narrowest_sufficient_width
 from stiffopt.solver.stage_plan import SolveStage
 
 if TYPE_CHECKING:
+    from stiffopt.command.command_search import CommandOnArms
     from stiffopt.result.solution import Solution
-    from stiffopt.solver.command_search import CommandOnArms
     from stiffopt.solver.programme import Outcome
 
 # Time limit of an NLP solve once the solve's own time is over [s].

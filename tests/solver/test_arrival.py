@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from small_arms import joint, load, on_one_element, write_problem, write_robot
 
+from stiffopt.command.simulation import damping_sensitive_limits, damping_sensitivity_note
 from stiffopt.connection import Constant
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.modes import modes
@@ -28,7 +29,6 @@ from stiffopt.result.store import result_document
 from stiffopt.solver import arrival, exact_rows
 from stiffopt.solver import solve as solve_module
 from stiffopt.solver.refinement import refine
-from stiffopt.solver.simulation import damping_sensitive_limits, damping_sensitivity_note
 from stiffopt.solver.solve import solve
 from stiffopt.solver.solve_run import SolveRun
 

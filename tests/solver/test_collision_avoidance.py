@@ -13,11 +13,12 @@ from stiffopt import solve
 from stiffopt.certificate.collisions import COLLISION_LIMIT
 from stiffopt.cli import run as command
 from stiffopt.errors import ProblemError
+from stiffopt.path import path_search
+from stiffopt.path.path_search import FreeSpace
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.resolve import resolve
-from stiffopt.solver import collision_avoidance, path_search, programme
+from stiffopt.solver import collision_avoidance, programme
 from stiffopt.solver.family import ProblemFamily
-from stiffopt.solver.path_search import FreeSpace
 from stiffopt.solver.solve import solve_with_state
 
 WALLS = """[[cell.box]]
