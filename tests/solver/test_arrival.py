@@ -26,8 +26,7 @@ from stiffopt.problem.resolve import resolve
 from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.report.solve.wording import objective_phrase
 from stiffopt.result.store import result_document
-from stiffopt.solver import arrival, exact_rows
-from stiffopt.solver import solve as solve_module
+from stiffopt.solver import arrival, exact_rows, starts
 from stiffopt.solver.refinement import refine
 from stiffopt.solver.solve import solve
 from stiffopt.solver.solve_run import SolveRun
@@ -137,7 +136,7 @@ def test_plan_ends_at_rest_without_optimum_with_vibration(shortest, monkeypatch)
             return replace(found, raw=replace(found.raw, status="iteration_limit"))
         return found
 
-    monkeypatch.setattr(solve_module, "refine", unfinished)
+    monkeypatch.setattr(starts, "refine", unfinished)
     solution = solve(problem, throw=False)
     assert ways == [True, False]
     assert solution.status.usable
