@@ -1,7 +1,7 @@
 """Compensated motions on arms that are not as modelled, by an independent simulation.
 
 Motions of the two shipped deflection problems: the shaped and the unshaped optimum and toppra's,
-each as planned and with motors that lead the links (`stiffopt.solver.compensation`). They are put
+each as planned and with motors that lead the links (`stiffopt.command.compensation`). They are put
 on the arm as modelled and on arms whose stiffness is off by 20 %, all joints alike and each joint
 such that the errors add up, with a payload that is off by 10 %, by the Runge-Kutta simulation of
 `elastic_simulation`, which shares neither springs nor integrator with the package.
@@ -25,6 +25,8 @@ from common import Row, main
 from elastic_simulation import Sampled, simulate
 
 from stiffopt.baseline.baselines import baselines
+from stiffopt.command.compensation import compensate_motion
+from stiffopt.command.simulation import PlannedMotion, elastic_arm
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.objective import Objective
@@ -32,8 +34,6 @@ from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.compensation import CompensatedMotion
 from stiffopt.result.solution import Solution
-from stiffopt.solver.compensation import compensate_motion
-from stiffopt.solver.simulation import PlannedMotion, elastic_arm
 from stiffopt.solver.solve import solve
 
 TITLE = "Compensation on arms that are not as modelled"

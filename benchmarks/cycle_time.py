@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 
 from stiffopt.baseline.rivals import fair_rivals
+from stiffopt.cycle.solve_cycle import solve_cycle
 from stiffopt.problem.cycle import Cycle
 from stiffopt.problem.cycle_files import load_cycle
 from stiffopt.problem.limit import Limits
 from stiffopt.problem.resolve import resolve
-from stiffopt.solver.cycle import solve_cycle
 
 PROBLEMS = Path(__file__).resolve().parents[1] / "problems"
 FILES = ("er3a_cycle.toml", "ur10_cycle.toml")

@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.reliability.commands import ROOT
+from stiffopt.cycle.solve_cycle import solve_cycle
 from stiffopt.problem.cycle_files import is_cycle, load_cycle
 from stiffopt.problem.files import load_problem
 from stiffopt.report.common.svg import to_svg
 from stiffopt.report.scene.poses import poses_along
 from stiffopt.report.scene.still import still_figure
-from stiffopt.solver.cycle import solve_cycle
 from stiffopt.solver.solve import solve
 
 _PAGE = ROOT / ".github" / "gallery.md"

@@ -24,15 +24,15 @@ from elastic_simulation import Springs
 from scipy.integrate import odeint
 from tool_error import NO_WORSE, STANDSTILL, Held, Motors
 
+from stiffopt.command.command_search import CommandOnArms
+from stiffopt.command.compensation import commands_on_arms
+from stiffopt.command.simulation import PlannedMotion, elastic_arm, rival_motions
 from stiffopt.drivetrain import catalogue
 from stiffopt.drivetrain.bearing import OutputBearing
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import Method, Target, TrajectoryProblem
 from stiffopt.robot.files import load_robot
 from stiffopt.robot.robot import Robot
-from stiffopt.solver.command_search import CommandOnArms
-from stiffopt.solver.compensation import commands_on_arms
-from stiffopt.solver.simulation import PlannedMotion, elastic_arm, rival_motions
 from stiffopt.solver.solve import solve
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "elastic"))

@@ -20,14 +20,14 @@ import numpy as np
 from common import Row, main
 from elastic_simulation import simulate
 
+from stiffopt.command.command_search import CommandOnArms
+from stiffopt.command.compensation import commands_on_arms
+from stiffopt.command.simulation import PlannedMotion, elastic_arm, rival_motions
 from stiffopt.elastic.servo import Servo
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import Method, Target, TrajectoryProblem
 from stiffopt.robot.files import load_robot
-from stiffopt.solver.command_search import CommandOnArms
-from stiffopt.solver.compensation import commands_on_arms
-from stiffopt.solver.simulation import PlannedMotion, elastic_arm, rival_motions
 from stiffopt.solver.solve import solve
 
 TITLE = "Tool error of the commanded arm against the best compensated rival"

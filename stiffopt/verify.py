@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from stiffopt.cycle.solve_cycle import solve_cycle
 from stiffopt.errors import InputFileError
 from stiffopt.files import check_file, load_toml
 from stiffopt.preload.files import load_study
@@ -19,7 +20,6 @@ from stiffopt.problem.schema import ExpectedSection
 from stiffopt.result.cycle import CycleSolution
 from stiffopt.result.solution import Solution
 from stiffopt.result.status import SolveStatus
-from stiffopt.solver.cycle import solve_cycle
 from stiffopt.solver.monitor import Progress
 from stiffopt.solver.solve import solve
 from stiffopt.solver.solve_run import ProgressCallback, SolveProgress

@@ -21,8 +21,8 @@ def answers(place: Path) -> Iterator[Subject]:
     from stiffopt.cli import run
     from stiffopt.discovery.extended.model import load_extended
     from stiffopt.export.motion import read_motion
+    from stiffopt.recipe.stored_result import read_result
     from stiffopt.report.compare import compare_results
-    from stiffopt.solver.stored_result import read_result
 
     work = place / "answers"
     shutil.copytree(ROOT / "problems", work, ignore=shutil.ignore_patterns("recordings"))

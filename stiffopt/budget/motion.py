@@ -18,7 +18,7 @@ from stiffopt.files import load_json
 from stiffopt.folders import check_result
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import TrajectoryProblem
-from stiffopt.solver.stored_result import StoredResult
+from stiffopt.recipe.stored_result import StoredResult
 
 # Instants of a budget along a motion.
 _INSTANT_COUNT = 121

@@ -55,8 +55,8 @@ def budget(
     from stiffopt.budget.store import write_budget
     from stiffopt.budget.volume import volume_budget
     from stiffopt.problem.files import load_problem
+    from stiffopt.recipe.stored_result import read_result
     from stiffopt.report.budget.page import print_budget, write_budget_report
-    from stiffopt.solver.stored_result import read_result
     from stiffopt.units import to_si
 
     around = to_si(number_or_text(margin), "length", "--margin")

@@ -78,15 +78,15 @@ def simulate(
     damping
         Damping ratio of each elastic joint on its own, in place of the robot file's damping.
     """
+    from stiffopt.command.compensation import judge_existing_command
+    from stiffopt.command.simulation import elastic_arm, simulate_motions
     from stiffopt.elastic.arm import rigid_arm_error
     from stiffopt.elastic.servo import Servo
+    from stiffopt.recipe.stored_result import read_result
     from stiffopt.report.solve.simulation import write_simulation_report
     from stiffopt.report.solve.terminal import print_compensation, print_simulation
     from stiffopt.result.compensation import COMMAND_FILE
     from stiffopt.result.store import write_simulation
-    from stiffopt.solver.compensation import judge_existing_command
-    from stiffopt.solver.simulation import elastic_arm, simulate_motions
-    from stiffopt.solver.stored_result import read_result
     from stiffopt.units import to_si
 
     refuse_changes(
@@ -153,9 +153,9 @@ def view(
     port
         Local port of the page; if it is in use, the next one is taken.
     """
+    from stiffopt.recipe.stored_result import read_result
     from stiffopt.report.scene.live import LiveScene
     from stiffopt.report.scene.poses import stored_poses
-    from stiffopt.solver.stored_result import read_result
 
     refuse_changes(changes)
     stored = read_result(result, problem)
@@ -198,9 +198,9 @@ def modes(
     """
     from stiffopt.elastic.arm import questionable_springs
     from stiffopt.elastic.modes import modes_along, modes_at, write_modes_csv
+    from stiffopt.recipe.stored_result import read_result
     from stiffopt.report.common.terminal import print_lines
     from stiffopt.report.solve.simulation import print_modes, write_modes_figure
-    from stiffopt.solver.stored_result import read_result
 
     path = Path(source)
     if path.is_dir():

@@ -44,14 +44,14 @@ def improve(
     out
         Folder for the results; default: out/NAME-improved.
     """
+    from stiffopt.improvement.given_motion import GivenMotion
+    from stiffopt.improvement.improvement import improve as improve_motion
+    from stiffopt.improvement.improvement_files import write_improvement
     from stiffopt.problem.files import load_problem
     from stiffopt.report.improvement.page import print_improvement, write_improvement_report
     from stiffopt.result.compensation import COMMAND_FILE
     from stiffopt.result.store import TRAJECTORY_FILE
     from stiffopt.robot.files import load_robot
-    from stiffopt.solver.given_motion import GivenMotion
-    from stiffopt.solver.improvement import improve as improve_motion
-    from stiffopt.solver.improvement_files import write_improvement
     from stiffopt.starter.timed_motion import read_timed_motion
 
     if (robot is None) == (problem is None):

@@ -14,7 +14,7 @@ from stiffopt.folders import output_folder
 from stiffopt.interrupts import defer_until_result, defer_while_writing, end_deferral
 
 if TYPE_CHECKING:
-    from stiffopt.solver.replay import Replay
+    from stiffopt.recipe.replay import Replay
 
 
 if TYPE_CHECKING:
@@ -72,6 +72,12 @@ def solve(
         from stiffopt.budget.floor import error_floor_note
         from stiffopt.certificate.assess import assess
         from stiffopt.problem.files import load_problem
+        from stiffopt.recipe.stored_result import (
+            STATE_FILE,
+            read_guess,
+            read_state,
+            write_state,
+        )
         from stiffopt.result.compensation import RIVAL_TRAJECTORY_FILE, write_command
         from stiffopt.result.status import SolveStatus
         from stiffopt.result.store import (
@@ -82,13 +88,7 @@ def solve(
             write_trajectory,
         )
         from stiffopt.solver.family import ProblemFamily
-        from stiffopt.solver.simulation import with_simulation
-        from stiffopt.solver.stored_result import (
-            STATE_FILE,
-            read_guess,
-            read_state,
-            write_state,
-        )
+        from stiffopt.solver.simulated_solution import with_simulation
 
         loaded = load_problem(problem, changes)
         stated = loaded.problem
@@ -158,10 +158,10 @@ def _solve_cycle(
     problem: Path, out: Path | None, changes: Changes, open_report: bool, quiet: bool
 ) -> int:
     """Optimise a cycle: cycle.json, cycle.csv, report.html, and a folder for each leg."""
+    from stiffopt.cycle.cycle_store import write_cycle_result
+    from stiffopt.cycle.solve_cycle import solve_cycle
     from stiffopt.problem.cycle_files import load_cycle
     from stiffopt.report.cycle.page import print_cycle, write_cycle_report
-    from stiffopt.solver.cycle import solve_cycle
-    from stiffopt.solver.cycle_store import write_cycle_result
 
     cycle = load_cycle(problem, changes).cycle
     folder = out or default_folder(problem.stem, changes)
@@ -387,8 +387,8 @@ def report(folder: Path, *, open_report: Open = False, quiet: Quiet = False) -> 
 def _solve_again(folder: Path, quiet: bool, *, simulate: bool) -> Replay:
     from contextlib import nullcontext
 
+    from stiffopt.recipe.replay import replay as solve_again
     from stiffopt.report.common.progress import ProgressDisplay
-    from stiffopt.solver.replay import replay as solve_again
 
     with nullcontext() if quiet else ProgressDisplay(str(folder), "") as progress:
         return solve_again(folder, progress=progress, simulate=simulate)

@@ -22,9 +22,9 @@ from stiffopt.errors import InputError, InputFileError
 from stiffopt.files import read_table
 from stiffopt.problem.cycle_files import load_cycle
 from stiffopt.problem.files import load_problem
+from stiffopt.recipe.stored_result import check_inputs, problem_file, read_changes
 from stiffopt.result.cycle import leg_folder
 from stiffopt.result.store import RESULT_FILE, export_times, file_hash, motion_seal, read_document
-from stiffopt.solver.stored_result import check_inputs, problem_file, read_changes
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem

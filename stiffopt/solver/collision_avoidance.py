@@ -16,14 +16,13 @@ import numpy as np
 from stiffopt.baseline.baselines import detour_baseline
 from stiffopt.dynamics.inverse_kinematics import solve_pose
 from stiffopt.errors import ProblemError
+from stiffopt.path.path_search import FreeSpace
 from stiffopt.problem.input_checks import located_targets
 from stiffopt.result.assessment import Violation
 from stiffopt.result.joint_path import JointPath
-from stiffopt.result.solution import Baseline
 from stiffopt.solver.clearance_rows import ClearanceRows
 from stiffopt.solver.exchange import OutcomeOracle, Proposal, exchange, rank_outcome
 from stiffopt.solver.initial_guess import guess_from_motion
-from stiffopt.solver.path_search import FreeSpace
 from stiffopt.solver.programme import Outcome, solve_again
 from stiffopt.solver.refinement import refine
 from stiffopt.solver.solve_run import SolveProgress, SolveRun
@@ -41,8 +40,6 @@ _CLEARANCE_INCREASE_FACTOR, _MIN_CLEARANCE_INCREASE, _MAX_CLEARANCE_INCREASE = 1
 _ALTERNATIVE_POSES = 100
 # Updates of the planes after back-off corrections, and relative gain below which they end.
 _MAX_CORRECTED_ROUNDS, _MIN_CORRECTED_GAIN = 5, 1e-3
-# Time of one path search: share of the remaining time, and largest [s].
-_SEARCH_TIME_SHARE, _MAX_SEARCH_SECONDS = 0.2, 20.0
 _AVOIDANCE_TIMED_OUT = "The time limit ended the collision avoidance; raise method.time_limit."
 
 
@@ -61,9 +58,7 @@ class _CollisionFreeStart:
         return replace(self, plan=plan, mesh=mesh)
 
 
-def avoid_collisions(
-    run: SolveRun, plain: Outcome, rival: Baseline | None, *, searches: int = 1
-) -> Outcome:
+def avoid_collisions(run: SolveRun, plain: Outcome, *, searches: int = 1) -> Outcome:
     """Return the outcome where it does not collide, else the best collision-free one found.
 
     Parameters
@@ -72,7 +67,6 @@ def avoid_collisions(
         Its `avoidance_failure` is set to the reason of a failure, `detour` to the first path found.
     plain : Outcome
         Solved without regard to collisions.
-    rival : Baseline or None
     searches : int
         Number of path searches.
     """
@@ -83,7 +77,7 @@ def avoid_collisions(
     for start in _candidate_starts(run, plain, hits, searches):
         for tried in (start, start.finer()):
             run.avoidance = ClearanceRows(run.problem, [hit.pair for hit in hits if hit.pair])
-            found = _solve_clear(run, tried, rival)
+            found = _solve_clear(run, tried)
             if best is None or rank_outcome(run, found) < rank_outcome(run, best):
                 best = found
             if found.raw.status != "infeasible":
@@ -113,8 +107,7 @@ def _candidate_starts(
     tried = 0
     for number in range(searches):
         _report_search(run, f"searching a path around {names}", plain)
-        seconds = min(_MAX_SEARCH_SECONDS, _SEARCH_TIME_SHARE * run.remaining)
-        space = FreeSpace(problem, problem.method.seed + number, seconds)
+        space = FreeSpace(problem, problem.method.seed + number, run.remaining)
         points = _collision_free_points(run, space)
         blocked = [located_targets(problem)[k][0] for k in space.blocked(points)]
         if blocked:
@@ -126,7 +119,7 @@ def _candidate_starts(
         tried += space.tried
         if poses is None:
             run.avoidance_failure = f"No collision-free path was found in {tried} trial poses."
-            if seconds < _MAX_SEARCH_SECONDS:
+            if space.timed_out:
                 run.avoidance_failure = _AVOIDANCE_TIMED_OUT
             continue
         run.avoidance_failure = (
@@ -157,13 +150,13 @@ def _collision_free_points(run: SolveRun, space: FreeSpace) -> np.ndarray:
     return np.asarray(points)
 
 
-def _solve_clear(run: SolveRun, start: _CollisionFreeStart, rival: Baseline | None) -> Outcome:
+def _solve_clear(run: SolveRun, start: _CollisionFreeStart) -> Outcome:
     """Solve from a start, increasing clearances while the certificate finds pairs too near."""
     avoidance = run.avoidance
     assert avoidance is not None
-    found = refine(run, run_stages(run, start.plan, start.guess, {}, start.mesh), rival)
+    found = refine(run, run_stages(run, start.plan, start.guess, {}, start.mesh))
     found = exchange(run, CorrectedPlanes(run, avoidance), found)
-    return exchange(run, Clearances(run, avoidance, rival), found)
+    return exchange(run, Clearances(run, avoidance), found)
 
 
 class Clearances(OutcomeOracle):
@@ -171,9 +164,9 @@ class Clearances(OutcomeOracle):
 
     step = "clearance"
 
-    def __init__(self, run: SolveRun, rows: ClearanceRows, rival: Baseline | None) -> None:
+    def __init__(self, run: SolveRun, rows: ClearanceRows) -> None:
         super().__init__(run)
-        self._rows, self._rival, self.rounds = rows, rival, _MAX_CLEARANCE_INCREASES
+        self._rows, self.rounds = rows, _MAX_CLEARANCE_INCREASES
 
     def propose(self, last: Outcome, number: int) -> Proposal[Outcome] | None:
         """Return a solve with increased clearances; None without a collision."""
@@ -191,7 +184,7 @@ class Clearances(OutcomeOracle):
 
         def solve() -> Outcome:
             again = run_stages(self.run, (stage,), guess, {}, before.mesh)
-            return refine(self.run, again, self._rival)
+            return refine(self.run, again)
 
         return Proposal(last.collisions[0].describe(), solve)
 
@@ -225,7 +218,7 @@ class CorrectedPlanes(OutcomeOracle):
         before = replace(last, transcription=replace(transcription, nlp=nlp))
         return Proposal(
             "planes of this motion",
-            lambda: refine(self.run, solve_again(self.run, before, nlp, last.smoothing), None),
+            lambda: refine(self.run, solve_again(self.run, before, nlp, last.smoothing)),
         )
 
 

@@ -14,18 +14,18 @@ import numpy as np
 
 from stiffopt.certificate.assess import drive_violations
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
+from stiffopt.command.smoothing_width import (
+    KINK_EXCESS,
+    MAX_REMAINING_EXCESS,
+    TOLERABLE_KINK_EXCESS,
+    narrowest_sufficient_width,
+)
 from stiffopt.problem.formulation import exact_path_rows
 from stiffopt.problem.limit import LIMITS
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment, Violation
 from stiffopt.solver.exchange import OutcomeOracle, Proposal, Rank, rank_outcome
 from stiffopt.solver.programme import Outcome, motors_with_law, solve_again
-from stiffopt.solver.smoothing_width import (
-    KINK_EXCESS,
-    MAX_REMAINING_EXCESS,
-    TOLERABLE_KINK_EXCESS,
-    narrowest_sufficient_width,
-)
 from stiffopt.solver.solve_run import SolveRun
 from stiffopt.solver.verdict import MAX_OBJECTIVE_GAP
 from stiffopt.transcription.constraint_back_off import (

@@ -94,6 +94,9 @@ def exchange(run: SolveRun, oracle: Oracle[State], start: State) -> State:
         proposal = oracle.propose(last, number)
         if proposal is None:
             break
+        if run.is_over:
+            run.leave_out(oracle.step)
+            break
         begun, last = run.iterations, proposal.solve()
         accepted = oracle.accepts(last, best)
         run.exchanges.append(

@@ -16,6 +16,7 @@ import numpy as np
 
 from stiffopt.baseline.baselines import baselines
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
+from stiffopt.command.simulation import check_simulation
 from stiffopt.problem.bounds import shortest_duration
 from stiffopt.problem.formulation import Scales, formulate
 from stiffopt.problem.input_checks import check_clear_poses
@@ -36,7 +37,7 @@ from stiffopt.solver.programme import (
     solve_stage,
 )
 from stiffopt.solver.refinement import refine
-from stiffopt.solver.simulation import check_simulation, with_simulation
+from stiffopt.solver.simulated_solution import with_simulation
 from stiffopt.solver.solve import preliminary_notes, solution_of, solve_with_state
 from stiffopt.solver.solve_run import ProgressCallback, SolveRun
 from stiffopt.solver.stage_plan import SolveStage, solver_options
@@ -232,7 +233,7 @@ class ProblemFamily:
         outcome = certify_outcome(run, made, raw, warm.smoothing)
         if not _is_certified_optimum(outcome):
             # A mesh that is fine enough for one problem may not be for another.
-            outcome = refine(run, outcome, None)
+            outcome = refine(run, outcome)
             self._store_programme(Programme(outcome.transcription, outcome.solver))
         sound = _is_certified_optimum(outcome)
         if problem.avoids_collisions and outcome.collisions:

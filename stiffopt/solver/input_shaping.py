@@ -25,6 +25,11 @@ from stiffopt.certificate.assess import assess, drive_violations
 from stiffopt.certificate.collisions import with_collisions
 from stiffopt.certificate.objective_value import improvement, objective_value
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
+from stiffopt.command.smoothing_width import (
+    KINK_EXCESS,
+    KNOT_SPACINGS,
+    motors_with_sufficient_smoothing,
+)
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.modes import modes
 from stiffopt.elastic.smooth_motion import smooth_motion
@@ -41,12 +46,8 @@ from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.solution import Baseline, Solution
 from stiffopt.result.status import SolveStatus
 from stiffopt.result.trajectory import JointMotion, Trajectory
-from stiffopt.solver.smoothing_width import (
-    KINK_EXCESS,
-    KNOT_SPACINGS,
-    motors_with_sufficient_smoothing,
-)
-from stiffopt.solver.solve_run import MIN_SOLVE_TIME
+from stiffopt.solver.exchange import Oracle, Proposal, exchange
+from stiffopt.solver.solve_run import MIN_SOLVE_TIME, SolveRun
 
 # Samples of the motion that is averaged.
 _AVERAGING_SAMPLES = 8001
@@ -72,8 +73,7 @@ Window = tuple[float, str]
 
 
 def solve_shaped(
-    problem: TrajectoryProblem,
-    motion: ResolvedMotion,
+    run: SolveRun,
     compared: dict[str, Baseline],
     notes: tuple[str, ...],
     solve: Solve,
@@ -83,9 +83,8 @@ def solve_shaped(
 
     Parameters
     ----------
-    problem : TrajectoryProblem
-        Of fixed duration.
-    motion : ResolvedMotion
+    run : SolveRun
+        Of a problem of fixed duration.
     compared : dict
         Its baselines.
     notes : tuple of str
@@ -100,6 +99,7 @@ def solve_shaped(
     ProblemError
         No time is left beside the shortest window.
     """
+    problem, motion = run.problem, run.motion
     period = _lowest_mode_period(problem, motion)
     strict = strict_baseline(problem, motion, compared)
     rival = None if strict is None or not strict.feasible else strict.assessment
@@ -111,7 +111,7 @@ def solve_shaped(
         inner = _shortened_problem(problem, motion, window)
         if inner is None:
             continue
-        made, averaged = _solve_averaged(problem, motion, inner, window, clock.solve)
+        made, averaged = _solve_averaged(run, inner, window, clock.solve)
         stopped = made.status is SolveStatus.INTERRUPTED
         behind = averaged is not None and _rival_is_better(problem, rival, averaged[1])
         if kept is None or (
@@ -134,6 +134,7 @@ def solve_shaped(
             f"Averaged over {over} of the arm's lowest mode.",
         ),
         inputs_hash=inputs_hash(problem),
+        solver=replace(found.solver, exchanges=(*found.solver.exchanges, *run.exchanges)),
     )
     if shaped is None:
         return replace(solution, strict_baseline=None, ratio_to_strict_baseline=None)
@@ -216,39 +217,75 @@ def mark_solution_interrupted(solution: Solution) -> Solution:
 
 
 def _solve_averaged(
-    problem: TrajectoryProblem,
-    motion: ResolvedMotion,
+    run: SolveRun,
     inner: TrajectoryProblem,
     window: float,
     solve: Solve,
 ) -> tuple[Solution, tuple[Trajectory, Assessment] | None]:
     """Solve the inner quasi-static problem and average its motion over a window [s]."""
-    found = solve(inner)
-    room = clearance_at_poses(problem, motion) if problem.avoids_collisions else 0.0
-    shaped = _shape_motion(problem, found, window)
-    for number in range(_MAX_BACK_OFF_ROUNDS):
-        # An excess that remains after two rounds is backed off by twice as much.
-        more = _BACK_OFF_FACTOR if number < 2 else 2.0 * _BACK_OFF_FACTOR
-        tightened = (
-            None if shaped is None else _back_off_problem(problem, inner, shaped[1], more, room)
-        )
-        if tightened is None or found.status is SolveStatus.INTERRUPTED:
-            break
-        tried = solve(tightened)
-        if not tried.status.usable and tried.status is not SolveStatus.INTERRUPTED:
-            # Backed off too far for any motion.
-            tightened = _average_problems(inner, tightened)
-            tried = solve(tightened)
-        if tried.status is SolveStatus.INTERRUPTED:
-            found = mark_solution_interrupted(found)
-        if not tried.status.usable:
-            break
-        inner, found = tightened, tried
-        shaped = _shape_motion(problem, found, window)
+    oracle = AveragedLimits(run, window, solve)
+    end = exchange(run, oracle, oracle.solve(inner))
+    found, shaped = end.solution, end.shaped
+    if oracle.interrupted and found.status is not SolveStatus.INTERRUPTED:
+        found = mark_solution_interrupted(found)
     if shaped is not None and not shaped[1].feasible(CERTIFICATE_TOLERANCE):
         # A wider smoothing of the motor law may remove an excess that back-off has not.
-        shaped = _shape_motion(problem, found, window, kink_excess=CERTIFICATE_TOLERANCE)
+        shaped = _shape_motion(run.problem, found, window, kink_excess=CERTIFICATE_TOLERANCE)
     return found, shaped
+
+
+@dataclass(frozen=True)
+class ShapedMotion:
+    """Inner problem with its solution, and the averaged motion with its certificate."""
+
+    inner: TrajectoryProblem
+    solution: Solution
+    shaped: tuple[Trajectory, Assessment] | None
+
+
+class AveragedLimits(Oracle[ShapedMotion]):
+    """Limits of the averaged motion, from which the inner problem is backed off."""
+
+    step = "input shaping"
+    rounds = _MAX_BACK_OFF_ROUNDS
+    explores = False
+
+    def __init__(self, run: SolveRun, window: float, solve: Solve) -> None:
+        self._problem, self._window, self._plain = run.problem, window, solve
+        self._room = 0.0
+        if run.problem.avoids_collisions:
+            self._room = clearance_at_poses(run.problem, run.motion)
+        self.interrupted = False
+
+    def solve(self, inner: TrajectoryProblem) -> ShapedMotion:
+        """Solve an inner problem and average its motion."""
+        found = self._plain(inner)
+        self.interrupted = found.status is SolveStatus.INTERRUPTED
+        return ShapedMotion(inner, found, _shape_motion(self._problem, found, self._window))
+
+    def propose(self, last: ShapedMotion, number: int) -> Proposal[ShapedMotion] | None:
+        """Return the inner problem backed off; None without an excess, or after Ctrl-C."""
+        if last.shaped is None or self.interrupted:
+            return None
+        # An excess that remains after two rounds is backed off by twice as much.
+        more = _BACK_OFF_FACTOR if number < 2 else 2.0 * _BACK_OFF_FACTOR
+        motion = last.shaped[1]
+        tightened = _back_off_problem(self._problem, last.inner, motion, more, self._room)
+        if tightened is None:
+            return None
+
+        def solve() -> ShapedMotion:
+            tried = self.solve(tightened)
+            if tried.solution.status.usable or self.interrupted:
+                return tried
+            # Backed off too far for any motion.
+            return self.solve(_average_problems(last.inner, tightened))
+
+        return Proposal(motion.worst_violation.describe(), solve)
+
+    def accepts(self, found: ShapedMotion, best: ShapedMotion) -> bool:
+        """Return True for a usable solution: each is backed off from the excess of the last."""
+        return found.solution.status.usable
 
 
 def _rival_is_better(problem: TrajectoryProblem, rival: Assessment | None, own: Assessment) -> bool:

@@ -226,7 +226,7 @@ def solve_stage(
             push=push,
             report=report,
             max_seconds=run.remaining,
-            max_iterations=max_iterations,
+            max_iterations=max_iterations or run.max_iterations,
         )
         if (
             raw.status == "stalled"

@@ -8,9 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from stiffopt.certificate.objective_value import improvement, objective_value
-from stiffopt.problem.trajectory import TrajectoryProblem
-from stiffopt.result.solution import Baseline
 from stiffopt.solver.arrival import refine_within_mesh
 from stiffopt.solver.exact_rows import ExactRows, describe_excess, excess_by_limit
 from stiffopt.solver.exchange import OutcomeOracle, Proposal, exchange
@@ -22,22 +19,16 @@ from stiffopt.solver.stationary_joints import StationaryJoints
 from stiffopt.solver.verdict import MAX_OBJECTIVE_GAP
 from stiffopt.transcription.constraint_back_off import backed_off
 
-# Objective gap that is worth a finer mesh where a baseline is better.
-_RIVAL_OBJECTIVE_GAP = 1e-3
 _MAX_FINER_MESHES = 3
 _MESH_GROWTH = 1.25
 
 
-def refine(run: SolveRun, outcome: Outcome, rival: Baseline | None) -> Outcome:
-    """Refine an outcome until its certificate passes.
-
-    Also where a feasible baseline, the `rival`, is better only because of the objective gap between
-    the nodes.
-    """
+def refine(run: SolveRun, outcome: Outcome) -> Outcome:
+    """Refine an outcome until its certificate passes."""
     if run.problem.plans_links:
         return refine_within_mesh(run, outcome)
     outcome = exchange(run, StationaryJoints(run, outcome), outcome)
-    outcome = exchange(run, MeshError(run, rival), outcome)
+    outcome = exchange(run, MeshError(run), outcome)
     return exchange(run, ExactRows(run), outcome)
 
 
@@ -46,19 +37,16 @@ class MeshError(OutcomeOracle):
 
     step = "finer meshes"
 
-    def __init__(self, run: SolveRun, rival: Baseline | None) -> None:
+    def __init__(self, run: SolveRun) -> None:
         super().__init__(run)
         # All limits of a fixed path are path rows, which are backed off only where exceeded.
         self.rounds = _MAX_FINER_MESHES if run.problem.path is None else 1
-        self._rival = rival
         self._margins: dict[str, float] = {}
 
     def propose(self, last: Outcome, number: int) -> Proposal[Outcome] | None:
         """Return a solve on a finer mesh; None where limits and objective gap hold."""
         run, excess, before = self.run, excess_by_limit(last.assessment), last.transcription
-        worse = _is_worse_than(run.problem, last, self._rival)
-        allowed = _RIVAL_OBJECTIVE_GAP if worse else MAX_OBJECTIVE_GAP
-        if not last.raw.converged or not (excess or last.objective_gap > allowed):
+        if not last.raw.converged or not (excess or last.objective_gap > MAX_OBJECTIVE_GAP):
             return None
         for name, value in excess.items() if number else ():
             self._margins[name] = backed_off(self._margins.get(name, 0.0), value)
@@ -73,11 +61,3 @@ class MeshError(OutcomeOracle):
 
         gap = f"objective {last.objective_gap:.1%} worse between the nodes"
         return Proposal(describe_excess(excess) or gap, solve)
-
-
-def _is_worse_than(problem: TrajectoryProblem, outcome: Outcome, rival: Baseline | None) -> bool:
-    if rival is None or rival.objective is None:
-        return False
-    value = objective_value(problem, outcome.assessment).value
-    ratio = improvement(problem, value, rival.objective)
-    return ratio is not None and ratio > 1.0

@@ -19,16 +19,16 @@ import numpy as np
 
 from stiffopt.certificate.objective_value import objective_value
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
+from stiffopt.command.command_search import CommandOnArms
+from stiffopt.command.compensation import commands_on_arms
+from stiffopt.command.simulation import PlannedMotion, elastic_arm
 from stiffopt.errors import NotSimulatedError
 from stiffopt.result.solution import Solution, SolverRecord
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver.arrival import refine_within_mesh
-from stiffopt.solver.command_search import CommandOnArms
-from stiffopt.solver.compensation import commands_on_arms
 from stiffopt.solver.exchange import OutcomeOracle, Proposal, exchange
 from stiffopt.solver.input_shaping import Window, windows_for_arms
 from stiffopt.solver.programme import Outcome, solve_again
-from stiffopt.solver.simulation import PlannedMotion, elastic_arm
 from stiffopt.solver.solve_run import SolveRun
 from stiffopt.solver.verdict import MAX_OBJECTIVE_GAP
 from stiffopt.transcription.nlp import Nlp

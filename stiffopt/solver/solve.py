@@ -18,13 +18,14 @@ from stiffopt.baseline.baselines import baselines, better_baseline, strict_basel
 from stiffopt.certificate.collisions import with_collisions
 from stiffopt.certificate.objective_value import (
     improvement,
-    is_maximised,
     objective_value,
 )
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE, describe_slips, find_slips
+from stiffopt.command.simulation import check_simulation
 from stiffopt.elastic.arm import questionable_springs
 from stiffopt.errors import NoSolutionFound, ProblemError
 from stiffopt.interrupts import end_deferral
+from stiffopt.path.timed_path import FASTEST_REASON, timed_motion
 from stiffopt.problem.bounds import check_bounds, shortest_duration
 from stiffopt.problem.files import LoadedProblem
 from stiffopt.problem.formulation import Scales
@@ -37,17 +38,14 @@ from stiffopt.result.provenance import inputs_hash, versions
 from stiffopt.result.solution import Baseline, Solution
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver.collision_avoidance import avoid_collisions
-from stiffopt.solver.exchange import interrupted_outcome, rank_outcome, until_interrupted
+from stiffopt.solver.exchange import exchange, interrupted_outcome, until_interrupted
 from stiffopt.solver.initial_guess import guess_from_motion, initial_guess, perturb_guess
 from stiffopt.solver.input_shaping import Window, mark_solution_interrupted, solve_shaped
 from stiffopt.solver.programme import Outcome
-from stiffopt.solver.refinement import refine
 from stiffopt.solver.robust_plan import choose_shaped_motion, robust_plan
-from stiffopt.solver.simulation import check_simulation, with_simulation
+from stiffopt.solver.simulated_solution import with_simulation
 from stiffopt.solver.solve_run import MIN_SOLVE_TIME, ProgressCallback, SolveRun
-from stiffopt.solver.stage_plan import plan_stages
-from stiffopt.solver.stages import run_stages
-from stiffopt.solver.timed_path import FASTEST_REASON, timed_motion
+from stiffopt.solver.starts import BetterBaseline, best_of_starts
 from stiffopt.solver.trivial_outcomes import (
     baseline_as_optimum,
     baseline_at_bound,
@@ -60,14 +58,11 @@ from stiffopt.solver.trivial_outcomes import (
 )
 from stiffopt.solver.verdict import (
     describe_optimality,
-    find_better_baseline,
     judge_collisions,
     judge_outcome,
 )
 from stiffopt.transcription.ocp import Guess
 
-# Relative difference of objectives within which two optima count as the same.
-_SAME_OBJECTIVE_SHARE = 0.01
 # Statuses for which the duration may be too short for any motion.
 _POSSIBLY_TOO_FAST = (
     SolveStatus.CERTIFICATE_FAILED,
@@ -162,7 +157,7 @@ def solve_with_state(
         solution = infeasible_solution(run, compared, notes, why)
     elif problem.is_shaped:
         inner = functools.partial(solve, progress=progress, guess=guess, throw=False)
-        solution = solve_shaped(problem, motion, compared, notes, inner)
+        solution = solve_shaped(run, compared, notes, inner)
     elif (pinned := baseline_at_bound(run, compared)) is not None and not start:
         solution = baseline_as_optimum(run, compared, notes, pinned[0], explain_bound(pinned[1]))
     elif problem.is_timed_on_path and (timed := _timed_motion(run)) is not None:
@@ -189,16 +184,16 @@ def _optimise(
     compare: bool,
 ) -> Solution:
     """Return the best motion of all starts, clear of collisions and chosen for uncertain arms."""
-    problem, rival = run.problem, better_baseline(run.problem, compared)
+    problem = run.problem
     end_deferral()
     begin = _select_guess(problem, run.motion, compared, guess)
     if start:
         begin = perturb_guess(begin, problem, np.random.default_rng([problem.method.seed, start]))
-    outcome = _best_of_starts(run, begin, rival)
+    outcome = best_of_starts(run, begin)
     rivals = _all_rivals(compared, _strict_baseline_of(run, compared) if compare else None)
-    outcome = run.optimum = _restart_from_better_baseline(run, outcome, rivals, rival)
+    outcome = run.optimum = exchange(run, BetterBaseline(run, rivals), outcome)
     if problem.avoids_collisions:
-        outcome = avoid_collisions(run, outcome, rival, searches=problem.method.starts)
+        outcome = avoid_collisions(run, outcome, searches=problem.method.starts)
         # Clearance rows hold for this motion only: no warm start from there.
         run.optimum = None if run.avoidance else outcome
         compared |= {} if run.detour is None else {run.detour.name: run.detour}
@@ -255,7 +250,8 @@ def _solve_shaped_in_remaining_time(
     method = replace(run.problem.method, time_limit=left)
     problem = replace(run.problem, objectives=shaped, method=method)
     inner = functools.partial(solve, progress=run.progress, guess=guess, throw=False)
-    return solve_shaped(problem, run.motion, compared, notes, inner, windows)
+    shaped_run = SolveRun(problem, run.motion, run.scales, run.progress)
+    return solve_shaped(shaped_run, compared, notes, inner, windows)
 
 
 def _select_guess(
@@ -305,82 +301,6 @@ def _objective_scales(problem: TrajectoryProblem, compared: dict[str, Baseline])
     return Scales()
 
 
-def _best_of_starts(run: SolveRun, guess: Guess, rival: Baseline | None) -> Outcome:
-    """Return the best certified outcome of the problem's number of starts."""
-    problem = run.problem
-    random = np.random.default_rng(problem.method.seed)
-    last = best = _solve_and_refine(run, guess, rival)
-    made = [best]
-    for start in range(1, problem.method.starts):
-        ended = last.raw.status == "time_limit"
-        if ended or run.elapsed > problem.method.time_limit:
-            run.leave_out(f"{problem.method.starts - start} of {problem.method.starts} starts")
-            break
-        last = _solve_and_refine(run, perturb_guess(guess, problem, random), rival)
-        made.append(last)
-        run.starts_made = len(made)
-        best = min(made, key=lambda outcome: rank_outcome(run, outcome))
-    if len(made) > 1:
-        run.notes.append(_describe_spread(problem, made))
-    return best
-
-
-def _restart_from_better_baseline(
-    run: SolveRun, outcome: Outcome, compared: dict[str, Baseline], rival: Baseline | None
-) -> Outcome:
-    """Return the better of an outcome and one started from a baseline that is better than it."""
-    above = find_better_baseline(run.problem, outcome, compared)
-    if above is None or above.assessment is None:
-        return outcome
-    if run.elapsed > run.problem.method.time_limit:
-        run.leave_out("the start from a better baseline")
-        return outcome
-    guess = guess_from_motion(run.problem, run.motion, above.assessment)
-    found = _solve_and_refine(run, guess, rival)
-    return min(outcome, found, key=lambda each: rank_outcome(run, each))
-
-
-def _describe_spread(problem: TrajectoryProblem, made: list[Outcome]) -> str:
-    """Return a note on the spread of the optima of several starts."""
-    found = [
-        objective_value(problem, each.assessment).value
-        for each in made
-        if each.raw.converged and each.assessment.feasible(CERTIFICATE_TOLERANCE)
-    ]
-    kept = f"Of {len(made)} starts {len(found)} ended in a certified optimum"
-    if len(found) < 2:
-        return f"{kept}."
-    best = max(found) if is_maximised(problem) else min(found)
-    off = [abs(value - best) / (abs(best) or 1.0) for value in found]
-    near = sum(each <= _SAME_OBJECTIVE_SHARE for each in off)
-    share = f"{100 * _SAME_OBJECTIVE_SHARE:g} %"
-    return f"{kept}: {near} within {share} of the best, the furthest {100 * max(off):.2g} % off."
-
-
-def _solve_and_refine(run: SolveRun, guess: Guess, rival: Baseline | None) -> Outcome:
-    """Solve in stages, then refine until the certificate passes."""
-    plan = plan_stages(run.problem, run.problem.method.intervals, run.motor_smoothing)
-    found = refine(run, run_stages(run, plan, guess, {}), rival)
-    if run.end_modes and not _is_certified_optimum(found):
-        # Residual vibration of the motor law exceeds the limits, or there was no optimum in time: a
-        # plan that ends at rest has less.
-        run.require_rest_at_arrival()
-        resting = refine(run, run_stages(run, plan, guess, {}), rival)
-        if _is_certified_optimum(resting) or not found.assessment.feasible(CERTIFICATE_TOLERANCE):
-            found = resting
-            if found.assessment.feasible(CERTIFICATE_TOLERANCE):
-                run.notes.append(
-                    "No motion was found that uses the residual vibration allowed by the limits: "
-                    "this one brings the links to rest, which takes slightly longer."
-                )
-    return found
-
-
-def _is_certified_optimum(outcome: Outcome) -> bool:
-    """Return True for an optimum that keeps all limits."""
-    return outcome.raw.converged and outcome.assessment.feasible(CERTIFICATE_TOLERANCE)
-
-
 def solution_of(
     run: SolveRun,
     outcome: Outcome,
@@ -391,9 +311,9 @@ def solution_of(
 ) -> Solution:
     """Return the solution of an outcome; `compare` searches the baseline that keeps every limit."""
     problem, assessment = run.problem, with_collisions(run.problem, outcome.assessment)
-    strict = run.strict
-    if compare and outcome.raw.status != "infeasible":
-        strict = _strict_baseline_of(run, compared)
+    strict = None
+    if outcome.raw.status != "infeasible":
+        strict = _strict_baseline_of(run, compared) if compare else run.strict
     rivals = _all_rivals(compared, strict)
     found = judge_outcome(problem, outcome, assessment, rivals)
     if found.status is SolveStatus.OPTIMAL:

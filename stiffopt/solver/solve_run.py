@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -13,6 +14,7 @@ import numpy as np
 
 from stiffopt.certificate.assess import drive_violations
 from stiffopt.certificate.objective_value import is_maximised
+from stiffopt.command.smoothing_width import TOLERABLE_KINK_EXCESS, narrowest_sufficient_width
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.modes import Mode, modes
 from stiffopt.elastic.smooth_motion import smooth_motion
@@ -23,18 +25,17 @@ from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
 from stiffopt.result.solution import Baseline
 from stiffopt.solver.clearance_rows import ClearanceRows
 from stiffopt.solver.ipopt import RawSolution
-from stiffopt.solver.smoothing_width import TOLERABLE_KINK_EXCESS, narrowest_sufficient_width
 from stiffopt.solver.stage_plan import SolveStage
 
 if TYPE_CHECKING:
+    from stiffopt.command.command_search import CommandOnArms
     from stiffopt.result.solution import Solution
-    from stiffopt.solver.command_search import CommandOnArms
     from stiffopt.solver.programme import Outcome
 
 # Time limit of an NLP solve once the solve's own time is over [s].
 MIN_SOLVE_TIME = 0.1
-# Share of the time limit for a plan with residual vibration; then one that ends at rest is solved.
-_FREE_ARRIVAL_TIME_SHARE = 0.4
+# Share of the iterations for a plan with residual vibration; then one that ends at rest is solved.
+_FREE_ARRIVAL_ITERATION_SHARE = 0.4
 # Smoothed quintic motion from which the initial smoothing width follows.
 _QUINTIC_SPLINE_PIECES, _QUINTIC_SAMPLES = 30, 3001
 
@@ -116,9 +117,20 @@ class SolveRun:
 
     @property
     def remaining(self) -> float:
-        """Seconds left of the time limit, or of its share for plans with residual vibration."""
-        share = _FREE_ARRIVAL_TIME_SHARE if self.end_modes else 1.0
-        return max(share * self.problem.method.time_limit - self.elapsed, MIN_SOLVE_TIME)
+        """Seconds left of the time limit."""
+        return max(self.problem.method.time_limit - self.elapsed, MIN_SOLVE_TIME)
+
+    @property
+    def is_over(self) -> bool:
+        """True where the time limit is over."""
+        return self.elapsed > self.problem.method.time_limit
+
+    @property
+    def max_iterations(self) -> int | None:
+        """Largest number of iterations of a stage, below that of its solver's options."""
+        if not self.end_modes:
+            return None
+        return math.ceil(_FREE_ARRIVAL_ITERATION_SHARE * self.problem.method.max_iterations)
 
     @cached_property
     def end_modes(self) -> tuple[Mode, ...]:

@@ -1,6 +1,6 @@
 """Residual vibration suppression: a small change of the motors' motion, found by simulation.
 
-The motor law is smoothed as widely as the motors' jerk limit needs (`solver.smoothing_width`). The
+The motor law is smoothed as widely as the motors' jerk limit needs (`command.smoothing_width`). The
 smoothing error excites the links: an arm with reducers that are soft about zero torque has residual
 vibration of a fifth of its deviation in flight. A small change suppresses it, since excitation in
 phase with a mode accumulates: it uses jerk that the motion leaves unused.

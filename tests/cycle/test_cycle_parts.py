@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from small_arms import CONSTANT, joint, write_robot
 
+from stiffopt.cycle.time_split import ShortestDuration, TimeSplit, combined
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
@@ -13,7 +14,6 @@ from stiffopt.result.cycle import JoinedMotion
 from stiffopt.result.duty import DutyHistory, DutyLimits, LifeRating, duty_of
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.robot.files import load_robot
-from stiffopt.solver.time_split import ShortestDuration, TimeSplit, combined
 
 STIFFNESS = 1e4
 

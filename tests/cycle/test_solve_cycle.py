@@ -10,9 +10,9 @@ import pytest
 from small_cycles import GRIP, write_cycle_file
 
 from stiffopt.cli import run
+from stiffopt.cycle.solve_cycle import solve_cycle
 from stiffopt.export.format import read_seal
 from stiffopt.problem.cycle_files import load_cycle
-from stiffopt.solver.cycle import solve_cycle
 
 
 @pytest.fixture(scope="module")

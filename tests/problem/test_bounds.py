@@ -14,7 +14,7 @@ from stiffopt.cli import run
 from stiffopt.errors import NotSimulatedError, ProblemError
 from stiffopt.problem.bounds import check_bounds
 from stiffopt.problem.resolve import resolve
-from stiffopt.solver.simulation import with_simulation
+from stiffopt.solver.simulated_solution import with_simulation
 
 # Slopes and steps of the reducer that the small arms have.
 K1 = 8e3
@@ -234,7 +234,7 @@ def test_motion_with_deflection_between_the_ends_is_simulated(aside_between, mon
     def met(*given):
         raise NotSimulatedError("as far as the arm.")
 
-    monkeypatch.setattr("stiffopt.solver.simulation.elastic_arm", met)
+    monkeypatch.setattr("stiffopt.command.simulation.elastic_arm", met)
     quintic = baselines(aside_between, resolve(aside_between))["quintic"].assessment
     noted = with_simulation(aside_between, solution(3, assessment=quintic)).notes[-1]
     assert noted == "Not simulated on the elastic arm: as far as the arm."

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from stiffopt.command.force_compensation import force_lead
 from stiffopt.errors import InputError
+from stiffopt.path.timed_path import timed_motion
 from stiffopt.problem.files import load_problem
-from stiffopt.solver.force_compensation import force_lead
-from stiffopt.solver.timed_path import timed_motion
 
 PROBLEM = """schema = 1
 kind = "trajectory"

@@ -5,11 +5,11 @@ import pytest
 from small_arms import write_robot
 
 from stiffopt.errors import InputError, ProblemError
+from stiffopt.path.timed_path import timed_motion
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.tool_path import ToolPath, ToolSegment, fit_tool_path, spline_segments
 from stiffopt.robot.files import load_robot
 from stiffopt.robot.frames import rotation_from_rpy
-from stiffopt.solver.timed_path import timed_motion
 
 ORIGIN, X, Y = np.zeros(3), np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
 FRAME = np.eye(3)

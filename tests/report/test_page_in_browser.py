@@ -11,13 +11,13 @@ from small_arms import write_problem, write_robot
 from synthetic_solution import solution
 
 from stiffopt.certificate.assess import assess
+from stiffopt.command.simulation import PlannedMotion, elastic_arm, simulate_motions
 from stiffopt.problem.files import load_problem
 from stiffopt.report.diagnosis.page import write_diagnosis_report
 from stiffopt.report.solve.page import write_solve_report
 from stiffopt.report.solve.simulation import write_simulation_report
 from stiffopt.result.solution import Baseline
 from stiffopt.result.trajectory import Trajectory
-from stiffopt.solver.simulation import PlannedMotion, elastic_arm, simulate_motions
 from tests.discovery.simulated_sets import COULOMB, diagnosed
 
 pytestmark = [

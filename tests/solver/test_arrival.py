@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from small_arms import joint, load, on_one_element, write_problem, write_robot
 
+from stiffopt.command.simulation import damping_sensitive_limits, damping_sensitivity_note
 from stiffopt.connection import Constant
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.modes import modes
@@ -25,10 +26,8 @@ from stiffopt.problem.resolve import resolve
 from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.report.solve.wording import objective_phrase
 from stiffopt.result.store import result_document
-from stiffopt.solver import arrival, exact_rows
-from stiffopt.solver import solve as solve_module
+from stiffopt.solver import arrival, exact_rows, starts
 from stiffopt.solver.refinement import refine
-from stiffopt.solver.simulation import damping_sensitive_limits, damping_sensitivity_note
 from stiffopt.solver.solve import solve
 from stiffopt.solver.solve_run import SolveRun
 
@@ -129,15 +128,15 @@ def test_plan_ends_at_rest_without_optimum_with_vibration(shortest, monkeypatch)
     problem, _ = shortest["residual"]
     ways = []
 
-    def unfinished(run, outcome, rival):
+    def unfinished(run, outcome):
         ways.append(bool(run.end_modes))
-        found = refine(run, outcome, rival)
+        found = refine(run, outcome)
         if run.end_modes:
             # It keeps all limits, and may be anywhere.
             return replace(found, raw=replace(found.raw, status="iteration_limit"))
         return found
 
-    monkeypatch.setattr(solve_module, "refine", unfinished)
+    monkeypatch.setattr(starts, "refine", unfinished)
     solution = solve(problem, throw=False)
     assert ways == [True, False]
     assert solution.status.usable

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from stiffopt.path.averaged_law import averaged_law
 from stiffopt.result.trajectory import Trajectory
-from stiffopt.solver.averaged_law import averaged_law
 
 # Jerk 60, -60, 60 for a quarter, a half and a quarter of the time: from 0 to 1 and rest to rest.
 LAW = Trajectory.from_acceleration(

@@ -12,6 +12,9 @@ from small_arms import load
 from stiffopt.baseline.baselines import baselines
 from stiffopt.baseline.rivals import quintic_law
 from stiffopt.certificate.assess import assess
+from stiffopt.command import command_search
+from stiffopt.command.compensation import compensate, compensate_motion
+from stiffopt.command.simulation import PlannedMotion, elastic_arm
 from stiffopt.elastic.servo import MAX_LEAD_AT_END
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import RobotError
@@ -22,9 +25,6 @@ from stiffopt.report.solve.compensation import (
 )
 from stiffopt.result.compensation import compensation_document, write_command
 from stiffopt.result.joint_path import JointPath
-from stiffopt.solver import command_search
-from stiffopt.solver.compensation import compensate, compensate_motion
-from stiffopt.solver.simulation import PlannedMotion, elastic_arm
 
 
 def planned(problem, duration, name="optimised"):

@@ -29,7 +29,9 @@ class Listed(Oracle[float]):
 
 @pytest.fixture
 def run():
-    return SimpleNamespace(step="before", exchanges=[], left_out=[], iterations=0)
+    return SimpleNamespace(
+        step="before", exchanges=[], left_out=[], iterations=0, is_over=False, leave_out=[].append
+    )
 
 
 def test_best_motion_is_kept_and_restored(run):
@@ -61,9 +63,19 @@ def test_rounds_bound_the_work(run, rounds):
     assert len(run.exchanges) == rounds
 
 
-def test_time_limit_ends_the_oracle(run):
+def test_time_limit_within_a_solve_ends_the_oracle(run):
     run.left_out.append("listed")
     assert exchange(run, Listed([3.0, 2.0]), 4.0) == 3.0
+
+
+def test_time_limit_before_a_solve_names_the_step_left_out(run):
+    run.is_over, run.leave_out = True, run.left_out.append
+    assert exchange(run, Listed([3.0]), 4.0) == 4.0
+    assert run.left_out == ["listed"]
+    # Nothing is left out where nothing was objected to.
+    run.left_out.clear()
+    assert exchange(run, Listed([]), 4.0) == 4.0
+    assert run.left_out == []
 
 
 def test_ctrl_c_returns_what_is_kept():

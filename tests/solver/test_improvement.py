@@ -6,9 +6,9 @@ import pytest
 from stiffopt.cli import run
 from stiffopt.errors import ProblemError
 from stiffopt.files import load_json, read_table
+from stiffopt.improvement.given_motion import GivenMotion
+from stiffopt.improvement.improvement import improve
 from stiffopt.robot.files import load_robot
-from stiffopt.solver.given_motion import GivenMotion
-from stiffopt.solver.improvement import improve
 
 START = np.array([0.2, 0.3, -0.4, 0.2, 0.6, 0.1])
 TRAVEL = np.array([0.9, 0.3, -0.4, 0.5, 0.2, -0.8])

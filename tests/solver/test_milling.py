@@ -3,10 +3,10 @@
 import pytest
 from small_arms import ROOT
 
+from stiffopt.command.compensation import commands_on_arms
+from stiffopt.command.simulation import PlannedMotion, elastic_arm
+from stiffopt.path.timed_path import timed_motion
 from stiffopt.problem.files import load_problem
-from stiffopt.solver.compensation import commands_on_arms
-from stiffopt.solver.simulation import PlannedMotion, elastic_arm
-from stiffopt.solver.timed_path import timed_motion
 
 
 @pytest.mark.slow

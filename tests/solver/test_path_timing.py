@@ -8,10 +8,10 @@ from ruckig import InputParameter, Ruckig
 from ruckig import Trajectory as RuckigTrajectory
 
 from stiffopt.baseline.toppra_motion import toppra_baseline
+from stiffopt.path.path_timing import PathDemands, fastest_timing
 from stiffopt.problem.limit import Limits
 from stiffopt.result.joint_path import JointPath
 from stiffopt.robot.files import load_robot
-from stiffopt.solver.path_timing import PathDemands, fastest_timing
 
 FREE = np.full(6, np.inf)
 WAYPOINTS = np.array(

@@ -8,10 +8,10 @@ from small_arms import write_problem
 from stiffopt.cli import run
 from stiffopt.errors import InputFileError
 from stiffopt.folders import MANIFEST
+from stiffopt.recipe.replay import replay
+from stiffopt.recipe.stored_result import STATE_FILE, read_state
 from stiffopt.result.store import RESULT_FILE
 from stiffopt.solver.family import WarmStart
-from stiffopt.solver.replay import replay
-from stiffopt.solver.stored_result import STATE_FILE, read_state
 
 PIECES = {"method": "intervals = 20"}
 
@@ -38,7 +38,7 @@ def test_a_result_is_reproduced(stored):
 
 
 def test_the_first_stage_that_differs_is_named(stored, monkeypatch):
-    from stiffopt.solver import replay as module
+    from stiffopt.recipe import replay as module
 
     plain = module.read_document
 

@@ -10,6 +10,7 @@ from small_arms import load
 
 from stiffopt.baseline.baselines import baselines, slowed_quintic
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
+from stiffopt.command.simulation import rival_motions
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import RobotError
 from stiffopt.problem.resolve import resolve
@@ -21,7 +22,7 @@ from stiffopt.report.solve.wording import (
     simulation_section,
 )
 from stiffopt.result.store import result_document
-from stiffopt.solver.simulation import rival_motions, with_simulation
+from stiffopt.solver.simulated_solution import with_simulation
 from stiffopt.solver.solve import solve
 
 PEAK = 'objective = "dynamic_deflection"'
@@ -188,7 +189,7 @@ def test_interruption_names_missing_results(solved, monkeypatch, stage, told):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(f"stiffopt.solver.simulation.{stage}", interrupted)
+    monkeypatch.setattr(f"stiffopt.solver.simulated_solution.{stage}", interrupted)
     found = with_simulation(problem, replace(solution, simulation=None, compensation=None))
     assert found.compensation is None
     assert (found.simulation is None) == (stage == "simulate_motions")

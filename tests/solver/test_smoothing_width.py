@@ -4,11 +4,11 @@ from types import SimpleNamespace
 
 import pytest
 
-from stiffopt.solver import exact_rows
-from stiffopt.solver.smoothing_width import (
+from stiffopt.command.smoothing_width import (
     motors_with_sufficient_smoothing,
     narrowest_sufficient_width,
 )
+from stiffopt.solver import exact_rows
 
 
 @pytest.mark.parametrize("needed", [0.25, 1.7, 4.0])

@@ -11,6 +11,7 @@ from stiffopt import SolveStatus, solve
 from stiffopt.baseline.baselines import baselines
 from stiffopt.errors import NoSolutionFound
 from stiffopt.result.assessment import Violation
+from stiffopt.solver import starts
 from stiffopt.solver.ipopt import IpoptSolver
 
 EXCESS = 5e-3
@@ -346,10 +347,10 @@ def test_several_starts_are_no_worse(tmp_path):
 def test_solve_restarts_from_a_better_baseline(tmp_path, monkeypatch, why):
     problem = load(tmp_path, minimise='objective = "torque_squared"')
     begun = []
-    best_of_starts, certified_solve = solve_module._best_of_starts, solve_module._solve_and_refine
+    best_of_starts, certified_solve = starts.best_of_starts, starts._solve_and_refine
 
-    def behind(run, guess, rival):
-        found = best_of_starts(run, guess, rival)
+    def behind(run, guess):
+        found = best_of_starts(run, guess)
         quintic = baselines(problem, run.motion)["quintic"].assessment
         assert quintic.feasible(EXCESS)
         if why == "exceeds a limit":
@@ -358,13 +359,13 @@ def test_solve_restarts_from_a_better_baseline(tmp_path, monkeypatch, why):
         poor = {name: 1.1 * value for name, value in quintic.integrals.items()}
         return replace(found, assessment=replace(quintic, integrals=poor))
 
-    def counted(run, guess, rival):
+    def counted(run, guess):
         begun.append(guess)
-        return certified_solve(run, guess, rival)
+        return certified_solve(run, guess)
 
     expected = solve(problem).objective.value
-    monkeypatch.setattr(solve_module, "_best_of_starts", behind)
-    monkeypatch.setattr(solve_module, "_solve_and_refine", counted)
+    monkeypatch.setattr(solve_module, "best_of_starts", behind)
+    monkeypatch.setattr(starts, "_solve_and_refine", counted)
     solution = solve(problem)
     assert len(begun) == 2
     assert solution.status is SolveStatus.OPTIMAL

@@ -8,12 +8,12 @@ from scipy.sparse import csc_matrix
 from small_arms import CONSTANT, joint, problem_text, reducer, write_robot
 
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
+from stiffopt.command.simulation import elastic_arm
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
 from stiffopt.errors import NotSimulatedError
 from stiffopt.problem.files import load_problem
 from stiffopt.solver import arrival, vibration_suppression
-from stiffopt.solver.simulation import elastic_arm
 from stiffopt.solver.solve import solve_with_state
 
 SOFT = reducer(k1=100.0, k2=300.0, k3=500.0, t1=0.3, t2=0.9)
@@ -48,7 +48,9 @@ def solved(request, tmp_path_factory):
 
 
 def solve_run(problem=None):
-    return SimpleNamespace(problem=problem, step="", exchanges=[], left_out=[], iterations=0)
+    return SimpleNamespace(
+        problem=problem, step="", exchanges=[], left_out=[], iterations=0, is_over=False
+    )
 
 
 def refused(*_):

@@ -12,9 +12,9 @@ from stiffopt.certificate.assess import assess
 from stiffopt.cli import run
 from stiffopt.errors import ProblemError
 from stiffopt.problem.files import load_problem
+from stiffopt.recipe.stored_result import read_guess
 from stiffopt.result.store import export_times, write_trajectory
 from stiffopt.solver.solve import solve
-from stiffopt.solver.stored_result import read_guess
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from stiffopt.improvement.improvement import JOINT_LIMITS, Improvement, LimitUse
 from stiffopt.report.common.page import PageFigures, write_page
 from stiffopt.report.common.svg import (
     BLUE,
@@ -20,7 +21,6 @@ from stiffopt.report.common.svg import (
 from stiffopt.report.common.terminal import Section, print_lines, print_section
 from stiffopt.report.common.text import MAX_LISTED, scale, si
 from stiffopt.result.compensation import COMMAND_FILE
-from stiffopt.solver.improvement import JOINT_LIMITS, Improvement, LimitUse
 from stiffopt.units import joint_unit
 
 GIVEN, IMPROVED = "given", "improved"

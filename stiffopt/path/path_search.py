@@ -20,6 +20,8 @@ from stiffopt.result.joint_path import JointPath
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
 
+# Largest number of poses of one search, most of which are in edges of the trees: some 10 s.
+_MAX_TRIED_POSES = 100_000
 # Trial poses of a path by one intermediate pose, and their spreads about the straight line, as
 # shares of the joints' ranges.
 _INTERMEDIATE_POSES = 1500
@@ -41,7 +43,7 @@ class FreeSpace:
     problem : TrajectoryProblem
     seed : int
     seconds : float
-        Time limit of the search.
+        Time that is left; the number of poses bounds the search on every machine alike.
     """
 
     def __init__(self, problem: TrajectoryProblem, seed: int, seconds: float) -> None:
@@ -57,6 +59,15 @@ class FreeSpace:
         self._speed = np.where(np.isfinite(speed), speed, 1.0)
         # Number of poses evaluated.
         self.tried = 0
+
+    @property
+    def timed_out(self) -> bool:
+        """True where the time is over."""
+        return time.perf_counter() > self._until
+
+    @property
+    def _is_exhausted(self) -> bool:
+        return self.tried >= _MAX_TRIED_POSES or self.timed_out
 
     def path(self, points: np.ndarray) -> np.ndarray | None:
         """Return poses (k, n) of a free spline through all `points` (m, n), None if none is found.
@@ -107,7 +118,7 @@ class FreeSpace:
         poses = np.clip(poses, self._low, self._high)
         length = self._travel_times(poses - start) + self._travel_times(end - poses)
         for pose in poses[np.argsort(length)]:
-            if time.perf_counter() > self._until:
+            if self._is_exhausted:
                 return None
             if (
                 self.gap(pose) > 0.0
@@ -120,7 +131,7 @@ class FreeSpace:
     def _connect_by_trees(self, start: np.ndarray, end: np.ndarray) -> list[np.ndarray] | None:
         """Connect two poses by two trees that grow towards each other."""
         trees: list[_Tree] = [_Tree(start), _Tree(end)]
-        while time.perf_counter() < self._until:
+        while not self._is_exhausted:
             [aim] = self.poses(1, self._random)
             reached = self._grow_towards(trees[0], aim, once=True)
             if reached is not None:
@@ -139,7 +150,7 @@ class FreeSpace:
         width = self._high - self._low
         nearest = tree.nearest(aim, width)
         found = None
-        while time.perf_counter() < self._until:
+        while not self._is_exhausted:
             away = aim - tree.poses[nearest]
             share = _TREE_STEP / max(float(np.linalg.norm(away / width)), 1e-12)
             pose = aim if share >= 1.0 else tree.poses[nearest] + share * away
@@ -153,7 +164,7 @@ class FreeSpace:
     def _replace_detours(self, path: list[np.ndarray]) -> list[np.ndarray]:
         """Return the path with detours replaced by free straight edges."""
         for _ in range(_SHORTCUT_ATTEMPTS):
-            if len(path) < 3 or time.perf_counter() > self._until:
+            if len(path) < 3 or self._is_exhausted:
                 break
             i, j = sorted(self._random.choice(len(path), 2, replace=False))
             if j - i > 1 and self._edge_is_free(path[i], path[j]):
@@ -196,7 +207,7 @@ class FreeSpace:
             ):
                 continue
             middle = 0.5 * (first + second)
-            if gap(middle) <= 0.0 or time.perf_counter() > self._until:
+            if gap(middle) <= 0.0 or self._is_exhausted:
                 return False
             stack += [(first, middle), (middle, second)]
         return True

@@ -14,18 +14,18 @@ from typing import Any
 from stiffopt.errors import InputFileError
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.trajectory import TrajectoryProblem
-from stiffopt.result.provenance import versions
-from stiffopt.result.solution import Solution
-from stiffopt.result.store import RESULT_FILE, read_document
-from stiffopt.solver.family import ProblemFamily, WarmStart
-from stiffopt.solver.solve_run import ProgressCallback
-from stiffopt.solver.stored_result import (
+from stiffopt.recipe.stored_result import (
     check_inputs,
     problem_file,
     read_changes,
     read_guess,
     read_state,
 )
+from stiffopt.result.provenance import versions
+from stiffopt.result.solution import Solution
+from stiffopt.result.store import RESULT_FILE, read_document
+from stiffopt.solver.family import ProblemFamily, WarmStart
+from stiffopt.solver.solve_run import ProgressCallback
 
 # Relative difference of objectives up to which two platforms agree.
 REPLAY_TOLERANCE = 1e-9

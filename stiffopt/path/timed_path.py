@@ -13,13 +13,13 @@ from stiffopt.certificate.collisions import with_collisions
 from stiffopt.certificate.objective_value import objective_value
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.errors import ProblemError
+from stiffopt.path.averaged_law import averaged_law
+from stiffopt.path.path_timing import PathDemands, fastest_timing
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.solution import Baseline
 from stiffopt.result.trajectory import ForceHistory, Trajectory
 from stiffopt.robot.batched_kinematics import tool_jacobians
-from stiffopt.solver.averaged_law import averaged_law
-from stiffopt.solver.path_timing import PathDemands, fastest_timing
 from stiffopt.transcription.constraint_back_off import backed_off
 
 # Limits from which a timing can back off, where the certificate finds an excess between nodes.

@@ -12,6 +12,8 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline, make_interp_splin
 
 from stiffopt.certificate.assess import assess
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
+from stiffopt.command.command_search import ExistingCommand
+from stiffopt.command.simulation import PlannedMotion, rival_motions
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import InputFileError, shortened
 from stiffopt.files import read_table
@@ -26,9 +28,7 @@ from stiffopt.result.simulation import PeakRms
 from stiffopt.result.store import FORCE_COLUMNS, RESULT_FILE, TRAJECTORY_FILE, read_document
 from stiffopt.result.trajectory import ForceHistory, JointMotion
 from stiffopt.robot.tolerances import Tolerances
-from stiffopt.solver.command_search import ExistingCommand
 from stiffopt.solver.family import WarmStart
-from stiffopt.solver.simulation import PlannedMotion, rival_motions
 
 # Variables and multipliers at the end of a solve, from which --guess starts.
 STATE_FILE = "state.bin"

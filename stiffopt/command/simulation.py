@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,12 +16,8 @@ from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import check_reach, simulate, typical_hysteresis
-from stiffopt.elastic.uncertainty import AssumedUncertainty
 from stiffopt.errors import NotSimulatedError, format_relative
-from stiffopt.interrupts import end_deferral
-from stiffopt.problem.formulation import smoothing_stages
 from stiffopt.problem.limit import LIMITS
-from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import ResolvedMotion
 from stiffopt.result.simulation import (
     SETTLING_BAND,
@@ -32,18 +26,11 @@ from stiffopt.result.simulation import (
     SimulatedPart,
     Simulation,
 )
-from stiffopt.result.status import SolveStatus
-from stiffopt.solver.command_search import CommandOnArms
-from stiffopt.solver.compensation import compensate
-from stiffopt.solver.exchange import until_interrupted
-from stiffopt.solver.path_notes import with_path_notes
-from stiffopt.solver.solve_run import ProgressCallback, SolveProgress
 
 if TYPE_CHECKING:
     from stiffopt.elastic.servo import Servo
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.assessment import Assessment
-    from stiffopt.result.solution import Solution
     from stiffopt.result.trajectory import JointMotion, Trajectory
 
 # Factors on the assumed damping of 2 % of critical: 1 and 3 %.
@@ -52,17 +39,6 @@ _DAMPING_FACTORS = (0.5, 1.5)
 _DURATION_SLACK = 1.0 + 1e-9
 # Links slower than this are at rest [rad/s].
 _STANDSTILL_SPEED = 1e-6
-_COMMAND_NOT_REQUESTED = (
-    "No command.csv: no objective or limit concerns the arm's elasticity. State [uncertainty] for "
-    "a command with compensation of the wind-up, judged on uncertain arms."
-)
-_COMMAND_INTERRUPTED = (
-    "The search for a command was interrupted: no command.csv was written; solve again for it."
-)
-_SIMULATION_INTERRUPTED = (
-    "The elastic simulation was interrupted; `stiffopt simulate` repeats it. No command.csv was "
-    "written; solve again for it."
-)
 
 
 def elastic_arm(problem: TrajectoryProblem, start: np.ndarray) -> ElasticArm:
@@ -288,106 +264,6 @@ def check_simulation(problem: TrajectoryProblem, motion: ResolvedMotion) -> None
     ):
         with suppress(NotSimulatedError):
             elastic_arm(problem, motion.start)
-
-
-def with_simulation(
-    problem: TrajectoryProblem,
-    solution: Solution,
-    progress: ProgressCallback | None = None,
-    motion: ResolvedMotion | None = None,
-    command: CommandOnArms | None = None,
-) -> Solution:
-    """Return the solution with its simulation and its command, or with a note on why there is none.
-
-    `motion` are the problem's poses where they are resolved already; `command` is one of the
-    solve, used where it belongs to this solution.
-    """
-    stopped, assessment = solution.status is SolveStatus.INTERRUPTED, solution.assessment
-    if assessment is None or stopped or not problem.robot.yields:
-        return solution
-    motion = resolve(problem) if motion is None else motion
-    if not problem.robot.tool_yields(assessment.position):
-        return _add_note(solution, "Not simulated: no elastic joint moves the tool.")
-    try:
-        end_deferral()
-        arm = elastic_arm(problem, assessment.position[0])
-        if solution.trajectory is not None:
-            arm = arm.under(solution.trajectory.force)
-        counted = assessment.feasible(CERTIFICATE_TOLERANCE)
-        own = PlannedMotion.of("optimised", assessment, counted)
-        if solution.trajectory is not None and solution.trajectory.link is not None:
-            own = replace(own, motors=solution.trajectory)
-
-        def simulated() -> tuple[list[PlannedMotion], Simulation] | None:
-            motions = [own, *rival_motions(problem, motion, assessment.duration)]
-            band = problem.active_limits.settling_band
-            return motions, simulate_motions(problem, arm, motions, band=band)
-
-        found = until_interrupted(simulated, lambda: None)
-        if found is None:
-            return _add_note(solution, _SIMULATION_INTERRUPTED)
-        motions, simulation = found
-        solution = replace(solution, simulation=simulation)
-        unsure = damping_sensitivity_note(problem, assessment) if counted else ""
-        solution = _add_note(solution, unsure) if unsure else solution
-        if reason := _explain_missing_command(problem, own):
-            return _add_note(solution, reason)
-        if command is not None and command.motion.motors is not solution.trajectory:
-            command = None
-        tell = _progress_callback(progress, solution)
-        compensation = until_interrupted(
-            lambda: compensate(problem, arm, motions, known=command, progress=tell), lambda: None
-        )
-    except NotSimulatedError as error:
-        return _add_note(solution, f"Not simulated on the elastic arm: {error}")
-    if compensation is None:
-        return _add_note(solution, _COMMAND_INTERRUPTED)
-    return with_path_notes(problem, replace(solution, compensation=compensation))
-
-
-def _explain_missing_command(problem: TrajectoryProblem, own: PlannedMotion) -> str:
-    """Return why no command is made for a motion, "" where one is."""
-    if problem.boundary_velocity is not None and np.any(problem.boundary_velocity):
-        return "No command.csv: the motion does not start and end at rest."
-    if own.vibrates_after_arrival:
-        return (
-            "No command.csv: the plan has residual vibration within the limits; q of "
-            "trajectory.csv is the command for it."
-        )
-    return "" if _requests_command(problem) else _COMMAND_NOT_REQUESTED
-
-
-def _requests_command(problem: TrajectoryProblem) -> bool:
-    """Return True where an objective, limit or stated uncertainty concerns the arm's elasticity."""
-    asked = problem.leads_on_path or problem.uncertainty != AssumedUncertainty()
-    return len(smoothing_stages(problem)) > 1 or asked
-
-
-def _add_note(solution: Solution, note: str) -> Solution:
-    return replace(solution, notes=(*solution.notes, note))
-
-
-def _progress_callback(
-    progress: ProgressCallback | None, solution: Solution
-) -> Callable[[str], object]:
-    """Return a callback that reports which motion is being compensated."""
-    start, value = time.perf_counter(), getattr(solution.objective, "value", np.nan)
-    numbers = itertools.count(1)
-
-    def tell(name: str) -> None:
-        if progress is not None:
-            progress(
-                SolveProgress(
-                    stage=f"{name} motion on uncertain arms",
-                    iteration=next(numbers),
-                    objective=value,
-                    violation=0.0,
-                    row="",
-                    elapsed=time.perf_counter() - start,
-                )
-            )
-
-    return tell
 
 
 def damping_sensitive_limits(problem: TrajectoryProblem, motion: Assessment) -> dict[str, float]:

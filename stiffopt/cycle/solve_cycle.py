@@ -15,6 +15,8 @@ import numpy as np
 
 from stiffopt.baseline.rivals import fair_rivals
 from stiffopt.certificate.objective_value import objective_value
+from stiffopt.cycle.cycle_simulation import cycle_duty, simulate_cycle
+from stiffopt.cycle.time_split import Combination, ShortestDuration, TimeSplit, combined
 from stiffopt.errors import NotSimulatedError
 from stiffopt.problem.bounds import shortest_duration
 from stiffopt.problem.branches import quintic_durations
@@ -24,11 +26,9 @@ from stiffopt.problem.trajectory import Target, TrajectoryProblem
 from stiffopt.result.cycle import CycleSolution, LegResult, RivalCycle
 from stiffopt.result.solution import ObjectiveValue, Solution
 from stiffopt.result.status import SolveStatus
-from stiffopt.solver.cycle_simulation import cycle_duty, simulate_cycle
-from stiffopt.solver.simulation import with_simulation
+from stiffopt.solver.simulated_solution import with_simulation
 from stiffopt.solver.solve import solve
 from stiffopt.solver.solve_run import ProgressCallback, SolveProgress
-from stiffopt.solver.time_split import Combination, ShortestDuration, TimeSplit, combined
 
 # Rounds of the split; each solves every leg whose duration changed.
 _MAX_ROUNDS = 8

@@ -8,10 +8,10 @@ from typing import Any
 
 from stiffopt.certificate.assess import assess
 from stiffopt.files import atomic_write, to_json_types
+from stiffopt.improvement.improvement import AssessedMotion, Improvement
 from stiffopt.result.compensation import COMMAND_FILE, compensation_document, write_command
 from stiffopt.result.simulation import simulated_document
 from stiffopt.result.store import TRAJECTORY_FILE, export_times, write_trajectory
-from stiffopt.solver.improvement import AssessedMotion, Improvement
 
 IMPROVEMENT_FILE = "improvement.json"
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from stiffopt.certificate.assess import assess
+from stiffopt.cycle.cycle_simulation import leg_motions
 from stiffopt.files import write_csv
 from stiffopt.result.compensation import write_command
 from stiffopt.result.cycle import CycleSolution, leg_folder, write_cycle
 from stiffopt.result.store import export_times, write_result, write_trajectory
-from stiffopt.solver.cycle_simulation import leg_motions
 
 CYCLE_TABLE = "cycle.csv"
 

@@ -25,9 +25,9 @@ import scipy
 
 from stiffopt.baseline.path_limits import torque_rows
 from stiffopt.errors import ProblemError
+from stiffopt.path.banded_programme import BandedRows, maximise
 from stiffopt.problem.limits.velocity_by_position import velocity_at
 from stiffopt.result.trajectory import Trajectory, join_motions
-from stiffopt.solver.banded_programme import BandedRows, maximise
 
 if TYPE_CHECKING:
     from stiffopt.problem.limit import Limits

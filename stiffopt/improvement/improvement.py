@@ -17,9 +17,14 @@ import numpy as np
 from stiffopt.certificate.assess import assess
 from stiffopt.certificate.collisions import with_collisions
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
+from stiffopt.command.compensation import compensate
+from stiffopt.command.simulation import PlannedMotion, elastic_arm
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
 from stiffopt.errors import NotSimulatedError
+from stiffopt.improvement.given_motion import GivenMotion, moving_pieces
+from stiffopt.path.averaged_law import averaged_law
+from stiffopt.path.path_timing import PathDemands, fastest_timing
 from stiffopt.problem.objective import Objective
 from stiffopt.problem.trajectory import Target, TrajectoryProblem
 from stiffopt.result.assessment import Assessment, Violation
@@ -28,11 +33,6 @@ from stiffopt.result.path_figures import distances_to_path
 from stiffopt.result.simulation import SimulatedMotion
 from stiffopt.result.trajectory import JointMotion, Trajectory, join_motions
 from stiffopt.robot.batched_kinematics import frame_positions
-from stiffopt.solver.averaged_law import averaged_law
-from stiffopt.solver.compensation import compensate
-from stiffopt.solver.given_motion import GivenMotion, moving_pieces
-from stiffopt.solver.path_timing import PathDemands, fastest_timing
-from stiffopt.solver.simulation import PlannedMotion, elastic_arm
 
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot

@@ -16,6 +16,12 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from stiffopt.certificate.assess import assess
+from stiffopt.command.command_search import (
+    CommandOnArms,
+    CommandSearch,
+    ExistingCommand,
+    SimulationRequests,
+)
 from stiffopt.elastic.uncertain_arms import (
     SimulationRequest,
     simulate_uncertain_arms,
@@ -24,20 +30,14 @@ from stiffopt.problem.motor_model import MotorLaw
 from stiffopt.result.compensation import COMMAND_FILE, CompensatedMotion, Compensation
 from stiffopt.result.store import export_times
 from stiffopt.result.trajectory import JointMotion
-from stiffopt.solver.command_search import (
-    CommandOnArms,
-    CommandSearch,
-    ExistingCommand,
-    SimulationRequests,
-)
 
 if TYPE_CHECKING:
+    from stiffopt.command.simulation import PlannedMotion
     from stiffopt.elastic.arm import ElasticArm
     from stiffopt.elastic.servo import Servo
     from stiffopt.elastic.uncertainty import Uncertainty
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.assessment import Violation
-    from stiffopt.solver.simulation import PlannedMotion
 
 # Objectives whose links are planned.
 _LINK_PLANNING_OBJECTIVES = ("tool_error", "tool_deviation")

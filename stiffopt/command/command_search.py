@@ -11,6 +11,8 @@ import numpy as np
 
 from stiffopt.certificate.assess import drive_history
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE, find_drive_violations
+from stiffopt.command.force_compensation import force_lead, led_against_force
+from stiffopt.command.smoothing_width import KNOT_SPACINGS, motors_with_sufficient_smoothing
 from stiffopt.elastic.bearing_lead import bearing_lead
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import REST, simulate
@@ -28,16 +30,14 @@ from stiffopt.problem.motor_model import ROBUST_LEAD_SHARE, MotorLaw
 from stiffopt.result.compensation import CompensatedMotion, PartPeaks, Spread, Spreads
 from stiffopt.result.tool_error import ToolError
 from stiffopt.result.trajectory import JointMotion, Trajectory
-from stiffopt.solver.force_compensation import force_lead, led_against_force
-from stiffopt.solver.smoothing_width import KNOT_SPACINGS, motors_with_sufficient_smoothing
 
 if TYPE_CHECKING:
+    from stiffopt.command.simulation import PlannedMotion
     from stiffopt.elastic.arm import ElasticArm
     from stiffopt.elastic.servo import Servo
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.assessment import Violation
     from stiffopt.result.simulation import SimulatedMotion
-    from stiffopt.solver.simulation import PlannedMotion
 
 # Shares of the nominal wind-up that are tried; a plan chosen for uncertain arms reserves drive
 # capacity for the second one (`LEADS_MORE`).

@@ -1,0 +1,1 @@
+"""Commands of motors that lead their links, judged on simulated uncertain arms."""

@@ -1,0 +1,1 @@
+"""Working cycles: their legs solved, their time split, their stops simulated."""

@@ -1,0 +1,1 @@
+"""Recipe of a stored result: read for comparisons and warm starts, and solved again."""
