@@ -20,6 +20,7 @@ from stiffopt.problem.freedom_goals import DeflectionGoal, Goal, TimeGoal
 from stiffopt.problem.freedom_scan import Candidate, refine_candidate, scan_candidates
 from stiffopt.problem.freedom_task import FreedomTask
 from stiffopt.problem.path_freedom import FreedomChoice, TurnBasis
+from stiffopt.problem.pose_following import MIN_CONDITION
 
 # Searches from different candidates.
 _STARTS = 12
@@ -31,6 +32,9 @@ _PROXIMITY_WEIGHT = 1e-4
 _FIRST_STEP, _SMALLEST_STEP, _GROWTH, _SHRINKAGE, _MAX_STEPS = 0.15, 5e-4, 2.0, 0.35, 60
 # Directions in which a cone of tilt is bounded: by a polygon inside it, 0.5 % smaller.
 _CONE_SIDES = 32
+# Least ratio of the singular values of a pose's Jacobian that a step may go to: a singular pose
+# ends the region of a posture, and the path must not come near it.
+_CONDITION = 5.0 * MIN_CONDITION
 # Joints that a pose fixes.
 _POSE_JOINTS = 6
 
@@ -193,7 +197,7 @@ class _Search:
             gradient[part] += 2.0 * _ROUGHNESS_WEIGHT * bend.T @ (bend @ y[part])
         curvature[size:, size:] += 1e-6 * np.eye(extra)
         lower, upper = self._step_bounds(y, radius)
-        matrix, low, high = rows.with_rows(*self._joint_rows(joints, slopes))
+        matrix, low, high = rows.with_rows(*self._posture_rows(joints, slopes, radius))
         cone, allowed = self._cone_rows(y)
         matrix = np.vstack([matrix, np.hstack([cone, np.zeros((len(cone), extra))])])
         low, high = np.append(low, np.full(len(cone), -np.inf)), np.append(high, allowed)
@@ -259,15 +263,23 @@ class _Search:
             bounds.append(self._task.freedom.tilt * np.cos(np.pi / _CONE_SIDES) - row @ y)
         return np.concatenate(rows), np.concatenate(bounds)
 
-    def _joint_rows(
-        self, joints: np.ndarray, slopes: np.ndarray
+    def _posture_rows(
+        self, joints: np.ndarray, slopes: np.ndarray, radius: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        limits = self._task.limits
-        low, high = (
-            (bound - joints).ravel() for bound in (limits.position_lower, limits.position_upper)
-        )
+        """Rows of the joints' positions, and of the distance from singular poses."""
+        # A joint turns by about the square of a step more than its slope says: room for that.
+        room = radius**2
+        lower, upper = self._task.position_range
+        low = np.minimum(lower + room - joints, 0.0).ravel()
+        high = np.maximum(upper - room - joints, 0.0).ravel()
         near = np.minimum(-low, high) < 1.0
-        return slopes.reshape(-1, slopes.shape[2])[near], low[near], high[near]
+        least, largest, slope = self._task.singular_values(joints, self._held)
+        regular = np.einsum("kn,kny->ky", slope, slopes)
+        return (
+            np.vstack([slopes.reshape(-1, slopes.shape[2])[near], regular]),
+            np.append(low[near], np.minimum(_CONDITION * largest - least, 0.0)),
+            np.append(high[near], np.full(len(least), np.inf)),
+        )
 
     def _result(self, y: np.ndarray, state: tuple[np.ndarray, float, np.ndarray]) -> FreedomOptimum:
         task, (joints, cost, detail) = self._task, state

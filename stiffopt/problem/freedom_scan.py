@@ -18,7 +18,9 @@ from stiffopt.problem.freedom_task import SCAN_STRIDE, FreedomTask
 # Rotations of a tool that turns freely; most candidates, above which there are fewer rotations.
 _ROTATIONS, _MIN_ROTATIONS, _MAX_CANDIDATES = 24, 6, 6000
 # Directions of tilt, and shares of half-widths at which tilt and placement are tried.
-_TILT_DIRECTIONS, _TRIED_SHARE = 4, 0.5
+_TILT_DIRECTIONS, _TRIED_SHARE = 6, 2.0 / 3.0
+# Most free directions of a placement of which three places each are tried, else two.
+_MAX_GRID = 4
 # Rotations at which postures are searched, and largest joint difference of equal ones [rad].
 _SEARCHED_ROTATIONS, _SAME_JOINTS = 4, 1e-3
 # Least difference of a joint between chosen candidates [rad].
@@ -84,9 +86,9 @@ def scan_candidates(task: FreedomTask, near: np.ndarray, count: int) -> list[Can
     cost = task.costs(joints[whole], nodes, *repeated, data)
     chosen: list[Candidate] = []
     for k, own in sorted(zip(whole, cost, strict=True), key=lambda each: float(each[1])):
-        apart = [_largest_difference(joints[k], each.joints) for each in chosen]
-        if len(chosen) < count and min(apart, default=np.inf) > _LEAST_DIFFERENCE:
-            chosen.append(Candidate(placement[:, k], turns[:, k], joints[k], float(own)))
+        candidate = Candidate(placement[:, k], turns[:, k], joints[k], float(own))
+        if len(chosen) < count and all(_differ(task, candidate, each) for each in chosen):
+            chosen.append(candidate)
     return chosen
 
 
@@ -112,12 +114,13 @@ def _settings(task: FreedomTask) -> np.ndarray:
     """Return the constant placements, rotations and tilts (S, 9) that are tried."""
     freedom = task.freedom
     half = freedom.placement
-    shifts = [np.zeros(6)]
-    for signs in product(*([(-1.0, 1.0)] * int(np.count_nonzero(half)))):
-        if signs:
-            shift = np.zeros(6)
-            shift[half > 0.0] = np.array(signs) * _TRIED_SHARE * half[half > 0.0]
-            shifts.append(shift)
+    free = np.flatnonzero(half)
+    shares = (0.0, -_TRIED_SHARE, _TRIED_SHARE) if len(free) <= _MAX_GRID else (-0.5, 0.5)
+    shifts = []
+    for each in product(shares, repeat=len(free)):
+        shift = np.zeros(6)
+        shift[free] = each * half[free]
+        shifts.append(shift)
     tilts = [np.zeros(2)]
     if freedom.tilt > 0.0:
         angles = 2.0 * np.pi * np.arange(_TILT_DIRECTIONS) / _TILT_DIRECTIONS
@@ -194,6 +197,13 @@ def _unwound(q: np.ndarray) -> np.ndarray:
     return np.hstack([np.cos(q), np.sin(q)])
 
 
-def _largest_difference(one: np.ndarray, other: np.ndarray) -> float:
-    """Return the largest difference of motions (K, n), full turns aside [rad]."""
-    return float(np.abs(np.angle(np.exp(1j * (one - other)))).max())
+def _differ(task: FreedomTask, one: Candidate, other: Candidate) -> bool:
+    """Return True where candidates differ in posture or rotation, or by a step of the scan."""
+    joints = np.abs(np.angle(np.exp(1j * (one.joints - other.joints)))).max()
+    shift = np.abs(one.placement - other.placement) >= 0.5 * task.freedom.placement
+    tilt = np.abs(one.turns[1:] - other.turns[1:]) >= 0.5 * task.freedom.tilt
+    return bool(
+        joints > _LEAST_DIFFERENCE
+        or np.any(shift & (task.freedom.placement > 0.0))
+        or np.any(tilt & (task.freedom.tilt > 0.0))
+    )
