@@ -218,7 +218,7 @@ class _Search:
         )
         if not solver.stats()["success"]:
             return None
-        return np.asarray(found["x"]).ravel()[:size]
+        return np.clip(np.asarray(found["x"]).ravel()[:size], lower, upper)
 
     def _derivatives(self, joints: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, ...]:
         """Jacobians of the residual by joints and parameters, gradients of the squared error."""

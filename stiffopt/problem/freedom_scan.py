@@ -15,12 +15,11 @@ from stiffopt.dynamics.inverse_kinematics import UnreachablePoseError, solve_pos
 from stiffopt.problem.branches import solutions_of_pose
 from stiffopt.problem.freedom_task import SCAN_STRIDE, FreedomTask
 
-# Rotations of a tool that turns freely; most candidates, above which there are fewer rotations.
-_ROTATIONS, _MIN_ROTATIONS, _MAX_CANDIDATES = 24, 6, 6000
+# Rotations of a tool that turns freely, alone and beside other freedom; most candidates, of which
+# a random choice is then taken.
+_ROTATIONS, _FEW_ROTATIONS, _MAX_CANDIDATES = 24, 8, 4000
 # Directions of tilt, and shares of half-widths at which tilt and placement are tried.
 _TILT_DIRECTIONS, _TRIED_SHARE = 6, 2.0 / 3.0
-# Most free directions of a placement of which three places each are tried, else two.
-_MAX_GRID = 4
 # Rotations at which postures are searched, and largest joint difference of equal ones [rad].
 _SEARCHED_ROTATIONS, _SAME_JOINTS = 4, 1e-3
 # Least difference of a joint between chosen candidates [rad].
@@ -62,11 +61,11 @@ def scan_candidates(task: FreedomTask, near: np.ndarray, count: int) -> list[Can
     anywhere = task.freedom.posture == "any"
     nodes = task.along[::SCAN_STRIDE]
     begin = len(nodes) // 2 if anywhere else 0
-    settings = _settings(task)
     data = task.node_data(nodes)
     seeds = _postures(task, nodes[begin], near)
     if not len(seeds):
         return []
+    settings = _settings(task, _MAX_CANDIDATES // len(seeds))
     placement, turns = np.split(np.tile(settings, (len(seeds), 1)).T, [6])
     q, found = task.solve_poses(
         np.repeat(seeds, len(settings), axis=0),
@@ -110,12 +109,12 @@ def refine_candidate(task: FreedomTask, candidate: Candidate) -> Candidate | Non
     return replace(candidate, joints=q, cost=float(cost))
 
 
-def _settings(task: FreedomTask) -> np.ndarray:
-    """Return the constant placements, rotations and tilts (S, 9) that are tried."""
+def _settings(task: FreedomTask, most: int) -> np.ndarray:
+    """Return the constant placements, rotations and tilts (S, 9) that are tried, `most` at most."""
     freedom = task.freedom
     half = freedom.placement
     free = np.flatnonzero(half)
-    shares = (0.0, -_TRIED_SHARE, _TRIED_SHARE) if len(free) <= _MAX_GRID else (-0.5, 0.5)
+    shares = (0.0, -_TRIED_SHARE, _TRIED_SHARE)
     shifts = []
     for each in product(shares, repeat=len(free)):
         shift = np.zeros(6)
@@ -125,8 +124,7 @@ def _settings(task: FreedomTask) -> np.ndarray:
     if freedom.tilt > 0.0:
         angles = 2.0 * np.pi * np.arange(_TILT_DIRECTIONS) / _TILT_DIRECTIONS
         tilts += [_TRIED_SHARE * freedom.tilt * np.array([np.cos(a), np.sin(a)]) for a in angles]
-    room = _MAX_CANDIDATES // (8 * len(shifts) * len(tilts))
-    count = int(np.clip(room, _MIN_ROTATIONS, _ROTATIONS))
+    count = _ROTATIONS if len(shifts) * len(tilts) == 1 else _FEW_ROTATIONS
     if freedom.rotates_freely:
         spins = 2.0 * np.pi * np.arange(count) / count - np.pi
     elif freedom.tool_axis_rotation > 0.0:
@@ -138,6 +136,10 @@ def _settings(task: FreedomTask) -> np.ndarray:
         np.concatenate([shift, [spin], tilt])
         for shift, tilt, spin in product(shifts, tilts, spins)
     ]
+    if len(rows) > most:
+        # Those without shift and tilt come first.
+        others = np.random.default_rng(1).permutation(np.arange(len(spins), len(rows)))
+        rows = [rows[k] for k in [*range(len(spins)), *sorted(others[: most - len(spins)])]]
     return np.array(rows)
 
 
