@@ -17,7 +17,7 @@ from stiffopt.problem.freedom_task import SCAN_STRIDE, FreedomTask
 
 # Rotations of a tool that turns freely, alone and beside other freedom; most candidates, of which
 # a random choice is then taken.
-_ROTATIONS, _FEW_ROTATIONS, _MAX_CANDIDATES = 24, 8, 4000
+_ROTATION_COUNT, _FEW_ROTATIONS, _MAX_CANDIDATES = 24, 8, 4000
 # Directions of tilt, and shares of half-widths at which tilt and placement are tried.
 _TILT_DIRECTIONS, _TRIED_SHARE = 6, 2.0 / 3.0
 # Rotations at which postures are searched, and largest joint difference of equal ones [rad].
@@ -29,7 +29,7 @@ _MAX_JOINT_STEP = 1.2
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class PathCandidate:
     """A motion of the arm along the path at all nodes, with constant freedom.
 
     Parameters
@@ -47,7 +47,7 @@ class Candidate:
     cost: float
 
 
-def scan_candidates(task: FreedomTask, near: np.ndarray, count: int) -> list[Candidate]:
+def scan_candidates(task: FreedomTask, near: np.ndarray, count: int) -> list[PathCandidate]:
     """Return the best candidates that follow the whole path, of different postures and rotations.
 
     Parameters
@@ -81,17 +81,17 @@ def scan_candidates(task: FreedomTask, near: np.ndarray, count: int) -> list[Can
     for order in (range(begin + 1, len(nodes)), range(begin - 1, -1, -1)):
         _follow(task, joints, order, placement, turns, data)
     whole = np.flatnonzero(np.isfinite(joints).all(axis=(1, 2)))
-    repeated = [np.repeat(each[:, whole], len(nodes), axis=1) for each in (placement, turns)]
-    cost = task.costs(joints[whole], nodes, *repeated, data)
-    chosen: list[Candidate] = []
+    moved, turned = (np.repeat(each[:, whole], len(nodes), axis=1) for each in (placement, turns))
+    cost = task.costs(joints[whole], nodes, moved, turned, data)
+    chosen: list[PathCandidate] = []
     for k, own in sorted(zip(whole, cost, strict=True), key=lambda each: float(each[1])):
-        candidate = Candidate(placement[:, k], turns[:, k], joints[k], float(own))
+        candidate = PathCandidate(placement[:, k], turns[:, k], joints[k], float(own))
         if len(chosen) < count and all(_differ(task, candidate, each) for each in chosen):
             chosen.append(candidate)
     return chosen
 
 
-def refine_candidate(task: FreedomTask, candidate: Candidate) -> Candidate | None:
+def refine_candidate(task: FreedomTask, candidate: PathCandidate) -> PathCandidate | None:
     """Return a candidate at all nodes of the task, None where it does not follow them."""
     nodes = task.along[::SCAN_STRIDE]
     guess = np.stack(
@@ -124,7 +124,7 @@ def _settings(task: FreedomTask, most: int) -> np.ndarray:
     if freedom.tilt > 0.0:
         angles = 2.0 * np.pi * np.arange(_TILT_DIRECTIONS) / _TILT_DIRECTIONS
         tilts += [_TRIED_SHARE * freedom.tilt * np.array([np.cos(a), np.sin(a)]) for a in angles]
-    count = _ROTATIONS if len(shifts) * len(tilts) == 1 else _FEW_ROTATIONS
+    count = _ROTATION_COUNT if len(shifts) * len(tilts) == 1 else _FEW_ROTATIONS
     if freedom.rotates_freely:
         spins = 2.0 * np.pi * np.arange(count) / count - np.pi
     elif freedom.tool_axis_rotation > 0.0:
@@ -163,7 +163,7 @@ def _postures(task: FreedomTask, along: float, near: np.ndarray) -> np.ndarray:
     if not found:
         return np.zeros((0, task.robot.n))
     poses = np.stack(found)
-    return poses[_first_of_equal(_unwound(poses))]
+    return np.asarray(poses[_first_of_equal(_unwound(poses))])
 
 
 def _first_of_equal(rows: np.ndarray) -> np.ndarray:
@@ -199,7 +199,7 @@ def _unwound(q: np.ndarray) -> np.ndarray:
     return np.hstack([np.cos(q), np.sin(q)])
 
 
-def _differ(task: FreedomTask, one: Candidate, other: Candidate) -> bool:
+def _differ(task: FreedomTask, one: PathCandidate, other: PathCandidate) -> bool:
     """Return True where candidates differ in posture or rotation, or by a step of the scan."""
     joints = np.abs(np.angle(np.exp(1j * (one.joints - other.joints)))).max()
     shift = np.abs(one.placement - other.placement) >= 0.5 * task.freedom.placement

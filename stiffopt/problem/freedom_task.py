@@ -36,7 +36,7 @@ _LENGTH_PER_RADIAN = 0.3
 _SQUARED_ANGLE_FLOOR = 1e-16
 # Damping of Gauss-Newton steps by the squared residual, its floor, and largest step of a joint
 # [rad]; residual at which a pose counts as found [m].
-_DAMPING, _DAMPING_FLOOR, _LARGEST_STEP = 1e-1, 1e-10, 0.4
+_DAMPING_SHARE, _DAMPING_FLOOR, _LARGEST_STEP = 1e-1, 1e-10, 0.4
 _MAX_NEWTON_STEPS, _SOLVED_RESIDUAL = 40, 1e-8
 # Part of the joints' range that is left at both ends [rad], at most a hundredth of it.
 _POSITION_ROOM = 2e-3
@@ -262,7 +262,7 @@ class FreedomTask:
     ) -> np.ndarray:
         """Deflection that counts (K,) [m] at joint positions (K, n); the others (., K) or (.,)."""
         _, error = self.node.map(len(q))(q.T, placement, turns, data)
-        return np.linalg.norm(np.asarray(error), axis=0)
+        return np.asarray(np.linalg.norm(np.asarray(error), axis=0))
 
     def costs(
         self,
@@ -320,7 +320,7 @@ class FreedomTask:
             if held is not None:
                 own = own * ~held
             gram = own @ own.swapaxes(1, 2)
-            damping = _DAMPING * off**2 + _DAMPING_FLOOR
+            damping = _DAMPING_SHARE * off**2 + _DAMPING_FLOOR
             gram += damping[:, None, None] * np.eye(6)
             step = np.einsum(
                 "kij,ki->kj", own, np.linalg.solve(gram, residual.T[:, :, None])[..., 0]

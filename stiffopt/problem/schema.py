@@ -332,7 +332,7 @@ class PathSection(Section):
         Doc("Joint positions that select the posture at the start of a table's path."),
     ] = None
     force: Annotated[PathForceSection | None, Doc("Process force along the path.")] = None
-    freedom: Annotated[PathFreedom | None, Doc("What the process leaves free.")] = None
+    freedom: Annotated[PathFreedom | None, Doc("Freedom that the process leaves.")] = None
     speed: Annotated[
         Speed | None,
         POSITIVE,

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from small_arms import ROOT
 
 from stiffopt.certificate.assess import joint_windup
 from stiffopt.certificate.rigid_body import rigid_body_history
@@ -43,6 +44,16 @@ to = {{ position = ["{x} mm", "50 mm", "180 mm"] }}
 
 [[minimise]]
 objective = "duration"
+"""
+RAIL = """<link name="cart"><inertial><mass value="50"/>
+<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+<joint name="rail" type="prismatic"><parent link="world"/><child link="cart"/><axis xyz="0 1 0"/>
+<limit lower="-0.5" upper="0.5" effort="2000" velocity="1"/></joint>"""
+RAIL_JOINT = """[[joint]]
+name = "rail"
+torque_max = 2000.0
+velocity_max = 1.0
+acceleration_max = 5.0
 """
 ARMS = {"er3a_c60": ("link_6", 330), "ur10": ("flange", 600)}
 
@@ -219,3 +230,24 @@ def test_path_out_of_reach_in_every_posture_is_named(choose, monkeypatch):
     monkeypatch.setitem(ARMS, "er3a_c60", ("link_6", 1500))
     with pytest.raises(InputError, match="does the arm follow the whole path"):
         choose('tool_axis_rotation = "180 deg"')
+
+
+@pytest.mark.slow
+def test_a_rail_is_used(tmp_path):
+    """The arm on a slide along the feed deflects less than the arm that stands."""
+    data = ROOT / "stiffopt" / "robot" / "data" / "ur10"
+    urdf, robot = ((data / name).read_text() for name in ("robot.urdf", "robot.toml"))
+    urdf = urdf.replace('<parent link="world"/>', '<parent link="cart"/>', 1)
+    urdf = urdf.replace('<link name="world"/>', f'<link name="world"/>{RAIL}', 1)
+    robot = robot.replace("[[joint]]", f"{RAIL_JOINT}\n[[joint]]", 1)
+    (tmp_path / "robot.urdf").write_text(urdf)
+    (tmp_path / "robot.toml").write_text(robot)
+    link, x = ARMS["ur10"]
+    peaks = {}
+    for name in ("ur10", "robot.toml"):
+        file = tmp_path / "problem.toml"
+        file.write_text(
+            PROBLEM.format(robot=name, link=link, x=x, freedom='posture = "any"', frame="path")
+        )
+        peaks[name] = peak_on_path(load_problem(file).problem)
+    assert peaks["robot.toml"] < 0.9 * peaks["ur10"]
