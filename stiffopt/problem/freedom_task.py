@@ -13,6 +13,7 @@ from stiffopt.drivetrain.compact import CompactChain
 from stiffopt.dynamics.deflection import spring_torques, tool_deflection
 from stiffopt.dynamics.kinematics import point_jacobian, tool_pose
 from stiffopt.errors import ProblemError
+from stiffopt.problem.path_deflection import COUNTED_AXES
 from stiffopt.problem.path_freedom import PathFreedom, TurnBasis
 from stiffopt.problem.pose_following import MIN_CONDITION
 from stiffopt.symbolic import Quantity
@@ -140,8 +141,7 @@ class FreedomTask:
                 feed = np.interp(along, middles, np.diff(self.along) / self.least_steps)
             pushed = self.force(share, np.where(np.isfinite(feed), feed, 0.0))
             axes = self.force.axes_at(share)
-            kept = {"any": (1.0, 1.0, 1.0), "axis": (0.0, 0.0, 1.0), "side": (0.0, 1.0, 0.0)}
-            rows = np.diag(kept[self.freedom.error_direction]) @ axes.swapaxes(1, 2)
+            rows = np.diag(COUNTED_AXES[self.freedom.error_direction]) @ axes.swapaxes(1, 2)
         flat = [each.swapaxes(1, 2).reshape(len(along), 9) for each in (rotation, rows)]
         return np.hstack([position, flat[0], pushed, flat[1]]).T
 

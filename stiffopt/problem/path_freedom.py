@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 from stiffopt.declaration import NOT_NEGATIVE, Angle, Doc, Length, check_fields
 from stiffopt.errors import ProblemError
 
+ErrorDirection = Literal["any", "axis", "side"]
 _HalfWidths = tuple[
     Annotated[Length, NOT_NEGATIVE],
     Annotated[Length, NOT_NEGATIVE],
@@ -72,7 +73,7 @@ class PathFreedom:
         ),
     ] = "tool_error"
     error_direction: Annotated[
-        Literal["any", "axis", "side"],
+        ErrorDirection,
         Doc(
             "Direction of the deflection that counts: any; axis: along the stated tool axis, "
             "normal to a face; side: across the feed, normal to a flank."
