@@ -28,12 +28,14 @@ def choose_freedom(
 
 
 def _describe_choice(task: FreedomTask, found: FreedomOptimum) -> str:
-    """Return a remark on what was chosen, and its value."""
+    """Return a remark on the choice and its value."""
     freedom, choice = task.freedom, found.choice
     spin, *tilt = np.degrees(choice.angles(task.along)).T
     parts = []
-    if name := branch_name(task.robot, found.joints[0]):
-        parts.append(f"posture {name}")
+    branch = f"posture {branch_name(task.robot, found.joints[0])}".rstrip()
+    start = zip(found.joints[0], task.robot.prismatic, strict=True)
+    angles = ", ".join(f"{1e3 * q:.4g} mm" if slides else f"{q:.4g}" for q, slides in start)
+    parts.append(f"{branch} [{angles}] rad at the start")
     if freedom.tool_axis_rotation > 0.0:
         parts.append(f"rotation about the tool's axis {spin.min():.4g} to {spin.max():.4g} deg")
     if freedom.tilt > 0.0:

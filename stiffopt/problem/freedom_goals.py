@@ -50,8 +50,8 @@ class GoalRows:
         )
 
 
-class Goal(ABC):
-    """What is minimised over the freedom of a path."""
+class FreedomGoal(ABC):
+    """Goal that is minimised over the freedom of a path."""
 
     def __init__(self, task: FreedomTask) -> None:
         self._task = task
@@ -79,7 +79,7 @@ class Goal(ABC):
         """Return the deflection [m] or the time [s] of a cost and its detail."""
 
 
-class DeflectionGoal(Goal):
+class DeflectionGoal(FreedomGoal):
     """Largest deflection at the speed of the path.
 
     The cost is its square over that of a typical one (`scale` [m]), and twice the share by which
@@ -139,7 +139,7 @@ class DeflectionGoal(Goal):
         return self._scale * float(np.sqrt(detail.max()))
 
 
-class TimeGoal(Goal):
+class TimeGoal(FreedomGoal):
     """Least time on the path by its squared rate at the nodes, at rest at both ends.
 
     With the number of the node as path parameter s and b its squared rate: the joints' velocity is

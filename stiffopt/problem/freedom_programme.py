@@ -16,21 +16,25 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from stiffopt.errors import ProblemError
-from stiffopt.problem.freedom_goals import DeflectionGoal, Goal, TimeGoal
-from stiffopt.problem.freedom_scan import Candidate, refine_candidate, scan_candidates
+from stiffopt.problem.freedom_goals import DeflectionGoal, FreedomGoal, TimeGoal
+from stiffopt.problem.freedom_scan import PathCandidate, refine_candidate, scan_candidates
 from stiffopt.problem.freedom_task import FreedomTask
 from stiffopt.problem.path_freedom import FreedomChoice, TurnBasis
+from stiffopt.problem.pose_following import MIN_CONDITION
 
 # Searches from different candidates.
-_STARTS = 12
+_SEARCH_COUNT = 12
 # Weight of the squared second differences of coefficients [1/rad^2]: below 0.1 % of the cost.
 _ROUGHNESS_WEIGHT = 1e-4
 # Curvature of the programme that keeps unknowns without effect where they are.
 _PROXIMITY_WEIGHT = 1e-4
 # Trust region: first and smallest half-width [rad], factors after success and failure; steps.
-_FIRST_STEP, _SMALLEST_STEP, _GROWTH, _SHRINKAGE, _MAX_STEPS = 0.15, 5e-4, 2.0, 0.35, 60
+_FIRST_STEP, _SMALLEST_STEP, _STEP_GROWTH, _STEP_SHRINKAGE, _MAX_STEPS = 0.15, 5e-4, 2.0, 0.35, 60
 # Directions in which a cone of tilt is bounded: by a polygon inside it, 0.5 % smaller.
 _CONE_SIDES = 32
+# Least ratio of the singular values of a pose's Jacobian that a step may go to: a singular pose
+# ends the region of a posture, and the path must not come near it.
+_LEAST_CONDITION = 5.0 * MIN_CONDITION
 # Joints that a pose fixes.
 _POSE_JOINTS = 6
 
@@ -64,7 +68,7 @@ def optimise_freedom(task: FreedomTask, near: np.ndarray) -> list[FreedomOptimum
     ProblemError
         No candidate of the scan follows the path.
     """
-    candidates = scan_candidates(task, near, _STARTS)
+    candidates = scan_candidates(task, near, _SEARCH_COUNT)
     refined = [each for each in (refine_candidate(task, one) for one in candidates) if each]
     if not refined:
         raise ProblemError(
@@ -72,7 +76,7 @@ def optimise_freedom(task: FreedomTask, near: np.ndarray) -> list[FreedomOptimum
             "follow the whole path. Allow more of them, or move the path."
         )
     scale = min(each.cost for each in refined)
-    goal: Goal = DeflectionGoal(task, scale) if task.minimises_error else TimeGoal(task)
+    goal: FreedomGoal = DeflectionGoal(task, scale) if task.minimises_error else TimeGoal(task)
     found = [_Search(task, goal, each).optimum() for each in refined]
     return sorted(found, key=lambda each: each.cost)
 
@@ -84,7 +88,7 @@ class _Search:
     beyond six, `values = constant + matrix y`.
     """
 
-    def __init__(self, task: FreedomTask, goal: Goal, candidate: Candidate) -> None:
+    def __init__(self, task: FreedomTask, goal: FreedomGoal, candidate: PathCandidate) -> None:
         self._task, self._goal = task, goal
         freedom, count = task.freedom, len(task.along)
         self._free = _free_joints(task, candidate)
@@ -141,9 +145,9 @@ class _Search:
                 and trial is not None
                 and self._merit(y + step, trial[1]) < (self._merit(y, cost) * (1.0 - 1e-6))
             ):
-                y, state, radius = y + step, trial, min(radius * _GROWTH, _FIRST_STEP)
+                y, state, radius = y + step, trial, min(radius * _STEP_GROWTH, _FIRST_STEP)
             else:
-                radius *= _SHRINKAGE
+                radius *= _STEP_SHRINKAGE
         return self._result(y, state)
 
     def _merit(self, y: np.ndarray, cost: float) -> float:
@@ -193,7 +197,7 @@ class _Search:
             gradient[part] += 2.0 * _ROUGHNESS_WEIGHT * bend.T @ (bend @ y[part])
         curvature[size:, size:] += 1e-6 * np.eye(extra)
         lower, upper = self._step_bounds(y, radius)
-        matrix, low, high = rows.with_rows(*self._joint_rows(joints, slopes))
+        matrix, low, high = rows.with_rows(*self._posture_rows(joints, slopes, radius))
         cone, allowed = self._cone_rows(y)
         matrix = np.vstack([matrix, np.hstack([cone, np.zeros((len(cone), extra))])])
         low, high = np.append(low, np.full(len(cone), -np.inf)), np.append(high, allowed)
@@ -214,7 +218,7 @@ class _Search:
         )
         if not solver.stats()["success"]:
             return None
-        return np.asarray(found["x"]).ravel()[:size]
+        return np.asarray(np.clip(np.asarray(found["x"]).ravel()[:size], lower, upper))
 
     def _derivatives(self, joints: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, ...]:
         """Jacobians of the residual by joints and parameters, gradients of the squared error."""
@@ -259,15 +263,23 @@ class _Search:
             bounds.append(self._task.freedom.tilt * np.cos(np.pi / _CONE_SIDES) - row @ y)
         return np.concatenate(rows), np.concatenate(bounds)
 
-    def _joint_rows(
-        self, joints: np.ndarray, slopes: np.ndarray
+    def _posture_rows(
+        self, joints: np.ndarray, slopes: np.ndarray, radius: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        limits = self._task.limits
-        low, high = (
-            (bound - joints).ravel() for bound in (limits.position_lower, limits.position_upper)
-        )
+        """Rows of the joints' positions, and of the distance from singular poses."""
+        # A joint turns by about the square of a step more than its slope says: room for that.
+        room = radius**2
+        lower, upper = self._task.position_range
+        low = np.minimum(lower + room - joints, 0.0).ravel()
+        high = np.maximum(upper - room - joints, 0.0).ravel()
         near = np.minimum(-low, high) < 1.0
-        return slopes.reshape(-1, slopes.shape[2])[near], low[near], high[near]
+        least, largest, slope = self._task.singular_values(joints, self._held)
+        regular = np.einsum("kn,kny->ky", slope, slopes)
+        return (
+            np.vstack([slopes.reshape(-1, slopes.shape[2])[near], regular]),
+            np.append(low[near], np.minimum(_LEAST_CONDITION * largest - least, 0.0)),
+            np.append(high[near], np.full(len(least), np.inf)),
+        )
 
     def _result(self, y: np.ndarray, state: tuple[np.ndarray, float, np.ndarray]) -> FreedomOptimum:
         task, (joints, cost, detail) = self._task, state
@@ -283,7 +295,7 @@ class _Search:
         return FreedomOptimum(choice, cost, self._goal.value(cost, detail), joints)
 
 
-def _free_joints(task: FreedomTask, candidate: Candidate) -> np.ndarray:
+def _free_joints(task: FreedomTask, candidate: PathCandidate) -> np.ndarray:
     """Return the joints beyond six whose motion is free, so that the others fix the pose best."""
     n = task.robot.n
     if n <= _POSE_JOINTS:

@@ -15,10 +15,11 @@ from stiffopt.dynamics.inverse_kinematics import UnreachablePoseError, solve_pos
 from stiffopt.problem.branches import solutions_of_pose
 from stiffopt.problem.freedom_task import SCAN_STRIDE, FreedomTask
 
-# Rotations of a tool that turns freely; most candidates, above which there are fewer rotations.
-_ROTATIONS, _MIN_ROTATIONS, _MAX_CANDIDATES = 24, 6, 6000
+# Rotations of a tool that turns freely, alone and beside other freedom; most candidates, of which
+# a random choice is then taken.
+_ROTATION_COUNT, _FEW_ROTATIONS, _MAX_CANDIDATES = 24, 8, 4000
 # Directions of tilt, and shares of half-widths at which tilt and placement are tried.
-_TILT_DIRECTIONS, _TRIED_SHARE = 4, 0.5
+_TILT_DIRECTIONS, _TRIED_SHARE = 6, 2.0 / 3.0
 # Rotations at which postures are searched, and largest joint difference of equal ones [rad].
 _SEARCHED_ROTATIONS, _SAME_JOINTS = 4, 1e-3
 # Least difference of a joint between chosen candidates [rad].
@@ -28,7 +29,7 @@ _MAX_JOINT_STEP = 1.2
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class PathCandidate:
     """A motion of the arm along the path at all nodes, with constant freedom.
 
     Parameters
@@ -46,7 +47,7 @@ class Candidate:
     cost: float
 
 
-def scan_candidates(task: FreedomTask, near: np.ndarray, count: int) -> list[Candidate]:
+def scan_candidates(task: FreedomTask, near: np.ndarray, count: int) -> list[PathCandidate]:
     """Return the best candidates that follow the whole path, of different postures and rotations.
 
     Parameters
@@ -60,11 +61,11 @@ def scan_candidates(task: FreedomTask, near: np.ndarray, count: int) -> list[Can
     anywhere = task.freedom.posture == "any"
     nodes = task.along[::SCAN_STRIDE]
     begin = len(nodes) // 2 if anywhere else 0
-    settings = _settings(task)
     data = task.node_data(nodes)
     seeds = _postures(task, nodes[begin], near)
     if not len(seeds):
         return []
+    settings = _settings(task, _MAX_CANDIDATES // len(seeds))
     placement, turns = np.split(np.tile(settings, (len(seeds), 1)).T, [6])
     q, found = task.solve_poses(
         np.repeat(seeds, len(settings), axis=0),
@@ -80,17 +81,17 @@ def scan_candidates(task: FreedomTask, near: np.ndarray, count: int) -> list[Can
     for order in (range(begin + 1, len(nodes)), range(begin - 1, -1, -1)):
         _follow(task, joints, order, placement, turns, data)
     whole = np.flatnonzero(np.isfinite(joints).all(axis=(1, 2)))
-    repeated = [np.repeat(each[:, whole], len(nodes), axis=1) for each in (placement, turns)]
-    cost = task.costs(joints[whole], nodes, *repeated, data)
-    chosen: list[Candidate] = []
+    moved, turned = (np.repeat(each[:, whole], len(nodes), axis=1) for each in (placement, turns))
+    cost = task.costs(joints[whole], nodes, moved, turned, data)
+    chosen: list[PathCandidate] = []
     for k, own in sorted(zip(whole, cost, strict=True), key=lambda each: float(each[1])):
-        apart = [_largest_difference(joints[k], each.joints) for each in chosen]
-        if len(chosen) < count and min(apart, default=np.inf) > _LEAST_DIFFERENCE:
-            chosen.append(Candidate(placement[:, k], turns[:, k], joints[k], float(own)))
+        candidate = PathCandidate(placement[:, k], turns[:, k], joints[k], float(own))
+        if len(chosen) < count and all(_differ(task, candidate, each) for each in chosen):
+            chosen.append(candidate)
     return chosen
 
 
-def refine_candidate(task: FreedomTask, candidate: Candidate) -> Candidate | None:
+def refine_candidate(task: FreedomTask, candidate: PathCandidate) -> PathCandidate | None:
     """Return a candidate at all nodes of the task, None where it does not follow them."""
     nodes = task.along[::SCAN_STRIDE]
     guess = np.stack(
@@ -108,22 +109,22 @@ def refine_candidate(task: FreedomTask, candidate: Candidate) -> Candidate | Non
     return replace(candidate, joints=q, cost=float(cost))
 
 
-def _settings(task: FreedomTask) -> np.ndarray:
-    """Return the constant placements, rotations and tilts (S, 9) that are tried."""
+def _settings(task: FreedomTask, most: int) -> np.ndarray:
+    """Return the constant placements, rotations and tilts (S, 9) that are tried, `most` at most."""
     freedom = task.freedom
     half = freedom.placement
-    shifts = [np.zeros(6)]
-    for signs in product(*([(-1.0, 1.0)] * int(np.count_nonzero(half)))):
-        if signs:
-            shift = np.zeros(6)
-            shift[half > 0.0] = np.array(signs) * _TRIED_SHARE * half[half > 0.0]
-            shifts.append(shift)
+    free = np.flatnonzero(half)
+    shares = (0.0, -_TRIED_SHARE, _TRIED_SHARE)
+    shifts = []
+    for each in product(shares, repeat=len(free)):
+        shift = np.zeros(6)
+        shift[free] = each * half[free]
+        shifts.append(shift)
     tilts = [np.zeros(2)]
     if freedom.tilt > 0.0:
         angles = 2.0 * np.pi * np.arange(_TILT_DIRECTIONS) / _TILT_DIRECTIONS
         tilts += [_TRIED_SHARE * freedom.tilt * np.array([np.cos(a), np.sin(a)]) for a in angles]
-    room = _MAX_CANDIDATES // (8 * len(shifts) * len(tilts))
-    count = int(np.clip(room, _MIN_ROTATIONS, _ROTATIONS))
+    count = _ROTATION_COUNT if len(shifts) * len(tilts) == 1 else _FEW_ROTATIONS
     if freedom.rotates_freely:
         spins = 2.0 * np.pi * np.arange(count) / count - np.pi
     elif freedom.tool_axis_rotation > 0.0:
@@ -135,6 +136,10 @@ def _settings(task: FreedomTask) -> np.ndarray:
         np.concatenate([shift, [spin], tilt])
         for shift, tilt, spin in product(shifts, tilts, spins)
     ]
+    if len(rows) > most:
+        # Those without shift and tilt come first.
+        others = np.random.default_rng(1).permutation(np.arange(len(spins), len(rows)))
+        rows = [rows[k] for k in [*range(len(spins)), *sorted(others[: most - len(spins)])]]
     return np.array(rows)
 
 
@@ -158,7 +163,7 @@ def _postures(task: FreedomTask, along: float, near: np.ndarray) -> np.ndarray:
     if not found:
         return np.zeros((0, task.robot.n))
     poses = np.stack(found)
-    return poses[_first_of_equal(_unwound(poses))]
+    return np.asarray(poses[_first_of_equal(_unwound(poses))])
 
 
 def _first_of_equal(rows: np.ndarray) -> np.ndarray:
@@ -194,6 +199,13 @@ def _unwound(q: np.ndarray) -> np.ndarray:
     return np.hstack([np.cos(q), np.sin(q)])
 
 
-def _largest_difference(one: np.ndarray, other: np.ndarray) -> float:
-    """Return the largest difference of motions (K, n), full turns aside [rad]."""
-    return float(np.abs(np.angle(np.exp(1j * (one - other)))).max())
+def _differ(task: FreedomTask, one: PathCandidate, other: PathCandidate) -> bool:
+    """Return True where candidates differ in posture or rotation, or by a step of the scan."""
+    joints = np.abs(np.angle(np.exp(1j * (one.joints - other.joints)))).max()
+    shift = np.abs(one.placement - other.placement) >= 0.5 * task.freedom.placement
+    tilt = np.abs(one.turns[1:] - other.turns[1:]) >= 0.5 * task.freedom.tilt
+    return bool(
+        joints > _LEAST_DIFFERENCE
+        or np.any(shift & (task.freedom.placement > 0.0))
+        or np.any(tilt & (task.freedom.tilt > 0.0))
+    )

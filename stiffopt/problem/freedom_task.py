@@ -13,6 +13,7 @@ from stiffopt.drivetrain.compact import CompactChain
 from stiffopt.dynamics.deflection import spring_torques, tool_deflection
 from stiffopt.dynamics.kinematics import point_jacobian, tool_pose
 from stiffopt.errors import ProblemError
+from stiffopt.problem.path_deflection import COUNTED_AXES
 from stiffopt.problem.path_freedom import PathFreedom, TurnBasis
 from stiffopt.problem.pose_following import MIN_CONDITION
 from stiffopt.symbolic import Quantity
@@ -36,8 +37,10 @@ _LENGTH_PER_RADIAN = 0.3
 _SQUARED_ANGLE_FLOOR = 1e-16
 # Damping of Gauss-Newton steps by the squared residual, its floor, and largest step of a joint
 # [rad]; residual at which a pose counts as found [m].
-_DAMPING, _DAMPING_FLOOR, _LARGEST_STEP = 1e-1, 1e-10, 0.4
+_DAMPING_SHARE, _DAMPING_FLOOR, _LARGEST_STEP = 1e-1, 1e-10, 0.4
 _MAX_NEWTON_STEPS, _SOLVED_RESIDUAL = 40, 1e-8
+# Part of the joints' range that is left at both ends [rad], at most a hundredth of it.
+_POSITION_ROOM = 2e-3
 # Entries of a node's data: position, rotation, force, rows of the error's directions.
 _NODE_DATA = 3 + 9 + 3 + 9
 
@@ -98,6 +101,13 @@ class FreedomTask:
         return self.freedom.minimise == "tool_error"
 
     @cached_property
+    def position_range(self) -> tuple[np.ndarray, np.ndarray]:
+        """Joint positions (n,) that may be used: the joints' spline passes between the nodes."""
+        lower, upper = self.limits.position_lower, self.limits.position_upper
+        room = np.minimum(_POSITION_ROOM, 0.01 * (upper - lower))
+        return lower + room, upper - room
+
+    @cached_property
     def along(self) -> np.ndarray:
         """Distances of the nodes (K,) [m]."""
         length = self.path.length
@@ -131,8 +141,7 @@ class FreedomTask:
                 feed = np.interp(along, middles, np.diff(self.along) / self.least_steps)
             pushed = self.force(share, np.where(np.isfinite(feed), feed, 0.0))
             axes = self.force.axes_at(share)
-            kept = {"any": (1.0, 1.0, 1.0), "axis": (0.0, 0.0, 1.0), "side": (0.0, 1.0, 0.0)}
-            rows = np.diag(kept[self.freedom.error_direction]) @ axes.swapaxes(1, 2)
+            rows = np.diag(COUNTED_AXES[self.freedom.error_direction]) @ axes.swapaxes(1, 2)
         flat = [each.swapaxes(1, 2).reshape(len(along), 9) for each in (rotation, rows)]
         return np.hstack([position, flat[0], pushed, flat[1]]).T
 
@@ -198,6 +207,42 @@ class FreedomTask:
             ],
         )
 
+    @cached_property
+    def _conditioning(self) -> ca.Function:
+        """Function (q (n,), u (6,), v (n,)) -> (J (6, n), gradient (n,) of u J v by q).
+
+        J is the Jacobian of the tool's pose in its own axes, angles times 0.3 m; with its singular
+        vectors u and v the gradient is that of the singular value.
+        """
+        robot, tool = self.robot, self.robot.tool
+        q, left, right = ca.SX.sym("q", robot.n), ca.SX.sym("u", 6), ca.SX.sym("v", robot.n)
+        position, rotation = tool_pose(robot.tree, tool.joint, tool.offset, tool.rotation, q)
+        columns = []
+        turned = ca.jacobian(ca.vec(rotation), q)
+        for j in range(robot.n):
+            rate = ca.mtimes(rotation.T, ca.reshape(turned[:, j], 3, 3))
+            columns.append(_LENGTH_PER_RADIAN * ca.vertcat(rate[2, 1], rate[0, 2], rate[1, 0]))
+        moved = ca.mtimes(rotation.T, ca.jacobian(position, q))
+        jacobian = ca.densify(ca.vertcat(moved, ca.horzcat(*columns)))
+        value = ca.dot(left, ca.mtimes(jacobian, right))
+        slope = ca.densify(ca.gradient(value, q))
+        return ca.Function("conditioning", [q, left, right], [jacobian, slope])
+
+    def singular_values(
+        self, joints: np.ndarray, held: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return least and largest singular value (K,) of the pose's Jacobian, joints `held` fixed.
+
+        And the gradient (K, n) of the least by the joint positions (K, n).
+        """
+        count, n = joints.shape
+        function = self._conditioning.map(count)
+        jacobian, _ = function(joints.T, np.zeros((6, count)), np.zeros((n, count)))
+        whole = np.asarray(jacobian).reshape(6, count, n).transpose(1, 0, 2) * ~held
+        left, values, right = np.linalg.svd(whole, full_matrices=False)
+        _, slope = function(joints.T, left[:, :, 5].T, right[:, 5].T)
+        return values[:, 5], values[:, 0], np.asarray(slope).T
+
     def _windup(self, torque: Quantity) -> Quantity:
         angles = [
             0.0 if chain is None else chain.windup(torque[j], smoothing=1.0)
@@ -217,7 +262,7 @@ class FreedomTask:
     ) -> np.ndarray:
         """Deflection that counts (K,) [m] at joint positions (K, n); the others (., K) or (.,)."""
         _, error = self.node.map(len(q))(q.T, placement, turns, data)
-        return np.linalg.norm(np.asarray(error), axis=0)
+        return np.asarray(np.linalg.norm(np.asarray(error), axis=0))
 
     def costs(
         self,
@@ -264,7 +309,7 @@ class FreedomTask:
         """
         count, n = q.shape
         pose = self.linearised_pose.map(count)
-        lower, upper = self.limits.position_lower, self.limits.position_upper
+        lower, upper = self.position_range
         q = np.clip(q, lower, upper)
         for _ in range(_MAX_NEWTON_STEPS):
             residual, jacobian = (np.asarray(each) for each in pose(q.T, placement, turns, data))
@@ -275,7 +320,7 @@ class FreedomTask:
             if held is not None:
                 own = own * ~held
             gram = own @ own.swapaxes(1, 2)
-            damping = _DAMPING * off**2 + _DAMPING_FLOOR
+            damping = _DAMPING_SHARE * off**2 + _DAMPING_FLOOR
             gram += damping[:, None, None] * np.eye(6)
             step = np.einsum(
                 "kij,ki->kj", own, np.linalg.solve(gram, residual.T[:, :, None])[..., 0]

@@ -13,6 +13,7 @@ from stiffopt.errors import InputFileError
 from stiffopt.files import read_table
 from stiffopt.problem.freedom_choice import choose_freedom
 from stiffopt.problem.freedom_task import FreedomTask
+from stiffopt.problem.path_deflection import with_limited_deflection
 from stiffopt.problem.path_force import PathForce, check_path_force, path_force
 from stiffopt.problem.schema import PathForceSection, PathSection, PathTableSection, SegmentSection
 from stiffopt.problem.tool_path import (
@@ -72,16 +73,25 @@ def read_tool_path(section: PathSection, joints: JointLists, limits: Limits) -> 
             task = FreedomTask(robot, section.freedom, limits, path, frame[1], stated, axes)
             path, fitted, remark = choose_freedom(task, near, section.tolerance)
             chosen = (remark,)
-        force = _force_along(path, section.force, forces, at)
-        if force is not None:
+        force, followed = _force_along(path, section.force, forces, at), fitted.joints
+        if force is not None and section.force is not None:
             feeds = np.where(np.isfinite(path.speeds), path.speeds, 0.0)
-            check_path_force(robot, fitted.joints, force, float(feeds.max()))
+            check_path_force(robot, followed, force, float(feeds.max()))
+            if section.force.deflection_limit is not None:
+                followed, remark = with_limited_deflection(
+                    robot,
+                    followed,
+                    force,
+                    section.force.deflection_limit,
+                    section.force.deflection_direction,
+                )
+                chosen = (*chosen, remark)
     stops = f", with {len(path.stops)} stops" if len(path.stops) else ""
     remark = (
         f"The tool's path of {1e3 * path.length:.4g} mm{stops} is followed by a spline through "
         f"{len(fitted.joints.knots)} joint waypoints, within {1e6 * fitted.error:.2g} µm."
     )
-    return ReadPath(fitted.joints, force, (remark, *chosen))
+    return ReadPath(followed, force, (remark, *chosen))
 
 
 def _force_along(

@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 from stiffopt.declaration import NOT_NEGATIVE, Angle, Doc, Length, check_fields
 from stiffopt.errors import ProblemError
 
+ErrorDirection = Literal["any", "axis", "side"]
 _HalfWidths = tuple[
     Annotated[Length, NOT_NEGATIVE],
     Annotated[Length, NOT_NEGATIVE],
@@ -32,12 +33,12 @@ _HalfAngles = tuple[
 ]
 # Distance between the knots of the turns' splines [m], and least and largest number of intervals.
 _KNOT_DISTANCE, _MIN_INTERVALS, _MAX_INTERVALS = 0.02, 6, 60
-_DEGREE = 3
+_SPLINE_DEGREE = 3
 
 
 @dataclass(frozen=True, kw_only=True)
 class PathFreedom:
-    """What the process leaves free on the tool path, chosen when the problem is read."""
+    """Freedom that the process leaves on the tool path, chosen when the problem is read."""
 
     tool_axis_rotation: Annotated[
         Angle,
@@ -72,7 +73,7 @@ class PathFreedom:
         ),
     ] = "tool_error"
     error_direction: Annotated[
-        Literal["any", "axis", "side"],
+        ErrorDirection,
         Doc(
             "Direction of the deflection that counts: any; axis: along the stated tool axis, "
             "normal to a face; side: across the feed, normal to a flank."
@@ -123,8 +124,8 @@ class TurnBasis:
         """Cubic B-splines on a path [m]."""
         count = int(np.clip(np.ceil(length / _KNOT_DISTANCE), _MIN_INTERVALS, _MAX_INTERVALS))
         inner = np.linspace(0.0, length, count + 1)
-        ends = np.zeros(_DEGREE), np.full(_DEGREE, length)
-        return cls(np.concatenate([ends[0], inner, ends[1]]), _DEGREE)
+        ends = np.zeros(_SPLINE_DEGREE), np.full(_SPLINE_DEGREE, length)
+        return cls(np.concatenate([ends[0], inner, ends[1]]), _SPLINE_DEGREE)
 
     @property
     def size(self) -> int:
@@ -163,7 +164,7 @@ class FreedomChoice:
     joints: Callable[[float], np.ndarray]
 
     @property
-    def placed(self) -> Rotation:
+    def work_rotation(self) -> Rotation:
         """Rotation of the work frame from the stated one."""
         return Rotation.from_rotvec(self.placement[3:])
 
@@ -173,7 +174,7 @@ class FreedomChoice:
 
     def place(self, points: np.ndarray) -> np.ndarray:
         """Points (K, 3) [m] of the stated path as they are placed."""
-        moved = self.placed.apply(points - self.origin) if len(points) else points
+        moved = self.work_rotation.apply(points - self.origin) if len(points) else points
         return np.asarray(self.origin + self.placement[:3] + moved)
 
     def turn(self, along: np.ndarray, rotations: np.ndarray) -> np.ndarray:
@@ -181,4 +182,4 @@ class FreedomChoice:
         spin, *tilt = self.angles(along).T
         leaned = Rotation.from_rotvec(np.stack([*tilt, np.zeros_like(spin)], axis=1))
         spun = Rotation.from_rotvec(spin[:, None] * np.array([0.0, 0.0, 1.0]))
-        return np.asarray(self.placed.as_matrix() @ rotations @ (leaned * spun).as_matrix())
+        return np.asarray(self.work_rotation.as_matrix() @ rotations @ (leaned * spun).as_matrix())

@@ -33,7 +33,7 @@ from stiffopt.elastic.servo import Servo
 from stiffopt.elastic.uncertainty import AssumedUncertainty, Uncertainty
 from stiffopt.problem.limit import LIMITS, LimitKey
 from stiffopt.problem.objective import OBJECTIVES, Objective
-from stiffopt.problem.path_freedom import PathFreedom
+from stiffopt.problem.path_freedom import ErrorDirection, PathFreedom
 from stiffopt.problem.trajectory import Method
 from stiffopt.robot.cell import Cell
 from stiffopt.robot.tolerances import Tolerances
@@ -316,6 +316,15 @@ class PathForceSection(Section):
     ramp: Annotated[
         Length, POSITIVE, Doc("Length over which the force of a segment passes into the next.")
     ] = 2e-3
+    deflection_limit: Annotated[
+        Length | None,
+        POSITIVE,
+        Doc("Largest deflection of the nominal arm under the force: kept by the speed."),
+    ] = None
+    deflection_direction: Annotated[
+        ErrorDirection,
+        Doc("Direction that is limited: any, along the stated tool axis, or to the side."),
+    ] = "any"
 
 
 class PathSection(Section):
@@ -332,7 +341,7 @@ class PathSection(Section):
         Doc("Joint positions that select the posture at the start of a table's path."),
     ] = None
     force: Annotated[PathForceSection | None, Doc("Process force along the path.")] = None
-    freedom: Annotated[PathFreedom | None, Doc("What the process leaves free.")] = None
+    freedom: Annotated[PathFreedom | None, Doc("Freedom that the process leaves.")] = None
     speed: Annotated[
         Speed | None,
         POSITIVE,

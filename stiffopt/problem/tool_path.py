@@ -162,7 +162,7 @@ class ToolPath:
         places, rotations = self.stated_poses(along)
         if self._choice is None:
             return places, rotations
-        return self._choice.place(places), self._choice.placed.as_matrix() @ rotations
+        return self._choice.place(places), self._choice.work_rotation.as_matrix() @ rotations
 
     def stated_poses(self, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Poses as of `poses`, without regard of what was chosen."""

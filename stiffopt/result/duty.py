@@ -6,8 +6,11 @@ by the turns made under it, the mean speed includes the rests, as makers' catalo
     T_m = (sum n_i t_i |T_i|^p / sum n_i t_i)^(1/p),  n_m = sum n_i t_i / sum t_i
     L10 = L_rated (T_rated / T_m)^p (n_rated / n_m)
 
-with p = 3 for strain-wave gears (Harmonic Drive, CSF/CSG catalogue, "Rating table, sizing and
-selection") and 10/3 for cycloidal ones (Nabtesco, RV series catalogue, "Model selection").
+with p = 3 for strain-wave gears, whose wave generator has ball bearings, and 10/3 for cycloidal
+ones, that of roller bearings in ISO 281. Sources: Harmonic Drive SE, engineering data CSD-2A,
+document 1019659 11/2014, section 4.1.2: L50 = L_n (n_N / n_av) (T_N / T_av)^3, L10 = L50 / 5, L_n
+of 35000 h (HFUC, CSD, CSF, SHD) or 50000 h (CSG, SHG); Nabtesco, RV series catalogue, "Strength and
+service life".
 """
 
 from __future__ import annotations

@@ -7,6 +7,7 @@ from stiffopt.command.force_compensation import force_lead
 from stiffopt.errors import InputError
 from stiffopt.path.timed_path import timed_motion
 from stiffopt.problem.files import load_problem
+from stiffopt.problem.path_deflection import process_deflection
 
 PROBLEM = """schema = 1
 kind = "trajectory"
@@ -130,3 +131,46 @@ def test_table_has_forces_at_its_rows(tmp_path):
 def test_implausible_forces_are_told_with_their_place(tmp_path, force, words):
     with pytest.raises(InputError, match=words):
         load(tmp_path, force)
+
+
+SIDEWAYS = """value = [0.0, 10.0, 5.0]
+per_feed = [0.0, 400.0, 0.0]
+frame = "path"
+deflection_limit = "{limit}"
+deflection_direction = "{direction}"
+"""
+
+
+def side_deflection(problem, s, feed):
+    """Deflection (K,) to the side of the path [m]; it goes along y, its side is x of the base."""
+    force = problem.path_force(s, feed)
+    return np.abs(process_deflection(problem.robot, problem.path(s), force)[:, 0])
+
+
+def test_speed_is_lowered_until_the_deflection_to_the_side_is_kept(tmp_path):
+    s = np.linspace(0.0, 1.0, 301)
+    problem = load(tmp_path, SIDEWAYS.format(limit="1 m", direction="side"))
+    free = side_deflection(problem, s, np.full(len(s), 0.1)).max()
+    limit = 0.6 * free
+    problem = load(tmp_path, SIDEWAYS.format(limit=f"{limit} m", direction="side"))
+    speeds = problem.path.speeds
+    assert 0.01 < speeds.min() < 0.09
+    feed = speeds[problem.path.piece_index(s)]
+    assert side_deflection(problem, s, feed).max() == pytest.approx(limit, rel=2e-3)
+    slowed = timed_motion(problem).objective
+    assert slowed > 1.2
+
+
+def test_deflection_limit_that_no_speed_keeps_is_named_with_its_place(tmp_path):
+    with pytest.raises(InputError, match="constant force alone deflects the tool by"):
+        load(tmp_path, SIDEWAYS.format(limit="1 um", direction="any"))
+
+
+def test_deflection_limit_is_that_of_the_certificates_process_deflection(tmp_path):
+    problem = load(tmp_path, SIDEWAYS.format(limit="1 m", direction="any"))
+    motion = timed_motion(problem).assessment
+    moved = process_deflection(problem.robot, motion.position, motion.force)
+    # In motion the springs are at other torques, where their stiffness differs a little.
+    peak = np.linalg.norm(moved, axis=1).max()
+    certified = np.linalg.norm(motion.deflection["process"], axis=1).max()
+    assert peak == pytest.approx(certified, rel=0.02)

@@ -1,0 +1,253 @@
+"""Freedom of a tool path: against dense scans by the exact laws, within its bounds, refusals."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from small_arms import ROOT
+
+from stiffopt.certificate.assess import joint_windup
+from stiffopt.certificate.rigid_body import rigid_body_history
+from stiffopt.errors import InputError
+from stiffopt.problem import freedom_choice
+from stiffopt.problem.branches import solutions_of_pose
+from stiffopt.problem.files import load_problem
+from stiffopt.problem.freedom_goals import TimeGoal
+from stiffopt.problem.freedom_programme import optimise_freedom
+
+# A spindle at a right angle to the flange: rotation about its axis moves the whole arm.
+PROBLEM = """schema = 1
+kind = "trajectory"
+robot = "{robot}"
+
+[tool]
+link = "{link}"
+offset = ["60 mm", 0.0, "60 mm"]
+rpy = [0.0, "90 deg", 0.0]
+
+[motion]
+duration = {{ lower = "0.1 s" }}
+
+[path]
+start = {{ position = ["{x} mm", "-50 mm", "180 mm"], rpy = ["180 deg", 0, 0] }}
+speed = "50 mm/s"
+
+[path.freedom]
+{freedom}
+
+[path.force]
+frame = "{frame}"
+value = ["-15 N", "25 N", "8 N"]
+
+[[path.segment]]
+type = "lin"
+to = {{ position = ["{x} mm", "50 mm", "180 mm"] }}
+
+[[minimise]]
+objective = "duration"
+"""
+RAIL = """<link name="cart"><inertial><mass value="50"/>
+<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+<joint name="rail" type="prismatic"><parent link="world"/><child link="cart"/><axis xyz="0 1 0"/>
+<limit lower="-0.5" upper="0.5" effort="2000" velocity="1"/></joint>"""
+RAIL_JOINT = """[[joint]]
+name = "rail"
+torque_max = 2000.0
+velocity_max = 1.0
+acceleration_max = 5.0
+"""
+ARMS = {"er3a_c60": ("link_6", 330), "ur10": ("flange", 600)}
+
+
+@pytest.fixture
+def choose(tmp_path, monkeypatch):
+    """Load a problem with a freedom; return it, its task and the optima, best first."""
+
+    def load(freedom, robot="er3a_c60", frame="path"):
+        link, x = ARMS[robot]
+        file = tmp_path / "problem.toml"
+        file.write_text(PROBLEM.format(robot=robot, link=link, x=x, freedom=freedom, frame=frame))
+        kept = []
+
+        def watched(task, near):
+            kept[:] = [task, optimise_freedom(task, near)]
+            return kept[1]
+
+        monkeypatch.setattr(freedom_choice, "optimise_freedom", watched)
+        return load_problem(file).problem, *kept
+
+    return load
+
+
+def deflection(problem, joints, force):
+    """Deflection under a force (K, 3) by the certificate's kinematics and the exact laws."""
+    still = np.zeros_like(joints)
+    body = rigid_body_history(problem.robot, joints, still, still)
+    pushed = np.einsum("kij,ki->kj", body.jacobian, force)
+    turned = joint_windup(problem.robot, body.link_torque - pushed)
+    turned -= joint_windup(problem.robot, body.link_torque)
+    return np.linalg.norm(np.einsum("kij,kj->ki", body.jacobian, turned), axis=1)
+
+
+def peak_on_path(problem):
+    along = np.linspace(0.0, 1.0, 201)
+    return deflection(problem, problem.path(along), problem.path_force(along)).max()
+
+
+def scan_of_rotations(problem, task, count):
+    """Least peak over all postures and constant rotations, of poses solved one by one."""
+    nodes = task.along[:: len(task.along) // 8]
+    best = np.inf
+    places, rotations = task.path.stated_poses(nodes)
+    middle = len(nodes) // 2
+    force = task.force(nodes / task.path.length)
+    data = task.node_data(nodes)
+    for spin in 2.0 * np.pi * np.arange(count) / count:
+        turned = rotations[middle] @ Rotation.from_rotvec([0.0, 0.0, spin]).as_matrix()
+        seeds = solutions_of_pose(
+            problem.robot, places[middle], turned, np.zeros(6), lambda q: bool(np.all(abs(q) < 3.2))
+        )
+        for seed in seeds:
+            joints = [seed] * len(nodes)
+            for order in (range(middle, len(nodes)), range(middle, -1, -1)):
+                q = seed[None]
+                for k in order:
+                    q, found = task.solve_poses(
+                        q, np.zeros((6, 1)), np.array([[spin], [0.0], [0.0]]), data[:, [k]]
+                    )
+                    joints[k] = q[0] if found[0] else np.full(6, np.nan)
+            if np.isfinite(joints).all():
+                best = min(best, deflection(problem, np.array(joints), force).max())
+    return best
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", list(ARMS))
+def test_rotation_and_posture_are_as_good_as_a_dense_scan(choose, robot):
+    problem, task, _ = choose('tool_axis_rotation = "180 deg"', robot)
+    assert peak_on_path(problem) <= 1.01 * scan_of_rotations(problem, task, 36)
+
+
+def test_predicted_deflection_is_that_of_the_exact_laws_on_the_fitted_path(choose):
+    problem, _, optima = choose('tool_axis_rotation = "30 deg"\nposture = "near"')
+    assert peak_on_path(problem) == pytest.approx(optima[0].value, rel=0.01)
+
+
+def test_less_deflection_than_without_freedom_and_within_its_bounds(choose):
+    narrow, _, _ = choose('tool_axis_rotation = "0.01 deg"\nposture = "near"')
+    free = 'tilt = "10 deg"\nplacement_box = ["20 mm", 0.0, "30 mm"]\nposture = "near"'
+    problem, task, optima = choose(free)
+    assert peak_on_path(problem) < 0.97 * peak_on_path(narrow)
+    choice = optima[0].choice
+    assert np.all(np.abs(choice.placement) <= task.freedom.placement + 1e-12)
+    stated = task.path.stated_poses(task.along)[1][:, :, 2]
+    axis = task.path.chosen(choice).poses(task.along)[1][:, :, 2]
+    angle = np.arccos(np.clip(np.sum(stated * axis, axis=1), -1.0, 1.0))
+    assert angle.max() <= task.freedom.tilt + 1e-9
+
+
+def test_tool_follows_the_placed_path(choose):
+    problem, _, optima = choose('placement_box = ["20 mm", "10 mm", "30 mm"]\nposture = "near"')
+    body = rigid_body_history(problem.robot, problem.path.points[[0, -1]], *[np.zeros((2, 6))] * 2)
+    ends = np.array([[0.33, -0.05, 0.18], [0.33, 0.05, 0.18]])
+    np.testing.assert_allclose(body.tool, ends + optima[0].choice.placement[:3], atol=1e-6)
+    assert np.linalg.norm(optima[0].choice.placement) > 1e-3
+
+
+def test_deflection_normal_to_the_face_alone_is_minimised(choose):
+    free = 'tilt = "15 deg"\nposture = "near"\nerror_direction = "{}"'
+    _, _, any_way = choose(free.format("any"))
+    _, task, axial = choose(free.format("axis"))
+    joints = any_way[0].joints
+    angles = any_way[0].choice.angles(task.along).T
+    still = np.zeros((6, len(joints)))
+    other = task.errors(joints, still, angles, task.node_data(task.along)).max()
+    assert axial[0].value < 0.98 * other
+
+
+def test_time_goal_is_that_of_one_joint_with_limited_acceleration(choose):
+    _, task, _ = choose('tool_axis_rotation = "20 deg"\nposture = "near"\nminimise = "duration"')
+    # Without a limit of the tool's speed.
+    task.__dict__["least_steps"] = np.zeros(len(task.along) - 1)
+    goal = TimeGoal(task)
+    # A straight line in joint space at rest at both ends: bang-bang.
+    travel = 0.02
+    joints = np.linspace(0.0, 1.0, len(task.along))[:, None] * np.full(6, travel)
+    time, _ = goal.evaluate(joints, None, None, None)
+    slowest = (0.9 * task.limits.acceleration).min()
+    least = 2.0 * np.sqrt(travel / slowest)
+    assert time == pytest.approx(least, rel=0.05)
+
+
+def test_slopes_of_the_programme_are_those_of_the_solved_poses(choose):
+    _, task, optima = choose('tool_axis_rotation = "20 deg"\nposture = "near"')
+    joints = optima[0].joints
+    data = task.node_data(task.along)
+    still = np.zeros((6, len(joints)))
+    angles = optima[0].choice.angles(task.along).T
+    step = 1e-5
+    moved = angles + np.array([[step], [0.0], [0.0]])
+    after, found = task.solve_poses(joints, still, moved, data)
+    assert found.all()
+    by_joints, by_parameters, slope, turned = (
+        np.asarray(each)
+        for each in task.derivatives.map(len(joints))(joints.T, still, angles, data)
+    )
+    count = len(joints)
+    jacobian = by_joints.reshape(6, count, 6).transpose(1, 0, 2)
+    wanted = by_parameters.reshape(6, count, 9).transpose(1, 0, 2)[:, :, 6]
+    change = -np.linalg.solve(jacobian, wanted[:, :, None])[:, :, 0]
+    np.testing.assert_allclose((after - joints) / step, change, atol=1e-3)
+    square = task.errors(joints, still, angles, data) ** 2
+    other = task.errors(after, still, moved, data) ** 2
+    predicted = np.sum(slope.reshape(count, 6) * change, axis=1) + turned.reshape(count, 9)[:, 6]
+    np.testing.assert_allclose((other - square) / step, predicted, rtol=1e-2, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("freedom", "frame", "words"),
+    [
+        ('posture = "near"', "path", "leaves nothing free"),
+        ('tilt = "5 deg"', "tool", "would turn a force given in axes of the tool"),
+        ('tilt = "-5 deg"', "path", "tilt"),
+        ('tilt = "5 deg"\nplacement_box = ["1 m", 0.0, 0.0]\nspin = 3.0', "path", "spin"),
+    ],
+)
+def test_freedom_that_cannot_be_used_is_refused(choose, freedom, frame, words):
+    with pytest.raises(InputError, match=words):
+        choose(freedom, frame=frame)
+
+
+def test_error_under_no_force_is_refused(choose, tmp_path):
+    link, x = ARMS["er3a_c60"]
+    text = PROBLEM.format(robot="er3a_c60", link=link, x=x, freedom='tilt = "5 deg"', frame="path")
+    begin, end = text.index("[path.force]"), text.index("[[path.segment]]")
+    (tmp_path / "bare.toml").write_text(text[:begin] + text[end:])
+    with pytest.raises(InputError, match="there is none"):
+        load_problem(tmp_path / "bare.toml")
+
+
+def test_path_out_of_reach_in_every_posture_is_named(choose, monkeypatch):
+    monkeypatch.setitem(ARMS, "er3a_c60", ("link_6", 1500))
+    with pytest.raises(InputError, match="does the arm follow the whole path"):
+        choose('tool_axis_rotation = "180 deg"')
+
+
+@pytest.mark.slow
+def test_a_rail_is_used(tmp_path):
+    """The arm on a slide along the feed deflects less than the arm that stands."""
+    data = ROOT / "stiffopt" / "robot" / "data" / "ur10"
+    urdf, robot = ((data / name).read_text() for name in ("robot.urdf", "robot.toml"))
+    urdf = urdf.replace('<parent link="world"/>', '<parent link="cart"/>', 1)
+    urdf = urdf.replace('<link name="world"/>', f'<link name="world"/>{RAIL}', 1)
+    robot = robot.replace("[[joint]]", f"{RAIL_JOINT}\n[[joint]]", 1)
+    (tmp_path / "robot.urdf").write_text(urdf)
+    (tmp_path / "robot.toml").write_text(robot)
+    link, x = ARMS["ur10"]
+    peaks = {}
+    for name in ("ur10", "robot.toml"):
+        file = tmp_path / "problem.toml"
+        file.write_text(
+            PROBLEM.format(robot=name, link=link, x=x, freedom='posture = "any"', frame="path")
+        )
+        peaks[name] = peak_on_path(load_problem(file).problem)
+    assert peaks["robot.toml"] < 0.9 * peaks["ur10"]
