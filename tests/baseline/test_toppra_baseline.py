@@ -29,6 +29,7 @@ def robot(model: pin.Model, coulomb: float = 0, viscous: float = 0, rotor: float
         viscous=np.full(n, float(viscous)),
         tool=LinkFrame(n, np.array([0.0, 0.0922, 0.0]), np.eye(3)),
         n=n,
+        added_torques=(),
         rigid_bodies=lambda: RigidBodies(model),
     )
 
