@@ -79,14 +79,16 @@ def share_section(budget: ErrorBudget) -> ReportSection:
     }
     head = ("source", "share of position", "share of orientation")
     ordered = sorted(means.items(), key=lambda item: -item[1][0])
-    rows = [(name, *(percent(share, 3) for share in shares)) for name, shares in ordered]
+    rows = [(name, *(f"{100.0 * share:.1f} %" for share in shares)) for name, shares in ordered]
     return ReportSection(head=head, rows=rows, numbers=head[1:])
 
 
 def measurement_section(measurements: Sequence[Measurement]) -> ReportSection:
     """Return the bound after each measurement, and the sentence on the best one."""
     head = ("measurement", "largest bound after it", "less by")
-    rows = [(each.name, si(each.bound, "m", 3), percent(each.gain, 3)) for each in measurements]
+    rows = [
+        (each.name, si(each.bound, "m", 3), f"{100.0 * each.gain:.1f} %") for each in measurements
+    ]
     return ReportSection(head=head, rows=rows, numbers=head[1:], lines=[advice(measurements)])
 
 
