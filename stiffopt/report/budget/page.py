@@ -13,7 +13,7 @@ from stiffopt.budget.measurements import Measurement
 from stiffopt.budget.volume import VolumeBudget
 from stiffopt.report.common.page import PageFigures, write_page
 from stiffopt.report.common.svg import PALETTE, WIDTH, figure_style
-from stiffopt.report.common.terminal import Section, print_lines, print_section
+from stiffopt.report.common.terminal import ReportSection, print_lines, print_section
 from stiffopt.report.common.text import MAX_LISTED, percent, scale, si
 
 # Gain below which a measurement is not recommended.
@@ -70,7 +70,7 @@ def advice(measurements: Sequence[Measurement]) -> str:
     )
 
 
-def share_section(budget: ErrorBudget) -> Section:
+def share_section(budget: ErrorBudget) -> ReportSection:
     """Return groups with their mean shares along the motion, of position and orientation."""
     first, second = (budget.shares(rows) for rows in (POSITION, ORIENTATION))
     means = {
@@ -79,18 +79,20 @@ def share_section(budget: ErrorBudget) -> Section:
     }
     head = ("source", "share of position", "share of orientation")
     ordered = sorted(means.items(), key=lambda item: -item[1][0])
-    rows = [(name, *(percent(share, 3) for share in shares)) for name, shares in ordered]
-    return Section(head=head, rows=rows, numbers=head[1:])
+    rows = [(name, *(f"{100.0 * share:.1f} %" for share in shares)) for name, shares in ordered]
+    return ReportSection(head=head, rows=rows, numbers=head[1:])
 
 
-def measurement_section(measurements: Sequence[Measurement]) -> Section:
+def measurement_section(measurements: Sequence[Measurement]) -> ReportSection:
     """Return the bound after each measurement, and the sentence on the best one."""
     head = ("measurement", "largest bound after it", "less by")
-    rows = [(each.name, si(each.bound, "m", 3), percent(each.gain, 3)) for each in measurements]
-    return Section(head=head, rows=rows, numbers=head[1:], lines=[advice(measurements)])
+    rows = [
+        (each.name, si(each.bound, "m", 3), f"{100.0 * each.gain:.1f} %") for each in measurements
+    ]
+    return ReportSection(head=head, rows=rows, numbers=head[1:], lines=[advice(measurements)])
 
 
-def largest_causes(budget: ErrorBudget) -> Section:
+def largest_causes(budget: ErrorBudget) -> ReportSection:
     """Return the causes of the largest variance where the bound is largest."""
     k = int(np.argmax(budget.bound(POSITION)))
     squares: dict[str, float] = {}
@@ -104,7 +106,7 @@ def largest_causes(budget: ErrorBudget) -> Section:
         for name, size in ordered
         if size
     ]
-    return Section(
+    return ReportSection(
         head=("cause", "standard deviation at the tool", "share of the variance"), rows=rows
     )
 

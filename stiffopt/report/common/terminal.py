@@ -44,7 +44,7 @@ def print_table(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Section:
+class ReportSection:
     """Part of an answer that page and terminal both show: a table and sentences.
 
     Parameters
@@ -64,7 +64,7 @@ class Section:
     numbers: Collection[str] = ()
 
 
-def print_section(section: Section) -> None:
+def print_section(section: ReportSection) -> None:
     """Print the table of a section, if it has one, and its sentences."""
     if section.rows:
         print_table(section.head, section.rows, section.title or None, section.numbers)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.closed_loop.parameters import DELAY, JOINT_PARAMETERS, RATIO_UNITS
-from stiffopt.report.common.terminal import Section
+from stiffopt.report.common.terminal import ReportSection
 from stiffopt.report.common.text import joint_unit, pm, significant
 
 if TYPE_CHECKING:
@@ -62,10 +62,10 @@ def _summarize(error: np.ndarray) -> tuple[float, float]:
     return float(np.sqrt(np.nanmean(error**2))), float(np.nanmax(np.abs(error)))
 
 
-def position_section(runs: Sequence[PositionRun], prismatic: np.ndarray) -> Section:
+def position_section(runs: Sequence[PositionRun], prismatic: np.ndarray) -> ReportSection:
     """Return the errors of simulated held-out runs; an empty section without any."""
     if not runs:
-        return Section(title=_SECTION_TITLE)
+        return ReportSection(title=_SECTION_TITLE)
     table = error_table(runs, prismatic)
     rows = []
     for name, errors in table.items():
@@ -83,10 +83,12 @@ def position_section(runs: Sequence[PositionRun], prismatic: np.ndarray) -> Sect
             f" the joints from {significant(before, 3)} to {significant(after, 3)} mrad (root mean"
             f" square). {_describe_spectrum(runs)}"
         )
-    return Section(title=_SECTION_TITLE, lines=tuple(lines), head=_ERROR_COLUMNS, rows=tuple(rows))
+    return ReportSection(
+        title=_SECTION_TITLE, lines=tuple(lines), head=_ERROR_COLUMNS, rows=tuple(rows)
+    )
 
 
-def value_section(section: ClosedLoopSection | None, prismatic: np.ndarray) -> Section:
+def value_section(section: ClosedLoopSection | None, prismatic: np.ndarray) -> ReportSection:
     """Return the fitted values of a simulation that stand out of their deviations."""
     rows: list[tuple[str, str, str]] = []
     if section is not None:
@@ -111,7 +113,7 @@ def value_section(section: ClosedLoopSection | None, prismatic: np.ndarray) -> S
                 own = joint_unit(unit, bool(prismatic[j])) if name != DELAY else unit
                 place = f"joint {j + 1}" if name != DELAY else "commands"
                 rows.append((place, _VALUE_WORDS[name], pm(value, sd, "" if own == "1" else own)))
-    return Section(title=_VALUE_TITLE, head=_VALUE_COLUMNS, rows=tuple(rows))
+    return ReportSection(title=_VALUE_TITLE, head=_VALUE_COLUMNS, rows=tuple(rows))
 
 
 def _describe_spectrum(runs: Sequence[PositionRun]) -> str:

@@ -14,7 +14,7 @@ from stiffopt.discovery.answer import (
     is_prismatic,
     statements,
 )
-from stiffopt.report.common.terminal import Section, print_lines, print_section
+from stiffopt.report.common.terminal import ReportSection, print_lines, print_section
 from stiffopt.report.common.text import (
     DASH,
     MAX_LISTED,
@@ -58,13 +58,13 @@ _FINDING_COLUMNS = ("finding", "probability", "value ± standard deviation", "ex
 _CHANGE_COLUMNS = ("changed value", "from", "to", "cause")
 
 
-def answer_sections(diagnosis: Diagnosis) -> list[Section]:
+def answer_sections(diagnosis: Diagnosis) -> list[ReportSection]:
     """Return the sections of an answer that have content, the most important first."""
     every = [
-        Section(title="Findings", head=_FINDING_COLUMNS, rows=tuple(finding_rows(diagnosis))),
+        ReportSection(title="Findings", head=_FINDING_COLUMNS, rows=tuple(finding_rows(diagnosis))),
         _changes_section(diagnosis),
-        Section(title="Composition of the mismatch", lines=tuple(mismatch_lines(diagnosis))),
-        Section(
+        ReportSection(title="Composition of the mismatch", lines=tuple(mismatch_lines(diagnosis))),
+        ReportSection(
             title="Next experiment",
             lines=(diagnosis.next_experiment,) if diagnosis.next_experiment else (),
         ),
@@ -72,10 +72,10 @@ def answer_sections(diagnosis: Diagnosis) -> list[Section]:
     return [each for each in every if each.lines or each.rows]
 
 
-def _changes_section(diagnosis: Diagnosis) -> Section:
+def _changes_section(diagnosis: Diagnosis) -> ReportSection:
     rows = change_rows(diagnosis)
     rest = len(rows) - MAX_LISTED
-    return Section(
+    return ReportSection(
         title="Changed values",
         head=_CHANGE_COLUMNS,
         rows=tuple(rows[:MAX_LISTED]),

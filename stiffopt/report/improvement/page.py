@@ -18,7 +18,7 @@ from stiffopt.report.common.svg import (
     decimate_curve,
     figure_style,
 )
-from stiffopt.report.common.terminal import Section, print_lines, print_section
+from stiffopt.report.common.terminal import ReportSection, print_lines, print_section
 from stiffopt.report.common.text import MAX_LISTED, scale, si
 from stiffopt.result.compensation import COMMAND_FILE
 from stiffopt.units import joint_unit
@@ -118,7 +118,7 @@ def _value(found: Improvement, use: LimitUse) -> str:
     return f"{use.value:.4g} {joint_unit(JOINT_LIMITS[use.quantity], prismatic)}"
 
 
-def limit_section(found: Improvement) -> Section:
+def limit_section(found: Improvement) -> ReportSection:
     """Return the largest use of each limit, given and improved."""
     after = {(use.joint, use.quantity): use for use in found.improved.uses}
     rows: list[tuple[str, ...]] = []
@@ -144,15 +144,15 @@ def limit_section(found: Improvement) -> Section:
         "limit",
         "share of the limit",
     )
-    return Section(head=head, rows=rows)
+    return ReportSection(head=head, rows=rows)
 
 
-def error_section(found: Improvement) -> Section:
+def error_section(found: Improvement) -> ReportSection:
     """Return sources of the tool error, with the peak in flight and after arrival."""
     given, led = found.given, found.compensation
     head = ("tool error", "largest in flight", "largest after arrival")
     if given.both is None or given.servo is None or given.elastic is None:
-        return Section(head=head)
+        return ReportSection(head=head)
     flight, after = given.both.error.flight, given.both.error.after
     peaks: list[tuple[str, float | None, float | None]] = [
         ("given: servo alone", _peak(given.servo, flight), _peak(given.servo, after)),
@@ -164,7 +164,7 @@ def error_section(found: Improvement) -> Section:
         peaks.append(("improved: together", own.peak, own.peak_after))
         peaks.append(("improved: worst of uncertain arms", worst.flight.worst, worst.after.worst))
     rows = [(name, *(si(size, "m", 3) for size in sizes)) for name, *sizes in peaks]
-    return Section(head=head, rows=rows, numbers=head[1:])
+    return ReportSection(head=head, rows=rows, numbers=head[1:])
 
 
 def _peak(values: np.ndarray, mask: np.ndarray) -> float | None:

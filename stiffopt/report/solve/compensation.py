@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.report.common.terminal import Section
+from stiffopt.report.common.terminal import ReportSection
 from stiffopt.report.common.text import listed, scale, si
 from stiffopt.report.solve.wording import rival_text
 from stiffopt.result.compensation import (
@@ -27,7 +27,7 @@ COMPENSATED = "Peak deviations on uncertain arms, as planned and compensated"
 _DOT_SPREAD = 0.25
 
 
-def compensation_section(compensation: Compensation) -> Section:
+def compensation_section(compensation: Compensation) -> ReportSection:
     """Return the peak deviations, two rows per motion, and notes on uncertainty and command."""
     head = ["motion", "motors"]
     for phase in ("in flight", "after"):
@@ -46,7 +46,7 @@ def compensation_section(compensation: Compensation) -> Section:
                 *_spread_cells(spreads.after),
             ]
             rows.append([*cells, spreads.flight.worst_case, _limit_cell(motion, how)])
-    return Section(
+    return ReportSection(
         title="Deviations on uncertain arms, as planned and compensated",
         head=head,
         rows=rows,

@@ -10,7 +10,7 @@ import numpy as np
 from stiffopt.baseline.baselines import better_baseline
 from stiffopt.certificate.objective_value import is_maximised
 from stiffopt.problem.objective import OBJECTIVES, ObjectiveKind
-from stiffopt.report.common.terminal import Section
+from stiffopt.report.common.terminal import ReportSection
 from stiffopt.report.common.text import DASH, listed, percent, si, significant, words
 from stiffopt.result.assessment import Violation
 from stiffopt.result.compensation import RIVAL_COMMAND_FILE, RIVAL_TRAJECTORY_FILE
@@ -226,7 +226,7 @@ def violation_text(violation: Violation) -> str:
     return f"exceeded by {size}" if violation.value > 0 else f"margin {size}"
 
 
-def simulation_section(simulation: Simulation) -> Section:
+def simulation_section(simulation: Simulation) -> ReportSection:
     """Return the simulated motions, the optimised one first, and notes on the simulation."""
     band = si(simulation.optimised.simulated.band, "m")
     head = [
@@ -234,7 +234,7 @@ def simulation_section(simulation: Simulation) -> Section:
         *("simulated rms", "peak after arrival", "rms after arrival"),
         *(f"within {band} after", "verdict"),
     ]
-    return Section(
+    return ReportSection(
         title="Elastic simulation",
         head=head,
         rows=[_motion_row(motion) for motion in simulation.motions],
