@@ -13,7 +13,7 @@ from stiffopt.certificate.assess import drive_history
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE, find_drive_violations
 from stiffopt.command.force_compensation import force_lead, led_against_force
 from stiffopt.command.smoothing_width import KNOT_SPACINGS, motors_with_sufficient_smoothing
-from stiffopt.elastic.bearing_lead import bearing_lead
+from stiffopt.elastic.bearing_lead import LedPlan, bearing_lead
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import REST, simulate
 from stiffopt.elastic.smooth_motion import smooth_motion
@@ -293,9 +293,8 @@ class CommandSearch:
             if lead is not None:
                 motors = planned.plus(lead.held_for(planned.duration - lead.duration))
             own = [_Lead(planned.link, motors, None, self._problem.servo)]
-        links = [(smooth_motion(self._plan, each), each) for each in KNOT_SPACINGS]
-        if lead is not None:
-            links = [(link.plus(lead), spacing) for link, spacing in links]
+        wanted = self._plan if lead is None else LedPlan(self._plan, lead)
+        links = [(smooth_motion(wanted, each), each) for each in KNOT_SPACINGS]
         smoothing = law_smoothing(self._problem)
         splines = [
             _Lead(

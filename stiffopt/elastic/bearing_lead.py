@@ -35,6 +35,17 @@ def bearing_lead(arm: ElasticArm, plan: JointMotion) -> Trajectory:
     return smooth_motion(_BearingLead(arm, plan), _KNOT_SPACING)
 
 
+class LedPlan:
+    """Motion of the links that leads a plan, at the same times."""
+
+    def __init__(self, plan: JointMotion, lead: JointMotion) -> None:
+        self.duration, self._plan, self._lead = plan.duration, plan, lead
+
+    def __call__(self, t: np.ndarray, order: int = 0) -> np.ndarray:
+        """Evaluate position (order 0) or a derivative (K, n) at times (K,)."""
+        return np.asarray(self._plan(t, order) + self._lead(t, order))
+
+
 def uncorrected_deflection(arm: ElasticArm, plan: JointMotion, time: np.ndarray) -> np.ndarray:
     """Displacement (K, 3) [m] of the tool by the bearings that no joint corrects."""
     away, lead = _deflection_and_lead(arm, plan, time)

@@ -12,7 +12,7 @@ from tilting_arms import simulated_tool, tilting_arm
 from stiffopt.baseline.rivals import quintic_law
 from stiffopt.drivetrain.bearing import OutputBearing
 from stiffopt.elastic.arm import ElasticArm
-from stiffopt.elastic.bearing_lead import bearing_lead
+from stiffopt.elastic.bearing_lead import LedPlan, bearing_lead
 from stiffopt.elastic.error_propagation import propagate_error
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.servo import Servo
@@ -52,7 +52,7 @@ def _plan(duration):
 
 
 def _led(arm, plan):
-    return plan.plus(bearing_lead(arm, plan))
+    return smooth_motion(LedPlan(plan, bearing_lead(arm, plan)), 0.01)
 
 
 def _command(arm, links):

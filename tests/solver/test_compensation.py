@@ -15,6 +15,7 @@ from stiffopt.certificate.assess import assess
 from stiffopt.command import command_search
 from stiffopt.command.compensation import compensate, compensate_motion
 from stiffopt.command.simulation import PlannedMotion, elastic_arm
+from stiffopt.drivetrain.bearing import OutputBearing
 from stiffopt.elastic.servo import MAX_LEAD_AT_END
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import RobotError
@@ -165,3 +166,22 @@ def test_a_constant_force_on_the_tool_is_compensated_too(smooth):
     pushed = replace(problem, process_force=np.array([3.0, -5.0, 0.0]))
     found = compensate(pushed, elastic_arm(pushed, motion.position[0]), [motion]).optimised
     assert found.simulated.peak < 0.1 * found.planned.flight.nominal
+
+
+def test_command_leads_the_tool_against_elastic_bearings(tmp_path):
+    problem = load(tmp_path, "spatial", extra="[payload]\nmass = 2.0\ncom = [0.0, 0.1, 0.0]")
+    bearings = tuple(OutputBearing(moment_stiffness=each) for each in (2e5, 1e5, 5e4))
+    problem = replace(
+        problem,
+        robot=replace(problem.robot, bearings=bearings),
+        # Little, so that no command leads by more than the nominal wind-up.
+        uncertainty=Uncertainty(stiffness=0.01, draws=50),
+    )
+    motion = planned(problem, 0.8)
+    arm = elastic_arm(problem, motion.position[0])
+    found, _ = compensate_motion(problem, arm, motion)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(command_search.CommandSearch, "_bearing_lead", None)
+        by_windup, _ = compensate_motion(problem, arm, motion)
+    assert found.compensated.flight.nominal < 0.4 * by_windup.compensated.flight.nominal
+    assert found.compensated.flight.worst < by_windup.compensated.flight.worst
