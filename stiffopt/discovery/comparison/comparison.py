@@ -242,8 +242,13 @@ class Comparison:
 
     def stack_columns(self, effects: Sequence[LocatedEffect] = ()) -> np.ndarray:
         """Return weighted columns (m, p) of nominal values and effects, as large as all signals."""
-        columns = [self.columns.nuisance, *(self.columns.effect_columns(e) for e in effects)]
-        return self._whiten_rows(np.column_stack(columns))
+        counts = [len(e.effect.amplitudes) for e in effects]
+        edges = np.cumsum([len(self.priors[0]), *counts]).tolist()
+        columns = np.empty((self.rows.size, edges[-1]))
+        columns[:, : edges[0]] = self.columns.nuisance
+        for located, first, last in zip(effects, edges, edges[1:], strict=False):
+            columns[:, first:last] = self.columns.effect_columns(located)
+        return self._whiten_rows(columns)
 
     def model_rows(self, effects: Sequence[LocatedEffect], values: np.ndarray) -> np.ndarray:
         """Return the weighted rows (m,) of nominal values and effects with values (p,)."""
@@ -258,7 +263,7 @@ class Comparison:
     @cached_property
     def target(self) -> np.ndarray:
         """Weighted residual of the nominal model in the measured channels (m,)."""
-        return self._whiten_rows(self.columns.target)
+        return self._whiten_rows(self.columns.target.copy())
 
     def effect_columns(self, located: LocatedEffect) -> np.ndarray:
         """Return the weighted columns (m, k) of an effect's amplitudes over their sizes."""
@@ -280,12 +285,12 @@ class Comparison:
         )
 
     def _whiten_rows(self, columns: np.ndarray) -> np.ndarray:
-        """Return rows over the noise; initial vibration counts as noise."""
-        weighted = (columns.T * self._row_weight).T
+        """Return rows over the noise, in place; initial vibration counts as noise."""
+        np.multiply(columns.T, self._row_weight, out=columns.T)
         along, kept = self._initial_state_directions
         if along.size:
-            weighted -= along @ (((1.0 - kept) * (along.T @ weighted).T).T)
-        return np.asarray(weighted)
+            columns -= along @ (((1.0 - kept) * (along.T @ columns).T).T)
+        return columns
 
     @cached_property
     def _initial_state_directions(self) -> tuple[np.ndarray, np.ndarray]:

@@ -274,7 +274,7 @@ def estimate_parameters(comparison: Comparison, effects: Sequence[LocatedEffect]
         begin += len(amplitudes)
         for i, step in enumerate(steps):
             slopes.append(_shape_slope(comparison, located, amplitudes, i, step))
-    matrix = np.column_stack([comparison.stack_columns(effects), *slopes])
+    matrix = _append_columns(comparison.stack_columns(effects), slopes)
     prior = np.concatenate([prior_sd, np.ones(len(scaled)), np.full(len(slopes), _SHAPE_PRIOR)])
     del slopes
     blocks = number_stretches(comparison)
@@ -348,7 +348,7 @@ def jackknife_significance(
             for i, step in enumerate(_shape_sizes(located)):
                 slopes.append(_shape_slope(comparison, located, values, i, step))
     prior = np.concatenate([prior_sd, np.ones(len(amplitudes)), np.full(len(slopes), _SHAPE_PRIOR)])
-    matrix = np.column_stack([comparison.stack_columns(effects), *slopes])
+    matrix = _append_columns(comparison.stack_columns(effects), slopes)
     _, spread = _jackknife_covariance(comparison, matrix, prior, number_stretches(comparison))
     together, single, begin = [], [], 0
     for located in effects:
@@ -365,6 +365,11 @@ def jackknife_significance(
             _deviations_from_zero(values[telling], spread[rows, rows][np.ix_(telling, telling)])[1]
         )
     return np.array(together), np.array(single)
+
+
+def _append_columns(columns: np.ndarray, slopes: Sequence[np.ndarray]) -> np.ndarray:
+    """Return columns (m, p) with slopes beside them; without any no copy of all is made."""
+    return np.column_stack([columns, *slopes]) if slopes else columns
 
 
 def _deviations_from_zero(values: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
