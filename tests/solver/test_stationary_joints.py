@@ -46,6 +46,8 @@ def test_creeping_joints_are_fixed(creeping, monkeypatch):
     assert np.max(rests[0]) < 0.01
     assert np.min(rests[1]) > 0.15
     assert found.assessment.feasible(5e-3)
+    steps = [(each["step"], each["accepted"]) for each in found.solver.exchanges]
+    assert ("joints at rest", True) in steps
     # The remaining gap is attributed to friction, not to the mesh.
     assert "joints creep" in found.message
     assert "between the nodes" not in found.message
