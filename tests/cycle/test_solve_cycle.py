@@ -123,3 +123,24 @@ def test_commands_of_the_legs_are_simulated_as_one(tmp_path):
     assert first.rest == pytest.approx(first.jump, rel=0.1)
     # Two percent of damping leave most of the vibration at the next departure.
     assert 0.3 * first.jump < second.flight < 1.5 * first.jump
+
+
+@pytest.mark.slow
+def test_a_cycle_starts_from_an_earlier_one(folder, tmp_path):
+    """The split and the motions of the earlier cycle: fewer rounds, the same optimum."""
+    path = write_cycle_file(tmp_path)
+    out = tmp_path / "out"
+    arguments = ["solve", str(path), "--out", str(out), "--guess", str(folder), "--quiet"]
+    assert run(arguments) == 0
+    first, again = (json.loads((each / "cycle.json").read_text()) for each in (folder, out))
+    assert again["objective"]["value"] <= 1.01 * first["objective"]["value"]
+    assert len(again["splits"]) < len(first["splits"])
+
+
+@pytest.mark.slow
+def test_a_guess_of_other_legs_is_refused(folder, tmp_path, capsys):
+    path = write_cycle_file(tmp_path, moves=f'{GRIP}[[move]]\nto = "home"\n')
+    arguments = ["solve", str(path), "--out", str(tmp_path / "out"), "--guess", str(folder)]
+    assert run(arguments) == 2
+    assert "the earlier cycle has 3 legs, this one 2" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out").exists()
