@@ -4,6 +4,7 @@ import csv
 import io
 import itertools
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -127,14 +128,29 @@ def test_commands_of_the_legs_are_simulated_as_one(tmp_path):
 
 @pytest.mark.slow
 def test_a_cycle_starts_from_an_earlier_one(folder, tmp_path):
-    """The split and the motions of the earlier cycle: fewer rounds, the same optimum."""
     path = write_cycle_file(tmp_path)
     out = tmp_path / "out"
     arguments = ["solve", str(path), "--out", str(out), "--guess", str(folder), "--quiet"]
     assert run(arguments) == 0
     first, again = (json.loads((each / "cycle.json").read_text()) for each in (folder, out))
     assert again["objective"]["value"] <= 1.01 * first["objective"]["value"]
-    assert len(again["splits"]) < len(first["splits"])
+
+
+def test_the_first_split_and_motions_are_those_of_the_guesses(tmp_path, monkeypatch):
+    class SolvedError(Exception):
+        pass
+
+    def watched(problem, *, guess, **others):
+        raise SolvedError(problem.duration[0], guess)
+
+    monkeypatch.setattr("stiffopt.solver.cycle.solve", watched)
+    cycle = load_cycle(write_cycle_file(tmp_path)).cycle
+    guesses = [SimpleNamespace(duration=each) for each in (1.3, 0.9, 0.7)]
+    with pytest.raises(SolvedError) as found:
+        solve_cycle(cycle, guesses=guesses)
+    duration, guess = found.value.args
+    assert duration == pytest.approx(1.3)
+    assert guess is guesses[0]
 
 
 @pytest.mark.slow
