@@ -58,16 +58,17 @@ def solve(
         Python file of its user-defined effects.
     guess
         Folder of an earlier solve of the same arm: its solved state, or where the problem differs
-        in more than numbers its motion, is the initial guess.
+        in more than numbers its motion, is the initial guess. For a cycle that of an earlier cycle
+        of as many legs: their motions and the split of the time.
     report
         Draw report.html; `stiffopt report` draws it later.
     """
     from stiffopt.problem.cycle_files import is_cycle
 
     if is_cycle(problem):
-        if model is not None or guess is not None:
-            raise InputError("--model and --guess are of single motions: omit them for a cycle.")
-        return _solve_cycle(problem, out, changes, open_report, quiet)
+        if model is not None:
+            raise InputError("--model is of single motions: omit it for a cycle.")
+        return _solve_cycle(problem, out, changes, open_report, quiet, guess)
     with defer_until_result():
         from stiffopt.budget.floor import error_floor_note
         from stiffopt.certificate.assess import assess
@@ -155,15 +156,21 @@ def solve(
 
 
 def _solve_cycle(
-    problem: Path, out: Path | None, changes: Changes, open_report: bool, quiet: bool
+    problem: Path,
+    out: Path | None,
+    changes: Changes,
+    open_report: bool,
+    quiet: bool,
+    guess: Path | None,
 ) -> int:
     """Optimise a cycle: cycle.json, cycle.csv, report.html, and a folder for each leg."""
-    from stiffopt.cycle.cycle_store import write_cycle_result
+    from stiffopt.cycle.cycle_store import read_cycle_guess, write_cycle_result
     from stiffopt.cycle.solve_cycle import solve_cycle
     from stiffopt.problem.cycle_files import load_cycle
     from stiffopt.report.cycle.page import print_cycle, write_cycle_report
 
     cycle = load_cycle(problem, changes).cycle
+    guesses = [] if guess is None else read_cycle_guess(guess, cycle)
     folder = out or default_folder(problem.stem, changes)
     with output_folder(folder, "solve") as stage:
         with (
@@ -171,7 +178,7 @@ def _solve_cycle(
             _name_file_in_errors(problem),
             defer_until_result(),
         ):
-            solution = solve_cycle(cycle, progress=progress)
+            solution = solve_cycle(cycle, progress=progress, guesses=guesses)
         end_deferral(ended=True)
         with defer_while_writing():
             write_cycle_report(cycle, solution, stage)

@@ -10,9 +10,14 @@ import numpy as np
 
 from stiffopt.certificate.assess import assess
 from stiffopt.cycle.cycle_simulation import leg_motions
-from stiffopt.files import write_csv
+from stiffopt.errors import InputFileError
+from stiffopt.files import load_json, write_csv
+from stiffopt.folders import check_result
+from stiffopt.problem.cycle import Cycle
+from stiffopt.recipe.stored_result import read_guess
+from stiffopt.result.assessment import Assessment
 from stiffopt.result.compensation import write_command
-from stiffopt.result.cycle import CycleSolution, leg_folder, write_cycle
+from stiffopt.result.cycle import CYCLE_FILE, CycleSolution, leg_folder, write_cycle
 from stiffopt.result.store import export_times, write_result, write_trajectory
 
 CYCLE_TABLE = "cycle.csv"
@@ -46,6 +51,29 @@ def write_cycle_result(
     if solution.status.usable:
         _write_table(solution, stage)
     write_cycle(solution, stage, Path(os.path.relpath(problem, home)).as_posix(), changes)
+
+
+def read_cycle_guess(folder: Path, cycle: Cycle) -> list[Assessment]:
+    """Read the motions of all legs of an earlier cycle as initial guesses.
+
+    Raises
+    ------
+    InputFileError
+        The folder has no cycle of as many legs of the same arm.
+    """
+    check_result(folder, CYCLE_FILE)
+    legs = len(load_json(folder / CYCLE_FILE)["legs"])
+    if legs != len(cycle.legs):
+        raise InputFileError(
+            folder / CYCLE_FILE,
+            "legs",
+            f"the earlier cycle has {legs} legs, this one {len(cycle.legs)}. Use one with the same "
+            "stops.",
+        )
+    return [
+        read_guess(folder / leg_folder(number), leg.problem)
+        for number, leg in enumerate(cycle.legs, start=1)
+    ]
 
 
 def _write_table(solution: CycleSolution, folder: Path) -> None:

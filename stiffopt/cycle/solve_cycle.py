@@ -7,7 +7,7 @@ given, the split of least objective is found by `TimeSplit`.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -23,6 +23,7 @@ from stiffopt.problem.branches import quintic_durations
 from stiffopt.problem.cycle import MIN_LEG_TIME, Cycle, Leg
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import Target, TrajectoryProblem
+from stiffopt.result.assessment import Assessment
 from stiffopt.result.cycle import CycleSolution, LegResult, RivalCycle
 from stiffopt.result.solution import ObjectiveValue, Solution
 from stiffopt.result.status import SolveStatus
@@ -52,7 +53,11 @@ _STATUS_RANKS = (
 
 
 def solve_cycle(
-    cycle: Cycle, *, progress: ProgressCallback | None = None, simulate: bool = True
+    cycle: Cycle,
+    *,
+    progress: ProgressCallback | None = None,
+    simulate: bool = True,
+    guesses: Sequence[Assessment] = (),
 ) -> CycleSolution:
     """Optimise and certify a cycle.
 
@@ -64,8 +69,10 @@ def solve_cycle(
     simulate : bool
         Simulate the cycle on the elastic arm, with the command of each leg. Rests until the tool
         has settled are zero without.
+    guesses : sequence of Assessment
+        Motion of each leg to start from, and their durations; none for a start of its own.
     """
-    run = _CycleRun(cycle, progress)
+    run = _CycleRun(cycle, progress, guesses)
     rests = np.array([leg.stop.dwell for leg in cycle.legs])
     for _ in range(_MAX_REST_ROUNDS if simulate else 1):
         solutions = run.solve_legs(float(rests.sum()))
@@ -90,11 +97,14 @@ def solve_cycle(
 class _CycleRun:
     """Solve of one cycle, with what is known of its legs."""
 
-    def __init__(self, cycle: Cycle, progress: ProgressCallback | None) -> None:
+    def __init__(
+        self, cycle: Cycle, progress: ProgressCallback | None, guesses: Sequence[Assessment]
+    ) -> None:
         self._cycle, self._progress = cycle, progress
+        self._guesses = guesses
         self._solved: dict[int, tuple[float, Solution]] = {}
         self._splits: list[tuple[float, ...]] = []
-        self._durations: np.ndarray | None = None
+        self._durations = np.array([each.duration for each in guesses]) if guesses else None
         self._infeasible = ""
 
     def solve_legs(self, rest: float) -> list[Solution]:
@@ -163,7 +173,7 @@ class _CycleRun:
                 continue
             least = shortest_duration(leg.problem, resolve(leg.problem))[0]
             search = ShortestDuration(limit, max(_FIRST_DURATION_FACTOR * least, MIN_LEG_TIME))
-            guess = best = None
+            guess, best = self._guess(k), None
             while (duration := search.proposal()) is not None:
                 best = solve(
                     leg.lasting(duration).problem,
@@ -206,7 +216,7 @@ class _CycleRun:
             duration = leg.problem.duration[0]
             lasted, known = self._solved.get(k, (np.nan, None))
             if known is None or lasted != duration:
-                guess = None
+                guess = self._guess(k)
                 if known is not None and known.status.usable and known.assessment is not None:
                     guess = known.assessment
                 known = solve(leg.problem, progress=self._leg_progress(k), guess=guess, throw=False)
@@ -217,6 +227,9 @@ class _CycleRun:
             if stop_at_failure and not known.status.usable:
                 break
         return found
+
+    def _guess(self, k: int) -> Assessment | None:
+        return self._guesses[k] if self._guesses else None
 
     def _leg_progress(self, k: int) -> Callable[[SolveProgress], object] | None:
         if self._progress is None:

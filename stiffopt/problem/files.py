@@ -33,6 +33,7 @@ from stiffopt.problem.trajectory import (
     TrajectoryProblem,
 )
 from stiffopt.result.joint_path import JointPath
+from stiffopt.robot.cell import Cell
 from stiffopt.robot.elements import locate_errors
 from stiffopt.robot.files import load_robot, shipped_robots
 from stiffopt.robot.robot import Robot
@@ -119,7 +120,8 @@ def _build_problem(
             raise InputFileError(
                 path, "path", "fixes the motion of the tool. Remove start, via and end of [motion]."
             )
-        followed = read_tool_path(document.path, joints, fields["limits"])
+        cell = fields["cell"] or Cell()
+        followed = read_tool_path(document.path, joints, fields["limits"], cell)
         waypoints, force = followed.joints, followed.force
         remarks += followed.remarks
         start, end = (Target(joints=waypoints.points[k]) for k in (0, -1))

@@ -9,14 +9,25 @@ from stiffopt.problem.branches import branch_name
 from stiffopt.problem.freedom_programme import FreedomOptimum, optimise_freedom
 from stiffopt.problem.freedom_task import FreedomTask
 from stiffopt.problem.tool_path import FittedPath, ToolPath, fit_tool_path
+from stiffopt.robot.cell import Cell
+from stiffopt.robot.clearance import ClearanceModel
 
 
 def choose_freedom(
-    task: FreedomTask, near: np.ndarray, tolerance: float
+    task: FreedomTask, near: np.ndarray, tolerance: float, cell: Cell
 ) -> tuple[ToolPath, FittedPath, str]:
-    """Return the path with the best freedom that a joint spline can follow, and a remark."""
+    """Return the path with the best freedom that a joint spline can follow, and a remark.
+
+    Optima without collisions at the nodes come first.
+    """
     failure: ProblemError | None = None
-    for found in optimise_freedom(task, near):
+    clearance = ClearanceModel(task.robot, cell)
+
+    def collides(found: FreedomOptimum) -> bool:
+        nearest = min(clearance.distances(q).min(initial=np.inf) for q in found.joints)
+        return bool(nearest < cell.clearance)
+
+    for found in sorted(optimise_freedom(task, near), key=collides):
         path = task.path.chosen(found.choice)
         try:
             fitted = fit_tool_path(task.robot, path, found.choice.joints, tolerance)

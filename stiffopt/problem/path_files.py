@@ -23,6 +23,7 @@ from stiffopt.problem.tool_path import (
     spline_segments,
 )
 from stiffopt.result.joint_path import JointPath
+from stiffopt.robot.cell import Cell
 from stiffopt.robot.elements import locate_errors
 from stiffopt.robot.frames import rotation_from_rpy
 
@@ -50,7 +51,9 @@ class ReadPath:
     remarks: tuple[str, ...]
 
 
-def read_tool_path(section: PathSection, joints: JointLists, limits: Limits) -> ReadPath:
+def read_tool_path(
+    section: PathSection, joints: JointLists, limits: Limits, cell: Cell
+) -> ReadPath:
     """Return the joint path of a tool path, its freedom chosen, with its error as a remark."""
     robot = joints.robot
     ranges = np.stack([robot.position_lower, robot.position_upper])
@@ -71,7 +74,7 @@ def read_tool_path(section: PathSection, joints: JointLists, limits: Limits) -> 
             stated = _force_along(path, section.force, forces, at)
             axes = "path" if section.force is None else section.force.frame
             task = FreedomTask(robot, section.freedom, limits, path, frame[1], stated, axes)
-            path, fitted, remark = choose_freedom(task, near, section.tolerance)
+            path, fitted, remark = choose_freedom(task, near, section.tolerance, cell)
             chosen = (remark,)
         force, followed = _force_along(path, section.force, forces, at), fitted.joints
         if force is not None and section.force is not None:

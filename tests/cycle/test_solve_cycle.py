@@ -4,6 +4,7 @@ import csv
 import io
 import itertools
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -123,3 +124,39 @@ def test_commands_of_the_legs_are_simulated_as_one(tmp_path):
     assert first.rest == pytest.approx(first.jump, rel=0.1)
     # Two percent of damping leave most of the vibration at the next departure.
     assert 0.3 * first.jump < second.flight < 1.5 * first.jump
+
+
+@pytest.mark.slow
+def test_a_cycle_starts_from_an_earlier_one(folder, tmp_path):
+    path = write_cycle_file(tmp_path)
+    out = tmp_path / "out"
+    arguments = ["solve", str(path), "--out", str(out), "--guess", str(folder), "--quiet"]
+    assert run(arguments) == 0
+    first, again = (json.loads((each / "cycle.json").read_text()) for each in (folder, out))
+    assert again["objective"]["value"] <= 1.01 * first["objective"]["value"]
+
+
+def test_the_first_split_and_motions_are_those_of_the_guesses(tmp_path, monkeypatch):
+    class SolvedError(Exception):
+        pass
+
+    def watched(problem, *, guess, **others):
+        raise SolvedError(problem.duration[0], guess)
+
+    monkeypatch.setattr("stiffopt.cycle.solve_cycle.solve", watched)
+    cycle = load_cycle(write_cycle_file(tmp_path)).cycle
+    guesses = [SimpleNamespace(duration=each) for each in (1.3, 0.9, 0.7)]
+    with pytest.raises(SolvedError) as found:
+        solve_cycle(cycle, guesses=guesses)
+    duration, guess = found.value.args
+    assert duration == pytest.approx(1.3)
+    assert guess is guesses[0]
+
+
+@pytest.mark.slow
+def test_a_guess_of_other_legs_is_refused(folder, tmp_path, capsys):
+    path = write_cycle_file(tmp_path, moves=f'{GRIP}[[move]]\nto = "home"\n')
+    arguments = ["solve", str(path), "--out", str(tmp_path / "out"), "--guess", str(folder)]
+    assert run(arguments) == 2
+    assert "the earlier cycle has 3 legs, this one 2" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out").exists()

@@ -13,6 +13,7 @@ from stiffopt.problem.branches import solutions_of_pose
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.freedom_goals import TimeGoal
 from stiffopt.problem.freedom_programme import optimise_freedom
+from stiffopt.robot.frames import LinkFrame
 
 # A spindle at a right angle to the flange: rotation about its axis moves the whole arm.
 PROBLEM = """schema = 1
@@ -230,6 +231,19 @@ def test_path_out_of_reach_in_every_posture_is_named(choose, monkeypatch):
     monkeypatch.setitem(ARMS, "er3a_c60", ("link_6", 1500))
     with pytest.raises(InputError, match="does the arm follow the whole path"):
         choose('tool_axis_rotation = "180 deg"')
+
+
+@pytest.mark.slow
+def test_a_posture_that_collides_comes_last(choose, tmp_path):
+    problem, _, optima = choose('posture = "any"', "ur10")
+    bodies = problem.robot.rigid_bodies()
+    elbow, _ = bodies.pose(LinkFrame(3, np.zeros(3), np.eye(3)), optima[0].joints[0])
+    place = ", ".join(f"{x:.4f}" for x in elbow)
+    file = tmp_path / "problem.toml"
+    box = f'[[cell.box]]\nname = "post"\nsize = [0.1, 0.1, 0.1]\nposition = [{place}]\n'
+    file.write_text(file.read_text() + box)
+    other = load_problem(file).problem
+    assert np.abs(other.path.points[0] - problem.path.points[0]).max() > 0.3
 
 
 @pytest.mark.slow
