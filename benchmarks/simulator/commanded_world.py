@@ -204,6 +204,9 @@ def simulate(world: World, command: np.ndarray) -> tuple[np.ndarray, np.ndarray]
                 - world.viscous * data.qvel[motor]
                 - world.armature * data.qacc[motor]
             )
-    if not np.isfinite(readings).all() or np.abs(readings - command).max() > np.pi:
+    if (
+        data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number
+        or np.abs(readings - command).max() > np.pi
+    ):
         raise FloatingPointError("the simulated arm does not follow its commands")
     return readings, torques

@@ -30,6 +30,8 @@ LOAD_VALUE = "torque_constant"
 
 # Delay of commands beyond the assumed one [s], of torques that an actuator's law gives.
 COMMAND_DELAY = ValueName("command_delay", 0)
+# Kinds of values of an actuator, relative: gain of the position error, and damping.
+GAIN, DAMPING = "actuator_gain", "actuator_damping"
 
 # Selects values by name.
 NameFilter = Callable[[ValueName], bool]
@@ -140,12 +142,7 @@ def nuisance_columns(
             if selected(name):
                 torque = signals.body_regressor[..., k]
                 yield NuisanceColumn(name, float(sd), Contribution(link_torque=torque))
-    law = robot.recordings.actuator
-    if law is not None and law.delay_deviation and selected(COMMAND_DELAY):
-        # A command that acts later gives less torque by its rate, which is that of the motion.
-        gains = np.where(np.isfinite(law.stiffness), law.stiffness, 0.0)
-        added = Contribution(gains * signals.motor_velocity)
-        yield NuisanceColumn(COMMAND_DELAY, law.delay_deviation, added)
+    yield from _actuator_columns(run, robot, selected)
     for j in range(robot.n):
         for kind in _DRIVE_VALUES:
             sd, name = getattr(tolerance, kind), ValueName(kind, j)
@@ -171,6 +168,28 @@ def nuisance_columns(
             values = np.ones(len(signals.time))
             added = Contribution(reading=_in_joint(run, j, values))
             yield NuisanceColumn(name, tolerance.encoder_zero, added)
+
+
+def _actuator_columns(
+    run: PreparedRun, robot: RobotModel, selected: NameFilter
+) -> Iterator[NuisanceColumn]:
+    """Yield delay, gains and damping of the actuators that torques are derived from."""
+    law, signals = robot.recordings.actuator, run.signals
+    if law is None:
+        return
+    if law.delay_deviation and selected(COMMAND_DELAY):
+        # A command that acts later gives less torque by its rate, which is that of the motion.
+        gains = np.where(np.isfinite(law.stiffness), law.stiffness, 0.0)
+        added = Contribution(gains * signals.motor_velocity)
+        yield NuisanceColumn(COMMAND_DELAY, law.delay_deviation, added)
+    # Gain and damping of a servo nearly cancel in motion: an error of either looks like viscous
+    # friction many times its share of the torque that they leave.
+    damping = law.damping * signals.motor_velocity
+    for kind, values in ((GAIN, signals.drive_torque + damping), (DAMPING, damping)):
+        for j in np.flatnonzero(law.scaled & (law.damping > 0.0)):
+            if selected(name := ValueName(kind, int(j))):
+                added = Contribution(_in_joint(run, int(j), values[:, j]))
+                yield NuisanceColumn(name, float(law.tolerance[j]), added)
 
 
 def _drive_torque_column(run: PreparedRun, robot: RobotModel, kind: str, j: int) -> np.ndarray:
