@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from stiffopt.actuator.law import ActuatorLaw
-from stiffopt.closed_loop.parameters import BODY_PARAMETERS, JOINT_PARAMETERS, STRIBECK_SPEED
+from stiffopt.closed_loop.parameters import BODY_PARAMETERS, JOINT_PARAMETERS
 from stiffopt.dynamics.newton_euler import own_bodies, torque_of_bodies
 from stiffopt.robot.body_tree import BodyTree
 
@@ -114,8 +114,6 @@ class CommandedArm:
         kp = ca.DM(stiffness) * (1.0 + own["gain"])
         kd = ca.DM(self.law.damping) * (1.0 + own["damping"])
 
-        fallen = STRIBECK_SPEED * (1.0 + own["stribeck_speed"])
-
         def inertia(q: ca.SX) -> ca.SX:
             still, none = ca.SX.zeros(n), np.zeros(3)
             angle = q - own["zero"]
@@ -133,7 +131,6 @@ class CommandedArm:
             dry = (
                 own["coulomb"]
                 + own["friction_slope"] * (q - ca.DM(self.middle))
-                + own["stribeck"] * ca.exp(-((v / fallen) ** 2))
                 + own["load_friction"] * (ca.sqrt(torque**2 + _LOAD_WIDTH**2) - _LOAD_WIDTH)
             )
             losses = dry * direction + own["viscous"] * v + own["drag"] * v * ca.fabs(v)

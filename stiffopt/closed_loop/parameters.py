@@ -15,8 +15,6 @@ JOINT_PARAMETERS = {
     "coulomb": "N m",
     "load_friction": "1",  # share of the actuator's torque
     "friction_slope": "N m/rad",  # of dry friction over the position, about the middle
-    "stribeck": "N m",  # rise of dry friction towards rest
-    "stribeck_speed": "1",  # relative change of the speed at which it has fallen
     "drag": "N m s^2/rad^2",  # of friction with the square of the velocity
     "offset": "N m",
     "zero": "rad",  # reading of the encoder less the angle of the bodies
@@ -30,9 +28,6 @@ BODY_PARAMETERS = ("mass", "mcx", "mcy", "mcz", "Ixx", "Iyy", "Izz")
 BODY_UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 3)
 DELAY = "delay"
 # Not below zero.
-# Speed at which the rise of dry friction has fallen to 1/e, of joints with gears [rad/s], and its
-# least relative change: below, the rise is dry friction that starts later.
-STRIBECK_SPEED, _MIN_SPEED_CHANGE = 0.1, -0.7
 _BOUNDED_PARAMETERS = ("armature", "viscous", "coulomb", "load_friction", "drag", DELAY)
 
 
@@ -72,8 +67,7 @@ class Parameters:
     @property
     def lower(self) -> np.ndarray:
         """Lower bounds (p,)."""
-        least = dict.fromkeys(_BOUNDED_PARAMETERS, 0.0) | {"stribeck_speed": _MIN_SPEED_CHANGE}
-        return np.array([least.get(name, -np.inf) for name, _ in self.names])
+        return np.array([0.0 if name in _BOUNDED_PARAMETERS else -np.inf for name, _ in self.names])
 
     def place(self, name: str) -> slice:
         """Return the places of a joint parameter."""

@@ -27,8 +27,6 @@ _VELOCITY_CUTOFF = 12.0
 # fastest velocity V, its stroke S and its inertia: dry friction T / 3, viscous T / V / 3, drag
 # T / V^2 / 10, slope T / S / 3, offset T / 20, rotor once the inertia.
 _DRY_SHARE, _VISCOUS_SHARE, _DRAG_SHARE, _SLOPE_SHARE, _OFFSET_SHARE = 0.3, 0.3, 0.1, 0.3, 0.05
-# Rise of dry friction towards rest over the largest torque, and of the speed of its fall, relative.
-_STRIBECK_SHARE, _STRIBECK_SPEED_DEVIATION = 0.1, 0.5
 # Friction over torque of a gear in good repair, and error of an encoder's zero [rad].
 # Rotor inertia at the output over that of the links: of geared joints often several times.
 _ROTOR_SHARE = 3.0
@@ -126,8 +124,6 @@ def expected_deviations(
         "coulomb": _DRY_SHARE * torque,
         "load_friction": _LOAD_FRICTION_DEVIATION,
         "friction_slope": _SLOPE_SHARE * torque / stroke,
-        "stribeck": _STRIBECK_SHARE * torque,
-        "stribeck_speed": _STRIBECK_SPEED_DEVIATION,
         "drag": _DRAG_SHARE * torque / speed**2,
         "offset": _OFFSET_SHARE * torque,
         "zero": _ZERO_DEVIATION,

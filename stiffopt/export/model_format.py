@@ -29,7 +29,7 @@ from stiffopt.robot.robot import Robot
 # Places of BODY_PARAMETERS in `Body.inertial_parameters`: mass, first moments, moments of inertia.
 _FITTED_BODY_PARAMETERS = (0, 1, 2, 3, 4, 6, 9)
 # Parameters of a closed loop that robot files have no field for.
-_UNREPRESENTED_PARAMETERS = ("load_friction", "friction_slope", "stribeck", "drag", "offset")
+_UNREPRESENTED_PARAMETERS = ("load_friction", "friction_slope", "drag", "offset")
 
 
 @dataclass(frozen=True, kw_only=True)

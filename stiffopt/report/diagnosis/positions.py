@@ -29,8 +29,6 @@ _VALUE_WORDS = {
     "coulomb": "dry friction",
     "load_friction": "friction per actuator torque",
     "friction_slope": "change of dry friction over the stroke",
-    "stribeck": "rise of dry friction towards rest",
-    "stribeck_speed": "relative change of the speed of its fall",
     "drag": "friction with the square of the speed",
     "offset": "torque offset",
     "zero": "encoder zero",
