@@ -17,6 +17,8 @@ from .commanded_arms import Arm, mjcf_text
 
 TIMESTEP = 5e-4  # [s]
 MASS_TOLERANCE, GAIN_TOLERANCE, FRICTION_TOLERANCE = 0.02, 0.03, 0.1
+# Standard deviations within which nominal values lie.
+_MAX_DEVIATIONS = 2.0
 # Teeth of a gear with backlash: their stiffness lets the lighter side ring at this angular
 # frequency [rad/s], with this share of critical damping.
 _TOOTH_FREQUENCY, _TOOTH_DAMPING = 400.0, 0.3
@@ -100,7 +102,8 @@ def true_world(arm: Arm, delay: float, rng: np.random.Generator, *, gains: bool)
     world = nominal_world(arm, delay)
 
     def factors(tolerance: float) -> np.ndarray:
-        return 1.0 + tolerance * rng.normal(size=arm.n)
+        # What lies further out is an effect, and would be named with right.
+        return 1.0 + tolerance * np.clip(rng.normal(size=arm.n), -_MAX_DEVIATIONS, _MAX_DEVIATIONS)
 
     world.scale = factors(MASS_TOLERANCE)
     for name in ("armature", "coulomb", "viscous"):
@@ -204,6 +207,9 @@ def simulate(world: World, command: np.ndarray) -> tuple[np.ndarray, np.ndarray]
                 - world.viscous * data.qvel[motor]
                 - world.armature * data.qacc[motor]
             )
-    if not np.isfinite(readings).all() or np.abs(readings - command).max() > np.pi:
+    if (
+        data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number
+        or np.abs(readings - command).max() > np.pi
+    ):
         raise FloatingPointError("the simulated arm does not follow its commands")
     return readings, torques

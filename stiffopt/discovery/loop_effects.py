@@ -19,7 +19,7 @@ from stiffopt.symbolic import Quantity
 
 # Samples of angle, velocity and torque at which a formula is compared with the term, over a time
 # in which memory would show; and the difference allowed over its size.
-_SAMPLES, _FORMULA_TOLERANCE = 50, 1e-6
+_SAMPLE_COUNT, _FORMULA_TOLERANCE = 50, 1e-6
 
 
 def robot_in_loop(
@@ -68,12 +68,17 @@ def _torque_formula(each: EstimatedEffect, constants: JointConstants) -> ca.Func
         return None
     function = ca.Function("torque", arguments, [ca.SX(formula)])
     rng = np.random.default_rng(0)
-    q, v = rng.uniform(-1.5, 1.5, (2, _SAMPLES))
-    direction, torque = np.tanh(v / 0.02), constants.torque_max * rng.uniform(-1.0, 1.0, _SAMPLES)
+    q, v = rng.uniform(-1.5, 1.5, (2, _SAMPLE_COUNT))
+    direction, torque = (
+        np.tanh(v / 0.02),
+        constants.torque_max * rng.uniform(-1.0, 1.0, _SAMPLE_COUNT),
+    )
     # What a formula does not know takes any values: terms that depend on it differ.
-    other = np.cumsum(rng.uniform(0.5, 1.5, _SAMPLES))
-    along = _evaluate_term(each, constants, [q, v, direction, torque], other) * np.ones(_SAMPLES)
-    found = np.asarray(function.map(_SAMPLES)(q, v, direction, torque))[0]
+    other = np.cumsum(rng.uniform(0.5, 1.5, _SAMPLE_COUNT))
+    along = _evaluate_term(each, constants, [q, v, direction, torque], other) * np.ones(
+        _SAMPLE_COUNT
+    )
+    found = np.asarray(function.map(_SAMPLE_COUNT)(q, v, direction, torque))[0]
     size = float(np.abs(along).max())
     same = size > 0.0 and float(np.abs(along - found).max()) <= _FORMULA_TOLERANCE * size
     return function if same else None

@@ -95,12 +95,13 @@ def fit_positions(
 
     None where a joint has no gain, which would not be held, or no command.
     """
-    robot, added, zeros = recordings.robot, None, {}
+    robot, added = recordings.robot, None
+    zeros: dict[int, float] = {}
     if model is not None:
         robot, added, zeros = robot_in_loop(recordings, model)
     prior, law = nominal_parameters(recordings, robot), recordings.actuator
-    for place, zero in zeros.items():
-        prior.values[prior.place("zero")][place] = zero
+    for joint, zero in zeros.items():
+        prior.values[prior.place("zero")][joint] = zero
     if estimated is not None and law is not None:
         unscaled = ~law.scaled[np.argsort(recordings.order)]
         for name in DRIVE_PARAMETERS.values():

@@ -237,6 +237,22 @@ def test_a_limit_of_the_drive_is_named_and_simulated(tmp_path: Path) -> None:
     assert after < 0.3 * before
 
 
+@pytest.mark.parametrize(("kd", "missing"), [(0.2, 0.0), (0.1, 0.1)])
+def test_an_error_of_a_gain_is_no_viscous_friction(
+    tmp_path: Path, kd: float, missing: float
+) -> None:
+    # Gain and damping nearly cancel: 6 % of the gain are 30 % of the viscous friction.
+    actuator = f"kp = [{KP / 1.06}]\nkd = [{kd}]\ntolerance = 0.03\ndelay = {DELAY}"
+    folder = write_servo_set(tmp_path / "set", actuator=actuator)
+    state_drive(folder)
+    file = folder / "recordings.toml"
+    file.write_text(file.read_text().replace(f"viscous = [{VISCOUS}]", "viscous = [0.05]"))
+    found = diagnose(folder, experiment=False).findings
+    assert [each.effect.name for each in found] == (["viscous"] if missing else [])
+    for finding in found:
+        assert abs(finding.parameters[0].value - missing) < 0.03
+
+
 @pytest.mark.slow
 def test_servo_from_a_plain_log_to_named_friction_and_a_rollout(tmp_path: Path) -> None:
     folder = write_servo_set(tmp_path / "log")

@@ -29,6 +29,8 @@ LOAD_VALUE = "torque_constant"
 
 # Delay of commands beyond the assumed one [s], of torques that an actuator's law gives.
 COMMAND_DELAY = ValueName("command_delay", 0)
+# Kinds of values of an actuator, relative: gain of the position error, and damping.
+GAIN, DAMPING = "actuator_gain", "actuator_damping"
 
 # Selects values by name.
 NameFilter = Callable[[ValueName], bool]
@@ -139,10 +141,7 @@ def nuisance_columns(
             if selected(name):
                 torque = signals.body_regressor[..., k]
                 yield NuisanceColumn(name, float(sd), Contribution(link_torque=torque))
-    law = robot.recordings.actuator
-    if law is not None and law.delay_deviation and selected(COMMAND_DELAY):
-        added = Contribution(command_rate(run, robot))
-        yield NuisanceColumn(COMMAND_DELAY, law.delay_deviation, added)
+    yield from _actuator_columns(run, robot, selected)
     for own in joint_columns(run, robot, tolerance, selected):
         like, values = signals.spring_torque, {own.field: own.values}
         yield NuisanceColumn(
@@ -213,6 +212,29 @@ def joint_columns(
         if tolerance.encoder_zero and selected(name):
             values = np.ones(len(signals.time))
             yield JointColumn(name, tolerance.encoder_zero, "reading", values)
+
+
+def _actuator_columns(
+    run: PreparedRun, robot: RobotModel, selected: NameFilter
+) -> Iterator[NuisanceColumn]:
+    """Yield delay, gains and damping of the actuators that torques are derived from."""
+    law, signals = robot.recordings.actuator, run.signals
+    if law is None:
+        return
+    if law.delay_deviation and selected(COMMAND_DELAY):
+        yield NuisanceColumn(
+            COMMAND_DELAY, law.delay_deviation, Contribution(command_rate(run, robot))
+        )
+    # Gain and damping of a servo nearly cancel in motion: an error of either looks like viscous
+    # friction many times its share of the torque that they leave.
+    damping = law.damping * signals.motor_velocity
+    for kind, values in ((GAIN, signals.drive_torque + damping), (DAMPING, damping)):
+        for j in np.flatnonzero(law.scaled & (law.damping > 0.0)):
+            if selected(name := ValueName(kind, int(j))):
+                added = Contribution.of_joint(
+                    int(j), signals.spring_torque, drive_torque=values[:, j]
+                )
+                yield NuisanceColumn(name, float(law.tolerance[j]), added)
 
 
 def _drive_torque_column(run: PreparedRun, robot: RobotModel, kind: str, j: int) -> np.ndarray:

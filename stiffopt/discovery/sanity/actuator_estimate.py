@@ -21,7 +21,7 @@ from stiffopt.formatting import pm
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun, delayed_command, derive_torque
 
-_DERIVED: tuple[str, ...] = ("Torques are not recorded: the actuator's law gives them.",)
+_DERIVED_NOTE: tuple[str, ...] = ("Torques are not recorded: the actuator's law gives them.",)
 # Cutoff of the filter [Hz]: weight and friction show in slow motion.
 _FILTER_CUTOFF = 8.0
 # Delays that are tried [s]: a fieldbus needs some milliseconds, a serial bus of servos some tens.
@@ -112,7 +112,7 @@ def resolve_actuator(
     law = recordings.actuator
     if law is None:
         return ResolvedActuator(recordings, list(runs), ())
-    parameters, notes = None, _DERIVED
+    parameters, notes = None, _DERIVED_NOTE
     if not law.known:
         guess = estimate_actuator(RobotModel(recordings), runs, law)
         found = guess.law
