@@ -135,7 +135,7 @@ def _smooth_squares(comparison: Comparison, residual: np.ndarray, own: np.ndarra
         shared -= white * float(left @ left)
         square += float(left @ left)
     chance = _CHANCE_DEVIATIONS * float(own.sum()) ** -0.5
-    return max(shared - chance * square, 0.0) / (1.0 - white)
+    return float(max(shared - chance * square, 0.0) / (1.0 - white))
 
 
 def _probability_of_gain(falls: np.ndarray) -> float:
