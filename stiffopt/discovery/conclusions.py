@@ -20,7 +20,7 @@ from stiffopt.discovery.experiment.design import ExperimentPlan
 from stiffopt.discovery.judging.explained_shares import MismatchShare, variance_explained
 from stiffopt.discovery.judging.unexplained import ChannelVerdict, Unexplained, channel_name
 from stiffopt.discovery.laws.law import LAW_FAMILY
-from stiffopt.discovery.search.cross_validation import left_out_gains
+from stiffopt.discovery.search.left_out_gain import left_out_gains
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.uncertainty import (
     Estimate,

@@ -10,7 +10,7 @@ from stiffopt.discovery import conclusions
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.conclusions import build_findings
-from stiffopt.discovery.search.cross_validation import LeftOutGain
+from stiffopt.discovery.search.left_out_gain import LeftOutGain
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.uncertainty import Estimate, estimate_parameters
 from stiffopt.discovery.settings import Settings

@@ -7,7 +7,8 @@ import numpy as np
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, effect_places
 from stiffopt.discovery.search.candidates import Candidate, Scorer
-from stiffopt.discovery.search.cross_validation import left_out_gains, select_predictive
+from stiffopt.discovery.search.cross_validation import select_predictive
+from stiffopt.discovery.search.left_out_gain import left_out_gains
 from stiffopt.discovery.search.uncertainty import jackknife_significance
 from stiffopt.discovery.thresholds import (
     CONFIRMED_DEVIATIONS,

@@ -1,0 +1,71 @@
+"""Gain of findings in stretches left out."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from shipped_set import SHIPPED
+
+from stiffopt.discovery.catalogue import effect
+from stiffopt.discovery.comparison.channel_rows import ChannelNoise
+from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.search.left_out_gain import (
+    _probability_of_gain,
+    _smooth_squares,
+    left_out_gains,
+)
+from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.thresholds import MIN_HELD_OUT_SHARE
+from stiffopt.discovery.training import prepare_training
+from stiffopt.recording.recording_set import load_recordings
+
+
+def test_gain_in_one_stretch_is_not_support() -> None:
+    """The same gain in all of ten stretches, in one of them, and in none."""
+    assert _probability_of_gain(np.array([3.0, 2.0, 4.0] * 3 + [3.0])) > 0.999
+    assert _probability_of_gain(np.array([30.0] + [0.0] * 9)) < 0.9
+    assert _probability_of_gain(np.zeros(10)) == 0.5
+    assert _probability_of_gain(np.array([-3.0, -2.0, -4.0])) < 0.05
+
+
+@pytest.mark.parametrize(("noise", "wave", "open_"), [(2.0, 0.0, 0.0), (1.0, 1.0, 0.5)])
+def test_noise_above_the_stated_one_is_no_open_law(noise: float, wave: float, open_: float) -> None:
+    """Squares of a slow wave in filtered noise, however large the noise is."""
+    low_pass = ZeroPhaseFilter(rate=250.0, cutoff=12.0)
+    draw = np.random.default_rng(3)
+    time = np.arange(40_000) / 250.0
+    samples = low_pass(noise * draw.normal(size=len(time)))[:: low_pass.step] / low_pass.noise_gain
+    time = time[:: low_pass.step]
+    residual = samples + wave * np.sin(2.0 * np.pi * 0.5 * time)
+    run = SimpleNamespace(time=time, index=0, low_pass=low_pass)
+    comparison: Any = SimpleNamespace(
+        runs=[run], rows=SimpleNamespace(sample_signal=lambda signal: signal(run))
+    )
+    squares = _smooth_squares(comparison, residual, np.ones(len(time), dtype=bool))
+    assert squares / len(time) == pytest.approx(open_, abs=0.12)
+
+
+def test_present_effect_has_support_and_absent_none() -> None:
+    comparison = prepare_training(load_recordings(SHIPPED), Settings()).comparison()
+    there = LocatedEffect(effect=effect("coulomb"), joint=1)
+    load = LocatedEffect(effect=effect("load_friction"), joint=0, shapes=(0.02,))
+    present, absent = left_out_gains(comparison, [there, load])
+    assert present.support > 0.9
+    assert present.open_share < 0.1
+    assert absent.support < 0.9
+    assert absent.share < MIN_HELD_OUT_SHARE
+
+
+def test_noise_that_is_stated_too_small_leaves_nothing_open() -> None:
+    """What the channels hold above the filter's band is noise, whatever the set states."""
+    whole = prepare_training(load_recordings(SHIPPED), Settings()).comparison()
+    noise = ChannelNoise(0.5 * whole.noise.torque, 0.5 * whole.noise.deflection)
+    optimistic = Comparison(whole.robot, whole.runs, noise, whole.tolerance)
+    there = LocatedEffect(effect=effect("coulomb"), joint=1)
+    (gain,) = left_out_gains(optimistic, [there])
+    assert gain.open_share < 0.1
