@@ -141,7 +141,10 @@ def nuisance_columns(
             if selected(name):
                 torque = signals.body_regressor[..., k]
                 yield NuisanceColumn(name, float(sd), Contribution(link_torque=torque))
-    yield from _actuator_columns(run, robot, selected)
+    law = robot.recordings.actuator
+    if law is not None and law.delay_deviation and selected(COMMAND_DELAY):
+        added = Contribution(command_rate(run, robot))
+        yield NuisanceColumn(COMMAND_DELAY, law.delay_deviation, added)
     for own in joint_columns(run, robot, tolerance, selected):
         like, values = signals.spring_torque, {own.field: own.values}
         yield NuisanceColumn(
@@ -199,6 +202,7 @@ def joint_columns(
                 and np.any(values := _drive_torque_column(run, robot, kind, j))
             ):
                 yield JointColumn(name, sd, "torque", values)
+        yield from _servo_columns(run, robot, j, selected)
         if tolerance.stiffness:
             yield from _spring_columns(run, j, tolerance.stiffness, selected)
         name = ValueName("joint_damping", j)
@@ -214,27 +218,21 @@ def joint_columns(
             yield JointColumn(name, tolerance.encoder_zero, "reading", values)
 
 
-def _actuator_columns(
-    run: PreparedRun, robot: RobotModel, selected: NameFilter
-) -> Iterator[NuisanceColumn]:
-    """Yield delay, gains and damping of the actuators that torques are derived from."""
+def _servo_columns(
+    run: PreparedRun, robot: RobotModel, j: int, selected: NameFilter
+) -> Iterator[JointColumn]:
+    """Yield gain and damping of the servo of a joint that torques are derived from.
+
+    They nearly cancel in motion: an error of either looks like viscous friction many times its
+    share of the torque that they leave.
+    """
     law, signals = robot.recordings.actuator, run.signals
-    if law is None:
+    if law is None or not (law.scaled[j] and law.damping[j] > 0.0):
         return
-    if law.delay_deviation and selected(COMMAND_DELAY):
-        yield NuisanceColumn(
-            COMMAND_DELAY, law.delay_deviation, Contribution(command_rate(run, robot))
-        )
-    # Gain and damping of a servo nearly cancel in motion: an error of either looks like viscous
-    # friction many times its share of the torque that they leave.
-    damping = law.damping * signals.motor_velocity
-    for kind, values in ((GAIN, signals.drive_torque + damping), (DAMPING, damping)):
-        for j in np.flatnonzero(law.scaled & (law.damping > 0.0)):
-            if selected(name := ValueName(kind, int(j))):
-                added = Contribution.of_joint(
-                    int(j), signals.spring_torque, drive_torque=values[:, j]
-                )
-                yield NuisanceColumn(name, float(law.tolerance[j]), added)
+    damping = law.damping[j] * signals.motor_velocity[:, j]
+    for kind, values in ((GAIN, signals.drive_torque[:, j] + damping), (DAMPING, damping)):
+        if selected(name := ValueName(kind, j)):
+            yield JointColumn(name, float(law.tolerance[j]), "torque", values)
 
 
 def _drive_torque_column(run: PreparedRun, robot: RobotModel, kind: str, j: int) -> np.ndarray:
