@@ -121,6 +121,22 @@ def test_a_law_file_is_read_as_the_same_effect(tmp_path) -> None:
         assert law_of(own) == law
 
 
+def test_a_deflection_by_the_load_alone_is_play_and_one_that_lags_is_none() -> None:
+    load = LawSource("load", 4)
+    plain, late, warm = (
+        Law(4, "deflection", factors)
+        for factors in (
+            (Factor(load, "saturating", (2.0,), ((0.1, 9.0),)),),
+            (Factor(load, "lag", (0.2,), ((0.01, 9.0),)),),
+            (Factor(load, "linear"), Factor(LawSource("temperature", 4), "linear")),
+        )
+    )
+    found = [law_effect(law, [1.0]) for law in (plain, late, warm)]
+    assert [effect.yields for effect in found] == [True, True, True]
+    assert [effect.lags for effect in found] == [False, True, False]
+    assert [effect.is_play for effect in found] == [True, False, False]
+
+
 def test_a_stop_element_slides_at_its_limit() -> None:
     there = np.concatenate([np.linspace(0.0, 1.0, 101), np.linspace(1.0, 0.5, 51)])
     found = operators.stop(there, 0.1)

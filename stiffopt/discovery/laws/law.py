@@ -123,6 +123,11 @@ class Law:
         return self.yields and any(f.own.has_memory for f in self.factors if f.source == load)
 
     @property
+    def is_play(self) -> bool:
+        """True where that deflection is a function of the load alone, as a spring or play is."""
+        return self.yields and len({f.source for f in self.factors}) == 1 and not self.lags
+
+    @property
     def structure(self) -> tuple[object, ...]:
         """Joint, signals and forms, whatever the shapes."""
         return (self.joint, tuple((factor.source, factor.form) for factor in self.factors))
@@ -329,6 +334,7 @@ def law_effect(law: Law, amplitudes: Sequence[float]) -> Effect:
         couples_joints=law.of_robot,
         yields=law.yields,
         lags=law.lags,
+        is_play=law.is_play,
         applies=partial(_is_joint, law.joint + 1) if law.of_robot else None,
         term=partial(law_term, law),
         amplitudes=tuple(

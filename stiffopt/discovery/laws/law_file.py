@@ -45,6 +45,7 @@ LAW_{number} = Effect(
     couples_joints={couples},
     yields={yields},
     lags={lags},
+    is_play={is_play},
     applies={applies},
     separate={separate},
 )
@@ -114,6 +115,7 @@ def _format_law(
         couples=law.of_robot,
         yields=law.yields,
         lags=law.lags,
+        is_play=law.is_play,
         applies=f"lambda constants: constants.joint == {law.joint + 1}" if law.of_robot else None,
         separate=json.dumps(describe_test(law)),
     )
