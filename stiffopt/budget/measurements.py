@@ -76,15 +76,13 @@ def _informations(model: ErrorModel, budget: ErrorBudget) -> Iterator[tuple[str,
         _information(np.where(loop[:, None, None], 0.0, unloaded), unloaded[loop]),
     )
     if np.any(groups == "torsion"):
-        force = _test_force(model, poses)
-        loaded = _position_effects(
-            replace(model, process_force=np.array([0.0, 0.0, -force])), poses, budget
-        )
+        force, words = _test_force(model, poses)
+        loaded = _position_effects(replace(model, process_force=force), poses, budget)
         change = np.where(loop[:, None, None], 0.0, loaded - unloaded)
         # Loop states before and after the load are independent, as are the two positions.
         noise = np.sqrt(2.0) * unloaded[loop]
         yield (
-            f"identify-stiffness: deflection by {force:.3g} N within {accuracy}",
+            f"identify-stiffness: deflection by {words} within {accuracy}",
             _information(change, noise, deviation=np.sqrt(2.0) * TRACKER_DEVIATION),
         )
     for group, name in (
@@ -122,10 +120,19 @@ def _information(
     return np.asarray(np.einsum("ski,tki->st", effects, weighted))
 
 
-def _test_force(model: ErrorModel, poses: States) -> float:
-    """Largest vertical force [N] that loads no joint beyond a share of its torque."""
+def _test_force(model: ErrorModel, poses: States) -> tuple[np.ndarray, str]:
+    """Test force (3,) [N] that loads no joint beyond a share of its torque, and its words.
+
+    A weight; where no joint carries weight, as with vertical axes alone, a horizontal pull.
+    """
     robot = model.robot
     bodies = robot.rigid_bodies()
-    arms = np.array([np.abs(bodies.jacobian(robot.tool, q)[2]) for q in poses.position])
+    arms = np.array([np.abs(bodies.jacobian(robot.tool, q)[:3]) for q in poses.position]).max(
+        axis=0
+    )
     with np.errstate(divide="ignore"):
-        return float(np.min(_LOAD_SHARE * robot.torque_max / np.max(arms, axis=0)))
+        most = np.min(_LOAD_SHARE * robot.torque_max / arms, axis=1)
+    axis = next((k for k in (2, 0, 1) if np.isfinite(most[k])), 0)
+    size = float(most[axis]) if np.isfinite(most[axis]) else 0.0
+    force = (-size if axis == 2 else size) * np.eye(3)[axis]
+    return force, f"{size:.3g} N" + ("" if axis == 2 else f" along {'xy'[axis]}")

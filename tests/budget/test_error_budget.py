@@ -251,3 +251,12 @@ def test_shares_of_the_commanded_error_join_the_joints():
         mean=np.zeros((3, 3)),
     )
     assert error_shares(error) == pytest.approx({"stiffness": 0.5, "bearing": 0.5, "servo": 0.0})
+
+
+def test_arm_that_carries_no_weight_is_measured_under_a_horizontal_pull(tmp_path, capsys):
+    problem = str(ROOT / "problems" / "two_link.toml")
+    assert run(["budget", problem, "-o", str(tmp_path / "out")]) == 0
+    told = json.loads((tmp_path / "out" / "budget.json").read_text())
+    names = [each["name"] for each in told["measurements"]]
+    assert any("along x" in name or "along y" in name for name in names)
+    assert all(np.isfinite(each["bound"]) for each in told["measurements"])
