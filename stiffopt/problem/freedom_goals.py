@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import linprog
+import scipy
 
 if TYPE_CHECKING:
     from stiffopt.problem.freedom_task import FreedomTask
@@ -152,7 +152,7 @@ class TimeGoal(FreedomGoal):
         """Return the time, and the squared rates (K,)."""
         ceiling, rows = self._rate_rows(joints)
         count = len(joints)
-        found = linprog(
+        found = scipy.optimize.linprog(
             -np.ones(count) / np.maximum(ceiling.max(), 1e-12),
             A_ub=np.vstack([rows, -rows]),
             b_ub=np.ones(2 * len(rows)),

@@ -13,7 +13,7 @@ from itertools import combinations
 
 import casadi as ca
 import numpy as np
-from scipy.interpolate import CubicSpline
+import scipy
 
 from stiffopt.errors import ProblemError
 from stiffopt.problem.freedom_goals import DeflectionGoal, FreedomGoal, TimeGoal
@@ -288,7 +288,7 @@ class _Search:
             turns[:, j] = y[own]
         placement = np.zeros(6)
         placement[self._shifted] = y[: len(self._shifted)]
-        spline = CubicSpline(task.along, joints)
+        spline = scipy.interpolate.CubicSpline(task.along, joints)
         choice = FreedomChoice(
             task.origin, placement, task.basis, turns, lambda along: np.asarray(spline(along))
         )

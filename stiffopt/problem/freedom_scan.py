@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from stiffopt.dynamics.inverse_kinematics import UnreachablePoseError, solve_pose
 from stiffopt.problem.branches import solutions_of_pose
@@ -152,7 +152,9 @@ def _postures(task: FreedomTask, along: float, near: np.ndarray) -> np.ndarray:
     spins = bound * (np.arange(count) / max(count - 1, 1) * 2.0 - 1.0) if count > 1 else [0.0]
     found: list[np.ndarray] = []
     for spin in spins:
-        turned = rotation @ Rotation.from_rotvec([0.0, 0.0, spin]).as_matrix()
+        turned = (
+            rotation @ scipy.spatial.transform.Rotation.from_rotvec([0.0, 0.0, spin]).as_matrix()
+        )
         if freedom.posture == "any":
             found += solutions_of_pose(task.robot, place, turned, near, lambda q: True)
             continue

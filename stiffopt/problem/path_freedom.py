@@ -16,8 +16,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from scipy.interpolate import BSpline
-from scipy.spatial.transform import Rotation
+import scipy
 
 from stiffopt.declaration import NOT_NEGATIVE, Angle, Doc, Length, check_fields
 from stiffopt.errors import ProblemError
@@ -137,7 +136,9 @@ class TurnBasis:
         if self.degree == 0:
             return np.ones((len(along), 1))
         inside = np.clip(along, self.knots[0], self.knots[-1])
-        return np.asarray(BSpline.design_matrix(inside, self.knots, self.degree).toarray())
+        return np.asarray(
+            scipy.interpolate.BSpline.design_matrix(inside, self.knots, self.degree).toarray()
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,9 +165,9 @@ class FreedomChoice:
     joints: Callable[[float], np.ndarray]
 
     @property
-    def work_rotation(self) -> Rotation:
+    def work_rotation(self) -> scipy.spatial.transform.Rotation:
         """Rotation of the work frame from the stated one."""
-        return Rotation.from_rotvec(self.placement[3:])
+        return scipy.spatial.transform.Rotation.from_rotvec(self.placement[3:])
 
     def angles(self, along: np.ndarray) -> np.ndarray:
         """Rotation and tilts (K, 3) [rad] at distances (K,) [m]."""
@@ -180,6 +181,10 @@ class FreedomChoice:
     def turn(self, along: np.ndarray, rotations: np.ndarray) -> np.ndarray:
         """Orientations (K, 3, 3) of the tool from the stated ones at distances (K,) [m]."""
         spin, *tilt = self.angles(along).T
-        leaned = Rotation.from_rotvec(np.stack([*tilt, np.zeros_like(spin)], axis=1))
-        spun = Rotation.from_rotvec(spin[:, None] * np.array([0.0, 0.0, 1.0]))
+        leaned = scipy.spatial.transform.Rotation.from_rotvec(
+            np.stack([*tilt, np.zeros_like(spin)], axis=1)
+        )
+        spun = scipy.spatial.transform.Rotation.from_rotvec(
+            spin[:, None] * np.array([0.0, 0.0, 1.0])
+        )
         return np.asarray(self.work_rotation.as_matrix() @ rotations @ (leaned * spun).as_matrix())

@@ -229,7 +229,7 @@ MUTANTS = {
 @pytest.fixture(autouse=True)
 def _own_models():
     """Fits of contact laws and dynamics are kept: a mutant must neither find nor leave any."""
-    kept = (surrogate.fit_log_cubic, newton_euler._torque_recursion)
+    kept = (surrogate.fit_log_cubic, newton_euler._cached_recursion)
     for each in kept:
         each.cache_clear()
     yield

@@ -149,7 +149,9 @@ def test_correction_that_stalls_near_its_start_is_acceptable(objective, status):
         solve_s=0.0,
     )
     made = SimpleNamespace(solver=SimpleNamespace(solve=lambda *a, **k: raw))
-    run = SimpleNamespace(progress=None, remaining=1.0, record=lambda stage, raw: None)
+    run = SimpleNamespace(
+        progress=None, remaining=1.0, max_iterations=100, record=lambda stage, raw: None
+    )
     stage = SolveStage(4, Smoothing(1.0))
     found = solve_stage(run, made, stage, raw.x, None, "correction", enough=1.1)
     assert found.status == status

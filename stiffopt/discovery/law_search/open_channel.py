@@ -169,6 +169,8 @@ class OpenChannel:
         )[self.rows]
         parts = [self.block == b for b in range(int(self.block.max()) + 1)]
         short = min(float(np.ptp(time[own])) for own in parts)
+        if short <= 0.0:  # a clock that stands, as of poses at rest
+            return ()
         step = float(np.median(np.diff(np.unique(time))))
         coarse = np.arange(2.0 / short, _MAX_FREQUENCY / step, _FREQUENCY_STEP / short)
         if not coarse.size:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from stiffopt.actuator.position_servo import PositionServo
+from stiffopt.errors import InputError
 from stiffopt.recording.readers.read import is_messages, read_tables
 from stiffopt.recording.recorded_arm import path_inside_set
 from stiffopt.recording.recording_set import RecordingSet
@@ -31,7 +32,10 @@ def take_errors_as_commands(recordings: RecordingSet) -> tuple[RecordingSet, tup
     path = path_inside_set(recordings.path, "runs", entries[0].file)
     if not all(signals.torque) or not path.is_file() or is_messages(path):
         return recordings, ()
-    tables = list(read_tables(path).values())
+    try:
+        tables = list(read_tables(path).values())
+    except InputError:
+        return recordings, ()  # whoever opens the run says why
     if len(tables) != 1:
         return recordings, ()
     found = [
