@@ -15,6 +15,7 @@ from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.search.left_out_gain import (
+    _FoldPredictions,
     _probability_of_gain,
     _smooth_squares,
     left_out_gains,
@@ -69,3 +70,18 @@ def test_noise_that_is_stated_too_small_leaves_nothing_open() -> None:
     there = LocatedEffect(effect=effect("coulomb"), joint=1)
     (gain,) = left_out_gains(optimistic, [there])
     assert gain.open_share < 0.1
+
+
+def test_nominal_values_out_of_bounds_do_not_stand_for_an_effect_left_out() -> None:
+    """A column alike with a narrow tolerance predicts as much as its bounds allow, no more."""
+    draw = np.random.default_rng(8)
+    shape = np.sin(np.linspace(0.0, 60.0, 3000))
+    columns = np.column_stack([10.0 * shape, shape])
+    target = 5.0 * shape + draw.normal(size=len(shape))
+    prior, limits = np.array([0.02, 1.0]), np.array([4.0, np.inf])
+    fold = np.arange(len(shape)) * 6 // len(shape)
+    predictions = _FoldPredictions(columns, target, prior, limits, fold)
+    left = predictions.residual(np.array([True, False]))
+    np.testing.assert_allclose(left, target - 0.8 * shape, atol=1e-6)
+    both = predictions.residual(np.array([True, True]))
+    assert np.mean(both**2) == pytest.approx(1.0, abs=0.05)

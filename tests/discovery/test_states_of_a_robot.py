@@ -104,6 +104,7 @@ def test_heavy_load_is_the_change_and_its_remedy_comes_first(tmp_path):
     assert change.effect.family == "inertial"
     mass = next(p for p in change.parameters if p.name == "dm")
     assert mass.value == pytest.approx(4.0, abs=max(4.0 * mass.sd, 0.1))
+    assert change.probability > 0.9
     assert len(found.findings) > 1
     assert change.effect.title in change_headline(found) or "heavier" in change_headline(found)
     assert any(word in action(found) for word in ("payload", "mass", "load"))

@@ -307,16 +307,23 @@ class Comparison:
         prior = np.concatenate([sd, np.ones(sum(len(e.effect.amplitudes) for e in effects))])
         sums = self.sums(effects).own
         found = posterior(sums, prior, cross_validate=False)
-        limits = np.full(len(prior), np.inf)
-        limits[: len(sd)] = self.box
-        free = 0 if self.bodies is None else self.bodies.size
-        limits[:free] = np.inf
+        limits = self.limits(len(prior))
         if boxed and np.any(np.abs(found.mean / prior) > limits):
-            found = replace(found, mean=_solve_boxed(sums, prior, limits))
-        if boxed and free:
+            gram, moment = sums.gram.sum(axis=0), sums.moment.sum(axis=0)
+            found = replace(found, mean=solve_boxed(gram, moment, prior, limits))
+        if boxed and self.bodies is not None:
             found = replace(found, mean=self._make_consistent(found.mean, sums, prior, limits))
         residual = (self.target - self.model_rows(effects, found.mean)) / self._row_weight
         return Fit(tuple(effects), found, residual, len(sd))
+
+    def limits(self, count: int) -> np.ndarray:
+        """Bounds (count,) of nuisance values and amplitudes, in standard deviations of priors.
+
+        Amplitudes and free bodies have none; bodies must be consistent instead.
+        """
+        found = np.full(count, np.inf)
+        found[0 if self.bodies is None else self.bodies.size : len(self.priors[1])] = self.box
+        return found
 
     def _make_consistent(
         self, mean: np.ndarray, sums: Sums, prior: np.ndarray, limits: np.ndarray
@@ -337,9 +344,10 @@ class Comparison:
             return np.asarray(np.sqrt(square / self.rows.counts))
 
 
-def _solve_boxed(sums: Sums, prior: np.ndarray, limits: np.ndarray) -> np.ndarray:
+def solve_boxed(
+    gram: np.ndarray, moment: np.ndarray, prior: np.ndarray, limits: np.ndarray
+) -> np.ndarray:
     """Return the likeliest values (p,) within bounds in standard deviations of the priors."""
-    scaled = sums.gram.sum(axis=0) * np.outer(prior, prior) + np.eye(len(prior))
-    root = np.linalg.cholesky(scaled)
-    goal = solve_triangular(root, prior * sums.moment.sum(axis=0), lower=True)
+    root = np.linalg.cholesky(gram * np.outer(prior, prior) + np.eye(len(prior)))
+    goal = solve_triangular(root, prior * moment, lower=True)
     return np.asarray(prior * lsq_linear(root.T, goal, (-limits, limits)).x)

@@ -13,7 +13,7 @@ import numpy as np
 from scipy import special
 
 from stiffopt.discovery.comparison.channel_rows import noise_above_cutoff
-from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.comparison import Comparison, solve_boxed
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.search.cross_validation import number_folds, stack_columns
 from stiffopt.discovery.search.uncertainty import number_stretches
@@ -70,7 +70,8 @@ def left_out_gains(
     stated = np.concatenate([comparison.noise.torque, comparison.noise.deflection])
     held = np.fmax(noise_above_cutoff(comparison.nominal_runs) / stated, 1.0)
     usual = (UNEXPLAINED_RATIO * held) ** 2
-    predictions = _FoldPredictions(columns, comparison.target, prior, fold)
+    limits = comparison.limits(len(prior))
+    predictions = _FoldPredictions(columns, comparison.target, prior, limits, fold)
     now = predictions.residual(np.ones(len(owner), dtype=bool))
     gains = []
     for k in range(len(effects)):
@@ -94,24 +95,37 @@ def left_out_gains(
 
 
 class _FoldPredictions:
-    """Predictions of every fold by fits to the other folds, with some of the columns (m, p)."""
+    """Predictions of every fold by fits to the other folds, with some of the columns (m, p).
+
+    Nominal values keep their bounds: beyond them they would stand for the effect that is left out,
+    as torque constants twice their size do for a load about which the columns are linear.
+    """
 
     def __init__(
-        self, columns: np.ndarray, target: np.ndarray, prior: np.ndarray, fold: np.ndarray
+        self,
+        columns: np.ndarray,
+        target: np.ndarray,
+        prior: np.ndarray,
+        limits: np.ndarray,
+        fold: np.ndarray,
     ) -> None:
-        self._columns, self._target, self._precision = columns, target, np.diag(prior**-2.0)
+        self._columns, self._target = columns, target
+        self._prior, self._limits = prior, limits
         self._rows = [np.flatnonzero(fold == number) for number in range(int(fold.max()) + 1)]
         self._gram = np.array([columns[own].T @ columns[own] for own in self._rows])
         self._moment = np.array([columns[own].T @ target[own] for own in self._rows])
 
     def residual(self, kept: np.ndarray) -> np.ndarray:
         """Return the residual (m,) with the columns of a mask (p,)."""
-        whole, moment = self._gram.sum(axis=0) + self._precision, self._moment.sum(axis=0)
-        left = self._target.copy()
+        left, prior, limits = self._target.copy(), self._prior[kept], self._limits[kept]
+        whole = self._gram.sum(axis=0)[kept][:, kept]
+        moment = self._moment.sum(axis=0)[kept]
         for own, gram, part in zip(self._rows, self._gram, self._moment, strict=True):
-            values = np.zeros(len(kept))
-            values[kept] = np.linalg.solve((whole - gram)[kept][:, kept], (moment - part)[kept])
-            left[own] -= self._columns[own] @ values
+            others, goal = whole - gram[kept][:, kept], moment - part[kept]
+            values = np.linalg.solve(others + np.diag(prior**-2.0), goal)
+            if np.any(np.abs(values) > limits * prior):
+                values = solve_boxed(others, goal, prior, limits)
+            left[own] -= self._columns[own][:, kept] @ values
         return left
 
 
