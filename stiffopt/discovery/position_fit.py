@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stiffopt.actuator.law import ActuatorLaw
-from stiffopt.closed_loop.arm import CommandedArm
+from stiffopt.closed_loop.arm import AddedTorque, CommandedArm
 from stiffopt.closed_loop.parameters import (
     BODY_PARAMETERS,
     DELAY,
@@ -32,6 +32,7 @@ from stiffopt.errors import InputError
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
 from stiffopt.robot.batched_kinematics import frame_positions
+from stiffopt.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -93,21 +94,16 @@ def fit_positions(
 
     Joints whose gain gives torque no scale begin with the drives of `estimated`.
 
-    None where a joint has no gain, which would not be held, or no command.
+    Findings that make the loop unstable are left out of it. None where a joint has no gain, which
+    would not be held, or no command.
     """
-    robot, added = recordings.robot, None
-    zeros: dict[int, float] = {}
+    fit = None
     if model is not None:
-        robot, added, zeros = robot_in_loop(recordings, model)
-    prior, law = nominal_parameters(recordings, robot), recordings.actuator
-    for joint, zero in zeros.items():
-        prior.values[prior.place("zero")][joint] = zero
-    if estimated is not None and law is not None:
-        unscaled = ~law.scaled[np.argsort(recordings.order)]
-        for name in DRIVE_PARAMETERS.values():
-            place = prior.place(name)
-            prior.values[place] = np.where(unscaled, estimated.of(name), prior.of(name))
-    fit = fit_loop(recordings, runs, prior, say, tree=robot.tree, added=added)
+        fit = _fit_robot(recordings, runs, estimated, say, *robot_in_loop(recordings, model))
+        if fit is None:
+            say("the loop with the findings is unstable: simulate without them")
+    if fit is None:
+        fit = _fit_robot(recordings, runs, estimated, say, recordings.robot, None, {})
     if fit is None:
         return None
     loop, fitted = fit
@@ -119,6 +115,27 @@ def fit_positions(
         deviations=fitted.deviations,
         ratios=_ratios_to_gain(loop.law, fitted),
     )
+
+
+def _fit_robot(
+    recordings: RecordingSet,
+    runs: Sequence[RecordedRun],
+    estimated: Parameters | None,
+    say: Callable[[str], object],
+    robot: Robot,
+    added: AddedTorque | None,
+    zeros: Mapping[int, float],
+) -> tuple[CommandedArm, Polished] | None:
+    """Fit the closed loop of a robot with further torques and joint zeros [rad]."""
+    prior, law = nominal_parameters(recordings, robot), recordings.actuator
+    for joint, zero in zeros.items():
+        prior.values[prior.place("zero")][joint] = zero
+    if estimated is not None and law is not None:
+        unscaled = ~law.scaled[np.argsort(recordings.order)]
+        for name in DRIVE_PARAMETERS.values():
+            place = prior.place(name)
+            prior.values[place] = np.where(unscaled, estimated.of(name), prior.of(name))
+    return fit_loop(recordings, runs, prior, say, tree=robot.tree, added=added)
 
 
 def _ratios_to_gain(law: ActuatorLaw, fitted: Polished) -> dict[str, tuple[np.ndarray, np.ndarray]]:

@@ -118,16 +118,7 @@ class Training:
 
 
 def open_training_runs(recordings: RecordingSet, say: Say = lambda _: None) -> list[RecordedRun]:
-    """Open the training runs; of the others only whether they can be read is found out, now.
-
-    Raises
-    ------
-    InputFileError
-        A run that cannot be read, of whatever role.
-    """
-    for entry in recordings.runs:
-        if entry.role != "train":
-            recordings.open(entry)
+    """Open the training runs, and no other run."""
     opened = []
     for entry in recordings.with_role("train"):
         say(f"read {entry.file}")
