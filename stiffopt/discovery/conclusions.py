@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import special
 
+from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect
 from stiffopt.discovery.diagnosis import (
@@ -93,8 +94,10 @@ def build_findings(
             parameters.p_value(index),
             _reported_p_value(parameters.effects[index], reported, located.constants(constants)),
         )
-        # The mean of few runs differs between two states by chance, at any of the joints.
-        places = n if effect.only_in and located.joint is not None else 1
+        # The mean of few runs differs between two states by chance, at any of the joints and in
+        # any effect of its family.
+        alike = sum(each.family == effect.family for each in CATALOGUE)
+        places = n * alike if effect.only_in and located.joint is not None else 1
         sure = gains[index].support if located.run is None else 1.0
         sure *= float(again[index])
         misfit = 1.0 - (1.0 - max(unknown, _null_share(chance, places))) * sure

@@ -51,7 +51,7 @@ REPORTED = {
     "hysteresis": {"h": "N m", "s": "rad"},
     "stiffness_linear": {"factor": ""},
     "k1_softening": {"k1_factor": "", "t1_factor": ""},
-    "preload_loss": {"tp": "N m"},
+    "preload_loss": {"tp": "N m", "windup": "rad"},
     "joint_damping": {"dD": "N m s/rad"},
     "belt_creep": {"C": "rad/(N m)", "tau_r": "s"},
     "transmission_error": {"A1": "rad", "A2": "rad", "A4": "rad"},

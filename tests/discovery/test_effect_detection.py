@@ -135,7 +135,11 @@ def test_trials_cover_the_catalogue() -> None:
     assert sorted(trial.name for trial in TRIALS) == sorted(names - NOT_SIMULATED)
 
 
-@pytest.mark.parametrize("trial", trials(), scope="module")
+# A drive that saturates softly leaves 41 % of the residual to no cause.
+SOFT_KNEE = "the formula of the catalogue is a sharp limit: probability .45"
+
+
+@pytest.mark.parametrize("trial", trials(saturation=SOFT_KNEE), scope="module")
 def test_effect_is_first_finding_at_its_place(trial: Trial) -> None:
     finding = finding_of(trial)
     diagnosis = diagnosed(trial.spec)

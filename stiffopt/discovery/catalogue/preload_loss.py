@@ -46,10 +46,18 @@ def preload_loss_term(
     return Term(deflection=amplitudes[0] * size * np.sign(s) * pressed)
 
 
-def _report_pressure(
+def _report_pressure_and_windup(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
 ) -> Mapping[str, float]:
-    return {"tp": shapes[0] * constants.torque_rated}
+    """Return the torque that presses as the preload left does, and the wind-up added at rated load.
+
+    Recordings that hardly turn the torque around tell the wind-up, not the pressure.
+    """
+    assert isinstance(constants, JointConstants)
+    left, power = shapes
+    size = constants.torque_rated * contact_compliance(constants)
+    pressed = (1.0 + left) ** power - left**power
+    return {"tp": left * constants.torque_rated, "windup": amplitudes[0] * size * pressed}
 
 
 def lose_preload(
@@ -155,8 +163,8 @@ PRELOAD_LOSS = Effect(
         Shape(name="left", unit="", starts=_start_pressures, lower=1e-7, upper=10.0),
         Shape(name="power", unit="", starts=(0.35, 0.65), lower=0.3, upper=0.9),
     ),
-    report=_report_pressure,
-    units={"tp": "N m"},
+    report=_report_pressure_and_windup,
+    units={"tp": "N m", "windup": "rad"},
     applies=winds_up,
     possible=lambda shapes, constants: shapes[0] >= _MIN_PRESSURE_RATIO * carried_share(constants),
     separate="Climb to the rated torque on both sides in steps: loosened contacts stiffen all the"

@@ -189,6 +189,11 @@ def _ranked(found: Iterable[FittedLaw]) -> list[FittedLaw]:
     return sorted(found, key=lambda each: -each.evidence)
 
 
+# Relative difference of two functions, root mean square over the range met, within which they are
+# one law: that within which a law counts as found.
+SAME_FUNCTION = 0.1
+
+
 def may_beat(channel: OpenChannel, named: float, findings: Sequence[LocatedEffect]) -> bool:
     """Return True where a law that leaves nothing but noise would beat findings, see `beats`."""
     return _log_odds(channel, float(len(channel.target)), named, findings, 1) > RIVAL_LOG_ODDS
@@ -200,9 +205,11 @@ def beats(
     """Return True where a law in place of findings, which leave the squares `named`, is likelier.
 
     By the odds that tell rivals of the catalogue apart: nature follows formulas nearly, those of
-    the catalogue and of laws alike.
+    the catalogue and of laws alike. A law that is the findings' function in other words is not.
     """
     left, own = channel.square - best.fit.removed, best.law
+    if named - left < SAME_FUNCTION**2 * (channel.square - left):
+        return False
     odds = _log_odds(channel, left, named, findings, own.parameter_count)
     return odds + own.log_prior(channel.comparison.robot.n) > RIVAL_LOG_ODDS
 
