@@ -36,7 +36,7 @@ class LoopSymbols:
     next: ca.SX
 
 
-AddedTorque = Callable[[ca.SX, ca.SX, ca.SX, ca.SX], ca.SX]
+LoopTorque = Callable[[ca.SX, ca.SX, ca.SX, ca.SX], ca.SX]
 
 
 class CommandedArm:
@@ -58,7 +58,7 @@ class CommandedArm:
         tree: BodyTree,
         law: ActuatorLaw,
         middle: np.ndarray,
-        added: AddedTorque | None = None,
+        added: LoopTorque | None = None,
     ) -> None:
         self.tree, self.law, self.middle = tree, law, np.asarray(middle, dtype=float)
         self.added = added

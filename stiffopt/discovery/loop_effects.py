@@ -8,12 +8,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from stiffopt.closed_loop.arm import AddedTorque
+from stiffopt.closed_loop.arm import LoopTorque
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect
 from stiffopt.discovery.extended.model import ExtendedModel
 from stiffopt.discovery.extended.planning import joint_constants, planner_model
 from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.recording.recording_set import RecordingSet
+from stiffopt.robot.added_torque import AddedTorque, MotionState
 from stiffopt.robot.robot import Robot
 from stiffopt.symbolic import Quantity
 
@@ -24,11 +25,12 @@ _SAMPLE_COUNT, _FORMULA_TOLERANCE = 50, 1e-6
 
 def robot_in_loop(
     recordings: RecordingSet, model: ExtendedModel
-) -> tuple[Robot, AddedTorque | None, dict[int, float]]:
+) -> tuple[Robot, LoopTorque | None, dict[int, float]]:
     """Return the robot with findings, the torques of those it cannot hold, and encoder zeros.
 
     Zeros [rad] are readings less angles, by the joint (from 0) of the robot. Effects with memory,
-    of sensors, of single runs, and of the whole arm are in none of these.
+    of accelerations, of sensors, of single runs and of the whole arm are in none of these; of those
+    of several joints only laws are.
     """
     planner = planner_model(recordings.robot, model)
     zeros, terms = {}, []
@@ -40,20 +42,40 @@ def robot_in_loop(
         if each.effect.name == "joint_zero":
             zeros[place] = -each.amplitudes[0]
             continue
+        if each.effect.couples_joints:
+            continue
         own = recordings.robot.chains[place]
         formula = _torque_formula(each, joint_constants(model, joint, own))
         if formula is not None:
             terms.append((place, formula))
-    if not terms:
+    n, torques = recordings.n, planner.robot.added_torques
+    laws = [each for each in torques if not _needs_acceleration(each, n)]
+    if not (terms or laws):
         return planner.robot, None, zeros
 
     def added(q: ca.SX, v: ca.SX, direction: ca.SX, torque: ca.SX) -> ca.SX:
-        total = ca.SX.zeros(recordings.n)
+        total = ca.SX.zeros(n)
         for place, formula in terms:
             total[place] += formula(q[place], v[place], direction[place], torque[place])
+        state = _motion_state(q, v, ca.SX(np.full(n, np.nan)), direction, torque)
+        for each in laws:
+            total[each.joint] += each.value(state)
         return total
 
     return planner.robot, added, zeros
+
+
+def _motion_state(q: ca.SX, v: ca.SX, a: ca.SX, direction: ca.SX, torque: ca.SX) -> MotionState:
+    position, velocity, acceleration, sign, load = map(ca.vertsplit, (q, v, a, direction, torque))
+    return MotionState(
+        position=position, velocity=velocity, acceleration=acceleration, direction=sign, load=load
+    )
+
+
+def _needs_acceleration(law: AddedTorque, joints: int) -> bool:
+    """Return True for a torque by accelerations, which only follow from the torques."""
+    symbols = [ca.SX.sym(name, joints) for name in ("q", "v", "a", "direction", "torque")]
+    return bool(ca.depends_on(ca.SX(law.value(_motion_state(*symbols))), symbols[2]))
 
 
 def _torque_formula(each: EstimatedEffect, constants: JointConstants) -> ca.Function | None:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from stiffopt.closed_loop.arm import AddedTorque, CommandedArm
+from stiffopt.closed_loop.arm import CommandedArm, LoopTorque
 from stiffopt.closed_loop.parameters import (
     BODY_PARAMETERS,
     Parameters,
@@ -27,9 +27,9 @@ _VELOCITY_CUTOFF = 12.0
 # fastest velocity V, its stroke S and its inertia: dry friction T / 3, viscous T / V / 3, drag
 # T / V^2 / 10, slope T / S / 3, offset T / 20, rotor once the inertia.
 _DRY_SHARE, _VISCOUS_SHARE, _DRAG_SHARE, _SLOPE_SHARE, _OFFSET_SHARE = 0.3, 0.3, 0.1, 0.3, 0.05
-# Friction over torque of a gear in good repair, and error of an encoder's zero [rad].
 # Rotor inertia at the output over that of the links: of geared joints often several times.
 _ROTOR_SHARE = 3.0
+# Friction over torque of a gear in good repair, and error of an encoder's zero [rad].
 _LOAD_FRICTION_DEVIATION, _ZERO_DEVIATION = 0.15, 0.03
 # Of a gain that nobody states, relative, about the value that a fit begins with.
 _GAIN_DEVIATION = 1.0
@@ -39,8 +39,6 @@ _DELAY_DEVIATION = 5e-3
 _INERTIA_DEVIATION = 0.1
 # Motion of all training runs that a fit simulates at most, times joints [s]: more adds but time.
 _MAX_FIT_SECONDS = 120.0
-
-
 # Values of a robot that a set states, and the parameters that they are; a finding changes them by
 # more than so many of their tolerances.
 DRIVE_PARAMETERS = {"rotor_inertia": "armature", "viscous": "viscous", "coulomb": "coulomb"}
@@ -51,7 +49,7 @@ def build_loop(
     recordings: RecordingSet,
     runs: Sequence[CommandedRun],
     tree: BodyTree,
-    added: AddedTorque | None = None,
+    added: LoopTorque | None = None,
 ) -> CommandedArm:
     """Return the closed loop of some bodies with a set's actuators and further torques."""
     law, back = recordings.actuator, np.argsort(recordings.order)
@@ -168,7 +166,7 @@ def fit_loop(
     *,
     leading: bool = False,
     tree: BodyTree | None = None,
-    added: AddedTorque | None = None,
+    added: LoopTorque | None = None,
 ) -> tuple[CommandedArm, Polished] | None:
     """Fit a closed loop to training runs, beginning with a prior; or the leading parameters alone.
 

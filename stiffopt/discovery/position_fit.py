@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stiffopt.actuator.law import ActuatorLaw
-from stiffopt.closed_loop.arm import AddedTorque, CommandedArm
+from stiffopt.closed_loop.arm import CommandedArm, LoopTorque
 from stiffopt.closed_loop.parameters import (
     BODY_PARAMETERS,
     DELAY,
@@ -123,7 +123,7 @@ def _fit_robot(
     estimated: Parameters | None,
     say: Callable[[str], object],
     robot: Robot,
-    added: AddedTorque | None,
+    added: LoopTorque | None,
     zeros: Mapping[int, float],
 ) -> tuple[CommandedArm, Polished] | None:
     """Fit the closed loop of a robot with further torques and joint zeros [rad]."""

@@ -16,6 +16,8 @@ from stiffopt.discovery.comparison.located_effect import (
     LocatedEffect,
 )
 from stiffopt.discovery.extended.value_changes import extended_model
+from stiffopt.discovery.laws.law import Factor, Law, law_effect
+from stiffopt.discovery.laws.sources import LawSource
 from stiffopt.discovery.loop_effects import robot_in_loop
 from stiffopt.discovery.loop_fit import build_loop, commanded_run, nominal_parameters
 from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
@@ -80,3 +82,21 @@ def test_an_encoder_zero_moves_the_weight(servo: RecordingSet) -> None:
 def test_effects_with_memory_are_left_out(servo: RecordingSet) -> None:
     plain = simulated(servo)
     np.testing.assert_array_equal(plain, simulated(servo, found("gain_warmup", (0.2,), (100.0,))))
+
+
+def law(*factors: Factor) -> EstimatedEffect:
+    own = Law(joint=0, place="link_torque", factors=factors)
+    located = LocatedEffect(effect=law_effect(own, [SPRING]), joint=0, shapes=own.shapes)
+    return EstimatedEffect(located=located, amplitudes=(SPRING,))
+
+
+def test_a_law_acts_as_the_effect_that_it_equals(servo: RecordingSet) -> None:
+    sprung = simulated(servo, found("cable_spring", (SPRING, 0.0), (0.0,)))
+    own = simulated(servo, law(Factor(LawSource("position", 0), "linear")))
+    np.testing.assert_allclose(own, sprung, atol=1e-9)
+
+
+def test_laws_of_accelerations_are_left_out(servo: RecordingSet) -> None:
+    """They follow from the torques that such a law would need them for."""
+    jolt = Factor(LawSource("acceleration", 0), "bump", (0.0, 1.0), ((-1.0, 1.0), (0.1, 2.0)))
+    np.testing.assert_array_equal(simulated(servo), simulated(servo, law(jolt)))
