@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import sys
 import tempfile
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,18 +21,14 @@ import pinocchio as pin
 from common import Row, main
 from elastic_simulation import Springs
 from scipy.integrate import odeint
-from tool_error import NO_WORSE, STANDSTILL, Held, Motors
+from tool_error import STANDSTILL, Held, Motors, judge
 
 from stiffopt.command.command_search import CommandOnArms
-from stiffopt.command.compensation import commands_on_arms
-from stiffopt.command.simulation import PlannedMotion, elastic_arm, rival_motions
 from stiffopt.drivetrain import catalogue
 from stiffopt.drivetrain.bearing import OutputBearing
-from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import Method, Target, TrajectoryProblem
 from stiffopt.robot.files import load_robot
 from stiffopt.robot.robot import Robot
-from stiffopt.solver.solve import solve
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "elastic"))
 from tilting_arms import TiltingArm, tilting_arm
@@ -313,45 +308,6 @@ def worst_errors(problem: TrajectoryProblem, found: CommandOnArms) -> np.ndarray
     return np.array(peaks)
 
 
-def judge(name: str, problem: TrajectoryProblem) -> list[Row]:
-    """Rows of one motion."""
-    begin = time.process_time()
-    solution, motion = solve(problem, throw=False), resolve(problem)
-    took = time.process_time() - begin
-    if solution.assessment is None or solution.trajectory is None:
-        return [Row(name, f"no motion: {solution.status}")]
-    arm = elastic_arm(problem, motion.start)
-    own = replace(
-        PlannedMotion.of("optimised", solution.assessment, True), motors=solution.trajectory
-    )
-    rivals = rival_motions(problem, motion, solution.assessment.duration)
-    ours, *others = commands_on_arms(problem, arm, [own, *rivals])
-    kept = [each for each in others if not each.excess]
-    best = min(kept, key=lambda each: each.worst_case_peaks, default=None)
-    mine = 1e6 * worst_errors(problem, ours)
-    ours_text = f"{mine[0]:.0f} / {mine[1]:.0f} um"
-    predicted = ours.compensated
-    status = (
-        f"{solution.status}, {took:.0f} s, as predicted "
-        f"{1e6 * predicted.flight.worst:.0f} / {1e6 * predicted.after.worst:.0f}"
-    )
-    if best is None:
-        return [Row(name, ours_text, f"no rival's command keeps the limits; {status}")]
-    theirs = 1e6 * worst_errors(problem, best)
-    ratio = mine / theirs
-    rival = f"{best.motion.name} {theirs[0]:.0f} / {theirs[1]:.0f} um"
-    return [
-        Row(name, ours_text, f"{rival}; {status}"),
-        Row(
-            f"{name}: over the rival",
-            f"{ratio[0]:.2f} / {ratio[1]:.2f}",
-            "",
-            f"at most {NO_WORSE}",
-            bool(np.all(ratio <= NO_WORSE)),
-        ),
-    ]
-
-
 def run() -> list[Row]:
     """Arms that the command line names, else all."""
     words = [word for word in sys.argv[1:] if not word.isdigit()]
@@ -361,7 +317,7 @@ def run() -> list[Row]:
         if words and not any(word in name for word in words):
             continue
         for number, problem in enumerate(motions(robot, middle, count), start=1):
-            rows += judge(f"{name}, motion {number}", problem)
+            rows += judge(f"{name}, motion {number}", problem, worst_errors)
             print(*rows[-2:], sep="\n", file=sys.stderr, flush=True)
     return rows
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -142,8 +142,12 @@ def worst_errors(problem: TrajectoryProblem, found: CommandOnArms) -> np.ndarray
     return np.array(peaks)
 
 
-def judge(name: str, problem: TrajectoryProblem) -> list[Row]:
-    """Rows of one problem."""
+def judge(
+    name: str,
+    problem: TrajectoryProblem,
+    errors: Callable[[TrajectoryProblem, CommandOnArms], np.ndarray] = worst_errors,
+) -> list[Row]:
+    """Rows of one problem; `errors` simulates a command on its worst arms."""
     begin = time.process_time()
     solution, motion = solve(problem, throw=False), resolve(problem)
     took = time.process_time() - begin
@@ -155,13 +159,15 @@ def judge(name: str, problem: TrajectoryProblem) -> list[Row]:
     rivals = rival_motions(problem, motion, solution.assessment.duration)
     ours, *others = commands_on_arms(problem, arm, [own, *rivals])
     kept = [each for each in others if not each.excess]
-    mine = 1e6 * worst_errors(problem, ours)
+    mine = 1e6 * errors(problem, ours)
     text = f"{mine[0]:.0f} / {mine[1]:.0f} um"
+    predicted = 1e6 * ours.compensated.flight.worst, 1e6 * ours.compensated.after.worst
     status = f"{solution.status}, {took:.1f} s" + (", command exceeds" if ours.excess else "")
+    status += f", as predicted {predicted[0]:.0f} / {predicted[1]:.0f}"
     best = min(kept, key=lambda each: each.worst_case_peaks, default=None)
     if best is None:
         return [Row(name, text, f"no rival's command keeps the limits; {status}")]
-    theirs = 1e6 * worst_errors(problem, best)
+    theirs = 1e6 * errors(problem, best)
     ratio = mine / theirs
     rival = f"{best.motion.name} of {best.motion.time[-1]:.3f} s {theirs[0]:.0f} / {theirs[1]:.0f}"
     return [

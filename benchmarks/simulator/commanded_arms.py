@@ -8,7 +8,7 @@ import numpy as np
 
 # Relative deviations of links and drives from one drawn arm to the next.
 _LENGTH_SPREAD, _DRIVE_SPREAD = 0.15, 0.25
-_CLEARANCE = 0.01  # from the tip of the last rod to the tool frame [m]
+_TOOL_CLEARANCE = 0.01  # from the tip of the last rod to the tool frame [m]
 _ROTOR_MASS = 1e-6  # of rotors as bodies of their own, whose inertia is an armature [kg]
 
 
@@ -68,7 +68,7 @@ class Arm:
     @property
     def places(self) -> np.ndarray:
         """Distances (n + 1,) from each joint to the one before it, and to the tool [m]."""
-        ends = np.array([0.0, *self.lengths[:-1], self.lengths[-1] + _CLEARANCE])
+        ends = np.array([0.0, *self.lengths[:-1], self.lengths[-1] + _TOOL_CLEARANCE])
         return ends if self.upward else -ends
 
     def drawn(self, rng: np.random.Generator) -> Arm:

@@ -26,14 +26,14 @@ from .commanded_world import (
 )
 
 _RUNS, _SECONDS, _SETTLE_SECONDS = 4, 10.0, 1.0
-_FREQUENCIES = ((0.08, 0.2), (0.25, 0.45), (0.5, 0.9), (1.0, 1.6))  # of commands [Hz]
+_COMMAND_FREQUENCIES = ((0.08, 0.2), (0.25, 0.45), (0.5, 0.9), (1.0, 1.6))  # [Hz]
 # An effect moves some joint at least so many times as far as the tolerances do, or is enlarged.
 _MIN_VISIBLE, _ENLARGED, _MAX_ENLARGEMENTS = 1.0, 1.6, 3
 
 
 @dataclass(frozen=True, kw_only=True)
 class CommandedSpec:
-    """What a case follows from.
+    """Choices that determine a case.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def _commands(arm: Arm, home: np.ndarray, rng: np.random.Generator) -> np.ndarra
     steps = round((_SECONDS + _SETTLE_SECONDS) / TIMESTEP)
     time = np.arange(steps) * TIMESTEP
     waves = np.zeros((steps, arm.n))
-    for band in _FREQUENCIES:
+    for band in _COMMAND_FREQUENCIES:
         size, phase = rng.uniform(0.1, 0.3, arm.n), rng.uniform(0.0, 2.0 * np.pi, arm.n)
         waves += size * np.sin(2.0 * np.pi * rng.uniform(*band, arm.n) * time[:, None] + phase)
     smooth = home + waves * np.clip((time - _SETTLE_SECONDS) / 0.5, 0.0, 1.0)[:, None]

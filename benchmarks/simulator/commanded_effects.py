@@ -16,7 +16,7 @@ from .commanded_world import State, World
 
 @dataclass(frozen=True)
 class Healthy:
-    """What the arm does without the effect: largest servo torques (n,), angles and tool heights."""
+    """Motion without the effect: largest servo torques (n,), angles and tool heights."""
 
     torque: np.ndarray
     low: np.ndarray
@@ -196,7 +196,7 @@ def _contact(
     return {"k": stiffness, "z": height}
 
 
-_SPRINGS = ("gravity_spring", "cable_spring")
+_SPRING_EFFECTS = ("gravity_spring", "cable_spring")
 COMMANDED_EFFECTS = {
     "coulomb": CommandedEffect(_coulomb, ("coulomb",)),
     "viscous": CommandedEffect(_viscous, ("viscous",)),
@@ -207,8 +207,8 @@ COMMANDED_EFFECTS = {
     "payload": CommandedEffect(_payload, ("payload",), at_joint=False),
     "base_tilt": CommandedEffect(_base_tilt, ("base_tilt",), at_joint=False),
     "joint_zero": CommandedEffect(_joint_zero, ("joint_zero",), first=1),
-    "gravity_spring": CommandedEffect(_gravity_spring, _SPRINGS),
-    "cable_spring": CommandedEffect(_cable_spring, _SPRINGS),
+    "gravity_spring": CommandedEffect(_gravity_spring, _SPRING_EFFECTS),
+    "cable_spring": CommandedEffect(_cable_spring, _SPRING_EFFECTS),
     "saturation": CommandedEffect(_saturation, ("saturation",)),
     "time_delay": CommandedEffect(_delay, ("time_delay",)),
     "wrist_coupling": CommandedEffect(_wrist_coupling, ("wrist_coupling",), first=1),

@@ -206,7 +206,7 @@ def check(
     from stiffopt.discovery.identifiable import effect_checks
     from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
     from stiffopt.discovery.sanity.doubt import DoubtfulRecordings
-    from stiffopt.discovery.sanity.gate import SanityGate
+    from stiffopt.discovery.sanity.gate import judge_plausibility
     from stiffopt.discovery.sanity.position_errors import take_errors_as_commands
     from stiffopt.discovery.training import open_training_runs
     from stiffopt.discovery.user_effects import load_effects
@@ -230,9 +230,7 @@ def check(
     report = check_recordings(loaded)
     every = (*CATALOGUE, *(load_effects(effects) if effects else ()))
     found = effect_checks(loaded, report.facts, report.training_runs, every)
-    gate = SanityGate(loaded, training)
-    doubted = gate.doubts
-    remarked = () if doubted else gate.remarks
+    doubted, remarked = judge_plausibility(loaded, training, despite_doubts=True)
     if json:
         print_json(
             report.as_dict()

@@ -220,8 +220,9 @@ def _run_diagnosis(
     base = _rescale_left_open(_rescale_left_open(base, clock), clock / every)
     recordings, runs = decimate_noise(recordings, every), [decimate_run(run, every) for run in runs]
     say("check units, signs and orders")
-    doubted, remarked = judge_plausibility(recordings, runs, despite_doubts=despite_doubts)
-    remarked = () if base is not None else remarked
+    doubted, remarked = judge_plausibility(
+        recordings, runs, despite_doubts=despite_doubts, remarks=base is None
+    )
     training = prepare_training(recordings, settings, base, say, runs)
     facts = joint_facts(recordings, training.recorded)
     checks = effect_checks(recordings, facts, len(training.recorded), catalogue)

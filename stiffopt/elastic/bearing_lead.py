@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.elastic.smooth_motion import smooth_motion
+from stiffopt.robot.batched_kinematics import tool_jacobians
 from stiffopt.robot.bearing_deflection import correcting_joints, dynamic_bearing_deflections
 
 if TYPE_CHECKING:
@@ -49,8 +50,7 @@ class LedPlan:
 def uncorrected_deflection(arm: ElasticArm, plan: JointMotion, time: np.ndarray) -> np.ndarray:
     """Displacement (K, 3) [m] of the tool by the bearings that no joint corrects."""
     away, lead = _deflection_and_lead(arm, plan, time)
-    bodies, tool = arm.robot.rigid_bodies(), arm.robot.tool
-    jacobian = np.array([bodies.jacobian(tool, q)[:3] for q in plan(time)])
+    _, jacobian = tool_jacobians(arm.robot.tree, arm.robot.tool, plan(time))
     return np.asarray(away[:, :3] + np.einsum("kxj,kj->kx", jacobian, lead))
 
 

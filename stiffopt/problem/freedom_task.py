@@ -11,6 +11,7 @@ import numpy as np
 
 from stiffopt.drivetrain.compact import CompactChain
 from stiffopt.dynamics.deflection import spring_torques, tool_deflection
+from stiffopt.dynamics.inverse_kinematics import LENGTH_PER_RADIAN
 from stiffopt.dynamics.kinematics import point_jacobian, tool_pose
 from stiffopt.errors import ProblemError
 from stiffopt.problem.path_deflection import COUNTED_AXES
@@ -31,8 +32,6 @@ _SCAN_DISTANCE, _MIN_SCANNED, _MAX_SCANNED = 0.02, 7, 31
 # Tool speed at which joint rates are judged where the path states none [m/s]: that of ISO 10218-1
 # for manual operation, which no process exceeds without saying so.
 _USUAL_SPEED = 0.25
-# An angle error of 1 rad weighs as much as this distance: about the reach of a wrist [m].
-_LENGTH_PER_RADIAN = 0.3
 # Square of an angle [rad^2] that keeps the rotation vector's root smooth at zero.
 _SQUARED_ANGLE_FLOOR = 1e-16
 # Damping of Gauss-Newton steps by the squared residual, its floor, and largest step of a joint
@@ -166,7 +165,7 @@ class FreedomTask:
         angle = 0.5 * ca.vertcat(
             off[2, 1] - off[1, 2], off[0, 2] - off[2, 0], off[1, 0] - off[0, 1]
         )
-        residual = ca.vertcat(position - wanted, _LENGTH_PER_RADIAN * angle)
+        residual = ca.vertcat(position - wanted, LENGTH_PER_RADIAN * angle)
         error: Quantity = ca.SX.zeros(3)
         if self.force is not None and robot.yields:
             pushed = ca.mtimes(placed, force) if self.force_axes != "base" else force
@@ -221,7 +220,7 @@ class FreedomTask:
         turned = ca.jacobian(ca.vec(rotation), q)
         for j in range(robot.n):
             rate = ca.mtimes(rotation.T, ca.reshape(turned[:, j], 3, 3))
-            columns.append(_LENGTH_PER_RADIAN * ca.vertcat(rate[2, 1], rate[0, 2], rate[1, 0]))
+            columns.append(LENGTH_PER_RADIAN * ca.vertcat(rate[2, 1], rate[0, 2], rate[1, 0]))
         moved = ca.mtimes(rotation.T, ca.jacobian(position, q))
         jacobian = ca.densify(ca.vertcat(moved, ca.horzcat(*columns)))
         value = ca.dot(left, ca.mtimes(jacobian, right))

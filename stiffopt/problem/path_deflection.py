@@ -25,21 +25,32 @@ _FASTEST_FEED, _BISECTION_COUNT = 10.0, 30
 COUNTED_AXES = {"any": (1.0, 1.0, 1.0), "axis": (0.0, 0.0, 1.0), "side": (0.0, 1.0, 0.0)}
 
 
-def process_deflection(robot: Robot, joints: np.ndarray, force: np.ndarray) -> np.ndarray:
-    """Return the deflection (K, 3) [m] at rest at joints (K, n) under forces (K, 3) [N].
+class ProcessDeflection:
+    """Deflection of the tool at rest by a force, beyond that under gravity alone; exact laws.
 
-    By the exact laws, base axes, beyond that under gravity alone.
+    Parameters
+    ----------
+    robot : Robot
+    joints : array (K, n)
     """
-    _, jacobian = tool_jacobians(robot.tree, robot.tool, joints)
-    gravity = robot.bodies_in_motion().gravity_torque(joints)
-    pushed = np.einsum("kij,ki->kj", jacobian, force)
-    moved = np.zeros((len(joints), 3))
-    for j, chain in enumerate(robot.chains):
-        if chain is not None:
-            loaded = np.asarray(exact_windup(chain, gravity[:, j] - pushed[:, j]))
-            turned = loaded - np.asarray(exact_windup(chain, gravity[:, j]))
-            moved -= jacobian[:, :, j] * turned[:, None]
-    return moved
+
+    def __init__(self, robot: Robot, joints: np.ndarray) -> None:
+        _, self._jacobian = tool_jacobians(robot.tree, robot.tool, joints)
+        gravity = robot.bodies_in_motion().gravity_torque(joints)
+        self._springs = [
+            (j, chain, gravity[:, j], np.asarray(exact_windup(chain, gravity[:, j])))
+            for j, chain in enumerate(robot.chains)
+            if chain is not None
+        ]
+
+    def __call__(self, force: np.ndarray) -> np.ndarray:
+        """Return the deflection (K, 3) [m] under forces (K, 3) [N], base axes."""
+        pushed = np.einsum("kij,ki->kj", self._jacobian, force)
+        moved = np.zeros(force.shape)
+        for j, chain, weight, sag in self._springs:
+            turned = np.asarray(exact_windup(chain, weight - pushed[:, j])) - sag
+            moved -= self._jacobian[:, :, j] * turned[:, None]
+        return moved
 
 
 def with_limited_deflection(
@@ -54,12 +65,12 @@ def with_limited_deflection(
     """
     shares = np.linspace(0.0, 1.0, _PLACES_PER_PIECE)
     s = (path.knots[:-1, None] + np.diff(path.knots)[:, None] * shares).ravel()
-    joints = path(s)
+    deflection = ProcessDeflection(robot, path(s))
     count = np.array(COUNTED_AXES[direction])
     rows = count[:, None] * force.axes_at(s).swapaxes(1, 2)
 
     def size(feed: np.ndarray) -> np.ndarray:
-        moved = process_deflection(robot, joints, force(s, feed))
+        moved = deflection(force(s, feed))
         return np.asarray(np.linalg.norm(np.einsum("kij,kj->ki", rows, moved), axis=1))
 
     still = size(np.zeros(len(s)))

@@ -7,7 +7,7 @@ from stiffopt.command.force_compensation import force_lead
 from stiffopt.errors import InputError
 from stiffopt.path.timed_path import timed_motion
 from stiffopt.problem.files import load_problem
-from stiffopt.problem.path_deflection import process_deflection
+from stiffopt.problem.path_deflection import ProcessDeflection
 
 PROBLEM = """schema = 1
 kind = "trajectory"
@@ -144,7 +144,7 @@ deflection_direction = "{direction}"
 def side_deflection(problem, s, feed):
     """Deflection (K,) to the side of the path [m]; it goes along y, its side is x of the base."""
     force = problem.path_force(s, feed)
-    return np.abs(process_deflection(problem.robot, problem.path(s), force)[:, 0])
+    return np.abs(ProcessDeflection(problem.robot, problem.path(s))(force)[:, 0])
 
 
 def test_speed_is_lowered_until_the_deflection_to_the_side_is_kept(tmp_path):
@@ -169,7 +169,7 @@ def test_deflection_limit_that_no_speed_keeps_is_named_with_its_place(tmp_path):
 def test_deflection_limit_is_that_of_the_certificates_process_deflection(tmp_path):
     problem = load(tmp_path, SIDEWAYS.format(limit="1 m", direction="any"))
     motion = timed_motion(problem).assessment
-    moved = process_deflection(problem.robot, motion.position, motion.force)
+    moved = ProcessDeflection(problem.robot, motion.position)(motion.force)
     # In motion the springs are at other torques, where their stiffness differs a little.
     peak = np.linalg.norm(moved, axis=1).max()
     certified = np.linalg.norm(motion.deflection["process"], axis=1).max()

@@ -37,11 +37,16 @@ _MIN_JUDGED_DURATION = 2.0
 
 
 def judge_plausibility(
-    recordings: RecordingSet, runs: Sequence[RecordedRun], *, despite_doubts: bool
+    recordings: RecordingSet,
+    runs: Sequence[RecordedRun],
+    *,
+    despite_doubts: bool,
+    remarks: bool = True,
 ) -> tuple[tuple[Doubt, ...], tuple[Doubt, ...]]:
-    """Return doubts and, if there are none, remarks; two states are judged one by one.
+    """Return doubts and, if there are none and they are asked for, remarks.
 
-    Two states of a robot need not fit each other: their difference is the question.
+    Two states of a robot are judged one by one, since they need not fit each other: their
+    difference is the question.
 
     Raises
     ------
@@ -54,7 +59,7 @@ def judge_plausibility(
         if gate.doubts and not despite_doubts:
             raise DoubtfulRecordings(gate.recordings.path, gate.doubts)
         doubts += gate.doubts
-    if doubts:
+    if doubts or not remarks:
         return tuple(dict.fromkeys(doubts)), ()
     return (), tuple(dict.fromkeys(each for gate in gates for each in gate.remarks))
 
