@@ -14,10 +14,6 @@ from stiffopt.folders import output_folder
 from stiffopt.interrupts import defer_until_result, defer_while_writing, end_deferral
 
 if TYPE_CHECKING:
-    from stiffopt.recipe.replay import Replay
-
-
-if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.report.common.progress import ProgressDisplay, StudyProgress
 
@@ -79,6 +75,7 @@ def solve(
             read_state,
             write_state,
         )
+        from stiffopt.result.archive import ARCHIVE_FILE, write_archive
         from stiffopt.result.compensation import RIVAL_TRAJECTORY_FILE, write_command
         from stiffopt.result.status import SolveStatus
         from stiffopt.result.store import (
@@ -104,7 +101,8 @@ def solve(
         state = None if guess is None else read_state(guess)
         end = None
         folder = out or default_folder(problem.stem, changes)
-        with output_folder(folder, "solve", maybe=(TRAJECTORY_FILE, STATE_FILE)) as stage:
+        optional = (TRAJECTORY_FILE, STATE_FILE, ARCHIVE_FILE)
+        with output_folder(folder, "solve", maybe=optional) as stage:
             with _problem_progress(stated, quiet) as progress, _name_file_in_errors(problem):
                 if found is None:
                     solution, end = ProblemFamily().solve(
@@ -139,6 +137,8 @@ def solve(
                     from stiffopt.report.solve.page import write_solve_report
 
                     write_solve_report(stated, solution, stage)
+                else:
+                    write_archive(solution, stage)
                 write_result(
                     solution,
                     stage,
@@ -355,47 +355,32 @@ def replay(folder: Path, *, quiet: Quiet = False) -> int:
     folder
         Folder of `stiffopt solve`.
     """
-    found = _solve_again(folder, quiet, simulate=False)
+    from stiffopt.recipe.replay import replay as solve_again
+
+    with _progress_display(str(folder), quiet) as progress:
+        found = solve_again(folder, progress=progress)
     changed = found.differences
     print("the same answer, stage by stage" if not changed else "; ".join(changed))
     return 1 if changed else 0
 
 
 @app.command
-def report(folder: Path, *, open_report: Open = False, quiet: Quiet = False) -> int:
+def report(folder: Path, *, open_report: Open = False) -> int:
     """Draw report.html of a solve that was made with --no-report.
 
-    The motion is solved again by the recipe of the folder, from the same state; a page is drawn
-    only where the answer is the stored one.
+    Nothing is solved: that solve has stored all that the page shows.
 
     Parameters
     ----------
     folder
-        Folder of `stiffopt solve`.
+        Folder of `stiffopt solve --no-report`.
     """
-    from stiffopt.errors import InputFileError
+    from stiffopt.recipe.stored_result import read_stored_solution
     from stiffopt.report.solve.page import REPORT_FILE, write_solve_report
-    from stiffopt.result.store import RESULT_FILE
 
-    found = _solve_again(folder, quiet, simulate=True)
-    if found.differences:
-        raise InputFileError(
-            folder / RESULT_FILE,
-            "",
-            f"cannot be drawn: {'; '.join(found.differences)}. Solve again.",
-        )
+    stated, solution = read_stored_solution(folder)
     with output_folder(folder, "report", of="solve") as stage, defer_while_writing():
-        write_solve_report(found.problem, found.solution, stage)
+        write_solve_report(stated, solution, stage)
     print(f"Report: {folder / REPORT_FILE}")
     show_report(folder, open_report)
     return 0
-
-
-def _solve_again(folder: Path, quiet: bool, *, simulate: bool) -> Replay:
-    from contextlib import nullcontext
-
-    from stiffopt.recipe.replay import replay as solve_again
-    from stiffopt.report.common.progress import ProgressDisplay
-
-    with nullcontext() if quiet else ProgressDisplay(str(folder), "") as progress:
-        return solve_again(folder, progress=progress, simulate=simulate)

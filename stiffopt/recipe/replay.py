@@ -13,7 +13,6 @@ from typing import Any
 
 from stiffopt.errors import InputFileError
 from stiffopt.problem.files import load_problem
-from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.recipe.stored_result import (
     check_inputs,
     problem_file,
@@ -24,7 +23,7 @@ from stiffopt.recipe.stored_result import (
 from stiffopt.result.provenance import versions
 from stiffopt.result.solution import Solution
 from stiffopt.result.store import RESULT_FILE, read_document
-from stiffopt.solver.family import ProblemFamily, WarmStart
+from stiffopt.solver.family import ProblemFamily
 from stiffopt.solver.solve_run import ProgressCallback
 
 # Relative difference of objectives up to which two platforms agree.
@@ -39,23 +38,16 @@ class Replay:
 
     Parameters
     ----------
-    problem : TrajectoryProblem
     solution : Solution
-    state : WarmStart or None
-        Solved state, where there is one.
     differences : tuple of str
         Versions that differ, and the first stage or value that does; empty where all agrees.
     """
 
-    problem: TrajectoryProblem
     solution: Solution
-    state: WarmStart | None
     differences: tuple[str, ...]
 
 
-def replay(
-    folder: Path, *, progress: ProgressCallback | None = None, simulate: bool = False
-) -> Replay:
+def replay(folder: Path, *, progress: ProgressCallback | None = None) -> Replay:
     """Solve the recipe of a result folder again, from the same state, and compare.
 
     Raises
@@ -76,15 +68,8 @@ def replay(
     if isinstance(document.get("guess"), str):
         begin = folder / str(document["guess"])
         guess, state = read_guess(begin, stated), read_state(begin)
-    solution, end = ProblemFamily().solve(
-        stated, state, guess=guess, progress=progress, simulate=simulate
-    )
-    return Replay(
-        problem=stated,
-        solution=solution,
-        state=end,
-        differences=tuple(_find_differences(document, solution)),
-    )
+    solution, _ = ProblemFamily().solve(stated, state, guess=guess, progress=progress)
+    return Replay(solution=solution, differences=tuple(_find_differences(document, solution)))
 
 
 def _find_differences(document: dict[str, Any], solution: Solution) -> list[str]:

@@ -21,10 +21,12 @@ from stiffopt.folders import check_result, is_regular
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
+from stiffopt.result.archive import ARCHIVE_FILE, read_archive
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.compensation import COMMAND_FILE
 from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.simulation import PeakRms
+from stiffopt.result.solution import Solution
 from stiffopt.result.store import FORCE_COLUMNS, RESULT_FILE, TRAJECTORY_FILE, read_document
 from stiffopt.result.trajectory import ForceHistory, JointMotion
 from stiffopt.robot.tolerances import Tolerances
@@ -271,6 +273,29 @@ def write_state(state: WarmStart | None, folder: Path) -> None:
     """Write the solved state into a result folder, where there is one."""
     if state is not None:
         (folder / STATE_FILE).write_bytes(state.to_bytes())
+
+
+def read_stored_solution(folder: Path) -> tuple[TrajectoryProblem, Solution]:
+    """Return problem and solution of a solve without a report, as they were.
+
+    Raises
+    ------
+    InputFileError
+        A file is missing or damaged, the problem has changed, or the solve drew its report.
+    """
+    path = folder / RESULT_FILE
+    document = read_document(path)
+    if not is_regular(folder, ARCHIVE_FILE):
+        raise InputFileError(
+            folder / ARCHIVE_FILE,
+            "",
+            "is missing: only `stiffopt solve --no-report` stores what a page shows. Solve again.",
+        )
+    check_result(folder, ARCHIVE_FILE)
+    named = problem_file(path, document)
+    stated = load_problem(named, read_changes(path, document)).problem
+    check_inputs(path, document, named, stated)
+    return stated, read_archive(folder)
 
 
 class _TableMotion:

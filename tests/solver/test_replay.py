@@ -2,16 +2,21 @@
 
 import json
 
+import numpy as np
 import pytest
 from small_arms import write_problem
 
 from stiffopt.cli import run
 from stiffopt.errors import InputFileError
 from stiffopt.folders import MANIFEST
+from stiffopt.problem.files import load_problem
 from stiffopt.recipe.replay import replay
 from stiffopt.recipe.stored_result import STATE_FILE, read_state
+from stiffopt.report.solve.page import write_solve_report
+from stiffopt.result.archive import ARCHIVE_FILE, read_archive, write_archive
 from stiffopt.result.store import RESULT_FILE
 from stiffopt.solver.family import WarmStart
+from stiffopt.solver.solve import solve
 
 PIECES = {"method": "intervals = 20"}
 
@@ -63,12 +68,47 @@ def test_a_changed_problem_is_refused(stored, tmp_path):
         path.write_text(text)
 
 
-def test_a_page_is_drawn_when_asked(stored):
-    assert run(["report", str(stored[1]), "--quiet"]) == 0
+def test_a_page_is_drawn_when_asked_without_a_solve(stored, monkeypatch):
+    from stiffopt.solver.ipopt import IpoptSolver
+
+    monkeypatch.setattr(IpoptSolver, "solve", None)
+    assert run(["report", str(stored[1])]) == 0
     assert (stored[1] / "report.html").is_file()
     listed = json.loads((stored[1] / MANIFEST).read_text())["files"]
     assert listed["report.html"]["by"] == "report"
     assert listed["report.html"]["of"] == "solve"
+
+
+def test_an_archived_solution_is_the_same(tmp_path):
+    """With its simulation and command, which are most of it."""
+    problem = load_problem(write_problem(tmp_path, "planar", **PIECES)).problem
+    solution = solve(problem, simulate=True)
+    assert solution.simulation is not None
+    write_archive(solution, tmp_path)
+    again = read_archive(tmp_path)
+    one, other = tmp_path / "one", tmp_path / "other"
+    for folder, each in ((one, solution), (other, again)):
+        folder.mkdir()
+        write_solve_report(problem, each, folder)
+    assert (one / "report.html").read_bytes() == (other / "report.html").read_bytes()
+    assert again.trajectory(0.1).tolist() == solution.trajectory(0.1).tolist()
+
+
+def test_a_damaged_archive_is_refused(stored, tmp_path):
+    content = (stored[1] / ARCHIVE_FILE).read_bytes()
+    (tmp_path / ARCHIVE_FILE).write_bytes(content[:1000])
+    with pytest.raises(InputFileError, match="cannot be read"):
+        read_archive(tmp_path)
+    np.savez(tmp_path / ARCHIVE_FILE, structure=np.array('{"class": "os:popen", "fields": {}}'))
+    with pytest.raises(InputFileError, match="no module of results"):
+        read_archive(tmp_path)
+
+
+def test_a_solve_that_drew_its_page_cannot_draw_it_again(stored, tmp_path, capsys):
+    for name in (RESULT_FILE, "trajectory.csv"):
+        (tmp_path / name).write_bytes((stored[1] / name).read_bytes())
+    assert run(["report", str(tmp_path)]) == 2
+    assert "--no-report" in capsys.readouterr().err
 
 
 def test_a_guess_starts_from_the_solved_state(stored):
