@@ -122,6 +122,11 @@ CASES = {
         ("velocity", (1, 2)),
         SCALE + 'velocity = "deg/s"\n',
     ),
+    "velocity in turns a minute": (
+        times("qd1 qd2", 30.0 / np.pi),
+        ("velocity", (1, 2)),
+        SCALE + 'velocity = "rpm"\n',
+    ),
 }
 
 
