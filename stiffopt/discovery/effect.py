@@ -1,11 +1,10 @@
 """Effects of the catalogue: terms of the equations of the channels and their properties.
 
-Terms are plain NumPy formulas in the signals of a joint or of the robot; they accept arrays of
-samples and CasADi symbols alike. They are linear in their amplitudes and vanish with them;
-parameters that enter otherwise (a speed, an angle, a time constant) are shapes. Everything else
-known of an effect (words, the recordings it needs, its source, how it changes a robot) is stated
-with its term and nowhere else: reports, `recording check`, the catalogue's page and the planner
-read it here.
+Terms are plain NumPy formulas in the signals of a joint or of the robot. They are linear in their
+amplitudes and vanish with them; parameters that enter otherwise (a speed, an angle, a time
+constant) are shapes. Everything else known of an effect (words, the recordings it needs, its
+source, how it changes a robot) is stated with its term and nowhere else: reports, `recording
+check`, the catalogue's page and the planner read it here.
 """
 
 from __future__ import annotations
@@ -27,10 +26,13 @@ Scope = Literal["joint", "robot", "link", "run", "recording"]
 # Fit of a shape: free; held at initial values, as the number of a joint; or a secant: equal to
 # the amplitude of the same index.
 ShapeFit = Literal["free", "held", "secant"]
+# Amplitudes or shapes of an effect, in the order of its entry: numbers or symbols.
+Values = Sequence[Quantity]
+Reported = Mapping[str, float]
 # Values of the reported parameters from amplitudes, shapes and constants.
-Report = Callable[[Sequence[float], Sequence[float], Any], Mapping[str, float]]
+Report = Callable[[Values, Values, Any], Reported]
 # What to do, from amplitudes, shapes and constants.
-Remedy = Callable[[Sequence[float], Sequence[float], Any], str]
+Remedy = Callable[[Values, Values, Any], str]
 # Property of the joint or the recording set without which an effect cannot show.
 Need = Literal[
     "torque",
@@ -86,7 +88,7 @@ class Term:
     previous_torque: Quantity = 0.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Amplitude:
     """Parameter in which an effect's term is linear.
 
@@ -119,7 +121,7 @@ class Amplitude:
         return float(self.scale(constants) if callable(self.scale) else self.scale)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Shape:
     """Parameter on which an effect's term depends nonlinearly.
 
@@ -309,7 +311,7 @@ class Effect:
     scope: Scope
     equation: str
     signature: str
-    term: Callable[[Any, Sequence[Quantity], Sequence[Quantity]], Term]
+    term: Callable[[Any, Values, Values], Term]
     amplitudes: tuple[Amplitude, ...]
     shapes: tuple[Shape, ...] = ()
     report: Report | None = None

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 
 from stiffopt.discovery.catalogue.common import (
     CHANGED_SCALE_RATIO,
     Constants,
-    component,
     motor_inertia,
     ratio_or_zero,
 )
 from stiffopt.discovery.catalogue.robot_change import add_to_body, add_to_nominal_value
-from stiffopt.discovery.effect import Amplitude, Effect, FittedEffect, RobotChange, Term
+from stiffopt.discovery.effect import (
+    Amplitude,
+    Effect,
+    FittedEffect,
+    Reported,
+    RobotChange,
+    Term,
+    Values,
+)
 from stiffopt.discovery.signals import (
     PARAMETERS_PER_BODY,
     JointConstants,
@@ -23,7 +28,7 @@ from stiffopt.discovery.signals import (
     RobotSignals,
 )
 from stiffopt.robot.robot import Robot
-from stiffopt.symbolic import Quantity, is_symbolic
+from stiffopt.symbolic import Quantity
 
 # Typical error of a centre of mass [m].
 _TYPICAL_DISTANCE = 0.1
@@ -31,35 +36,29 @@ _TYPICAL_DISTANCE = 0.1
 _CHANGED_DISTANCE_RATIO = 3.0
 
 
-def rotor_inertia_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def rotor_inertia_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return the torque dJ dw/dt."""
     return Term(drive_torque=amplitudes[0] * signals.motor_acceleration)
 
 
-def body_term(signals: RobotSignals, amplitudes: Sequence[Quantity], body: int) -> Term:
+def body_term(signals: RobotSignals, amplitudes: Values, body: int) -> Term:
     """Return the torques of changed inertial parameters of one body."""
     torque: Quantity = 0.0
     for k, amplitude in enumerate(amplitudes):
         # Columns are evaluated on demand: skip those of zero amplitude.
-        if is_symbolic(amplitude) or amplitude:
-            torque = torque + amplitude * component(
-                signals.body_regressor, PARAMETERS_PER_BODY * body + k
+        if amplitude:
+            torque = (
+                torque + amplitude * signals.body_regressor[..., PARAMETERS_PER_BODY * body + k]
             )
     return Term(link_torque=torque)
 
 
-def payload_term(
-    signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def payload_term(signals: RobotSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return the torques of a mass dm at c of the last link, with inertia about its joint."""
     return body_term(signals, amplitudes, signals.last_link)
 
 
-def inertial_error_term(
-    signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def inertial_error_term(signals: RobotSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return the torques of mass, first moment and inertia of the located link."""
     return body_term(signals, amplitudes, signals.link)
 
@@ -78,17 +77,13 @@ def change_body(
     return add_to_body(robot, found, joint, "Masses")
 
 
-def _report_payload(
-    amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
-) -> Mapping[str, float]:
+def _report_payload(amplitudes: Values, shapes: Values, constants: Constants) -> Reported:
     mass, *moments = amplitudes[:4]
     places = (ratio_or_zero(moment, mass) for moment in moments)
     return {"dm": mass, **dict(zip(("cx", "cy", "cz"), places, strict=True))}
 
 
-def _report_link(
-    amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
-) -> Mapping[str, float]:
+def _report_link(amplitudes: Values, shapes: Values, constants: Constants) -> Reported:
     mass, *moments = amplitudes[:4]
     xx, _, yy, _, _, zz = amplitudes[4:]
     return {
@@ -114,12 +109,12 @@ def _typical_moment(constants: RobotConstants) -> float:
 def _moment_amplitudes(*names: str) -> tuple[Amplitude, ...]:
     return tuple(
         Amplitude(
-            name=name,
-            unit="kg m",
-            scale=_typical_moment,
-            lower=-40.0,
-            upper=40.0,
-            changed=CHANGED_SCALE_RATIO * _CHANGED_DISTANCE_RATIO,
+            name,
+            "kg m",
+            _typical_moment,
+            -40.0,
+            40.0,
+            CHANGED_SCALE_RATIO * _CHANGED_DISTANCE_RATIO,
         )
         for name in names
     )
@@ -132,18 +127,16 @@ def _typical_inertia(constants: RobotConstants) -> float:
 # Inertia about the origin of the body's joint, in the order of the regressor.
 _INERTIA_AMPLITUDES = tuple(
     Amplitude(
-        name=name,
-        unit="kg m^2",
-        scale=_typical_inertia,
-        lower=-40.0,
-        upper=40.0,
-        changed=CHANGED_SCALE_RATIO * _CHANGED_DISTANCE_RATIO**2,
+        name,
+        "kg m^2",
+        _typical_inertia,
+        -40.0,
+        40.0,
+        CHANGED_SCALE_RATIO * _CHANGED_DISTANCE_RATIO**2,
     )
     for name in ("dIxx", "dIxy", "dIyy", "dIxz", "dIyz", "dIzz")
 )
-_MASS_AMPLITUDE = Amplitude(
-    name="dm", unit="kg", scale=_typical_mass, lower=-40.0, upper=40.0, changed=CHANGED_SCALE_RATIO
-)
+_MASS_AMPLITUDE = Amplitude("dm", "kg", _typical_mass, -40.0, 40.0, CHANGED_SCALE_RATIO)
 
 ROTOR_INERTIA = Effect(
     name="rotor_inertia",
@@ -153,25 +146,13 @@ ROTOR_INERTIA = Effect(
     signature="motor torque off in proportion to the motor's own acceleration, alike in every"
     " posture",
     nominal="rotor_inertia",
-    phrase=(
-        "{dJ} more rotor inertia than the model",
-        "{dJ} less rotor inertia than the model",
-    ),
+    phrase=("{dJ} more rotor inertia than the model", "{dJ} less rotor inertia than the model"),
     remedy="Enter rotor inertia {new} for {where}, at the joint's output, and check the"
     " motor's data sheet.",
     needs=("torque", "moves"),
     change_robot=add_to_nominal_value,
     term=rotor_inertia_term,
-    amplitudes=(
-        Amplitude(
-            name="dJ",
-            unit="kg m^2",
-            scale=_typical_rotor_change,
-            lower=-2.0,
-            upper=40.0,
-            changed=CHANGED_SCALE_RATIO,
-        ),
-    ),
+    amplitudes=(Amplitude("dJ", "kg m^2", _typical_rotor_change, -2.0, 40.0, CHANGED_SCALE_RATIO),),
     separate="Accelerate hard in several postures: the inertia of links changes with posture and"
     " winds the joint up, the rotor's does neither.",
 )

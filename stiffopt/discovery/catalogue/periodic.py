@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from stiffopt.discovery.catalogue.common import CHANGED_SCALE_RATIO, Constants
-from stiffopt.discovery.effect import Amplitude, Effect, Report, Shape, Term
+from stiffopt.discovery.effect import Amplitude, Effect, Report, Reported, Shape, Term, Values
 from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.symbolic import Quantity
 
@@ -33,9 +33,7 @@ def _is_absent(*amplitudes: Quantity) -> bool:
     return all(isinstance(each, float) and each == 0.0 for each in amplitudes)
 
 
-def transmission_error_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def transmission_error_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return the error of the ratio at 1, 2 and 4 times the rotor angle.
 
     The drive carries the load through the instantaneous ratio 1 - TE'(th), by virtual work.
@@ -54,9 +52,7 @@ def transmission_error_term(
     return Term(deflection=error, drive_torque=-signals.spring_torque * slope)
 
 
-def torque_ripple_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def torque_ripple_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return ripple at 1 and 6 times the electrical angle."""
     constants = signals.constants
     turns = (constants.pole_pairs or 1.0) * constants.ratio
@@ -71,9 +67,7 @@ def torque_ripple_term(
     return Term(drive_torque=ripple)
 
 
-def rotor_ripple_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def rotor_ripple_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return torque waves over the rotor turn, as many as the shape gives."""
     turns = shapes[0] * signals.constants.ratio
     turn = turns * signals.motor_position
@@ -81,16 +75,12 @@ def rotor_ripple_term(
     return Term(drive_torque=_sampled_share(signals, turns) * wave)
 
 
-def _report_wave(
-    amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
-) -> Mapping[str, float]:
+def _report_wave(amplitudes: Values, shapes: Values, constants: Constants) -> Reported:
     return {"B": float(np.hypot(amplitudes[0], amplitudes[1])), "waves": shapes[0]}
 
 
 def _report_harmonics(letter: str, orders: Sequence[int]) -> Report:
-    def report(
-        amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
-    ) -> Mapping[str, float]:
+    def report(amplitudes: Values, shapes: Values, constants: Constants) -> Reported:
         return {
             f"{letter}{order}": float(np.hypot(amplitudes[2 * k], amplitudes[2 * k + 1]))
             for k, order in enumerate(orders)
@@ -105,14 +95,7 @@ def _typical_ripple(constants: JointConstants) -> float:
 
 def _wave_amplitude(name: str) -> Amplitude:
     """Return the amplitude of one wave of the motor torque."""
-    return Amplitude(
-        name=name,
-        unit="N m",
-        scale=_typical_ripple,
-        lower=-20.0,
-        upper=20.0,
-        changed=CHANGED_SCALE_RATIO,
-    )
+    return Amplitude(name, "N m", _typical_ripple, -20.0, 20.0, CHANGED_SCALE_RATIO)
 
 
 def _has_gear(constants: JointConstants) -> bool:
@@ -139,7 +122,7 @@ TRANSMISSION_ERROR = Effect(
     reference="TuttleSeering1996",
     term=transmission_error_term,
     amplitudes=tuple(
-        Amplitude(name=f"{wave}{order}", unit="rad", scale=1e-4, lower=-10.0, upper=10.0)
+        Amplitude(f"{wave}{order}", "rad", 1e-4, -10.0, 10.0)
         for order in _GEAR_ORDERS
         for wave in ("sin", "cos")
     ),
@@ -187,11 +170,7 @@ ROTOR_RIPPLE = Effect(
     # Strain-wave gears have two a turn, motors their poles and slots.
     shapes=(
         Shape(
-            name="waves",
-            unit="",
-            starts=(1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 14.0, 24.0),
-            lower=0.5,
-            upper=60.0,
+            "waves", "", (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 14.0, 24.0), 0.5, 60.0
         ),
     ),
     report=_report_wave,
