@@ -233,6 +233,8 @@ class Effect:
     shifts_weight : bool
         True where it changes the weight that several joints carry: a single one competes with
         re-identified masses.
+    moves_zero : bool
+        True where its first amplitude is the position of the joint at which its encoder reads 0.
     yields : bool
         True where its deflection depends on the load of its joint: the spring is softer or stiffer
         by it; default: in the family elastic.
@@ -321,6 +323,7 @@ class Effect:
     usual: bool = False
     couples_joints: bool = False
     shifts_weight: bool = False
+    moves_zero: bool = False
     yields: bool = False
     lags: bool = False
     is_play: bool = False

@@ -7,10 +7,10 @@ import importlib.util
 import inspect
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any, get_args
 
 import numpy as np
@@ -26,7 +26,6 @@ from stiffopt.discovery.signals import (
 )
 from stiffopt.errors import InputFileError
 from stiffopt.recording.nominal_files import build_joint_chain
-from stiffopt.symbolic import Quantity
 
 _FILE_HINT = (
     "A file of effects holds `stiffopt.discovery.effect.Effect` objects at module level, or"
@@ -164,31 +163,6 @@ _SAMPLE_JOINTS = 8
 _RELATIVE_TOLERANCE = 1e-9
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SampleArm:
-    """Fixed signals of a sample arm, see `ArmSignals`."""
-
-    tool_position: Quantity
-    tool_velocity: Quantity
-    tool_jacobian: Quantity
-    tool_levers: Quantity
-    body_regressor: Quantity
-    weight: Quantity
-    zero_harmonics: Quantity
-
-    def head(self, count: int) -> SampleArm:
-        """Return the first samples."""
-        return SampleArm(**{name: value[:count] for name, value in vars(self).items()})
-
-    def decimate(self, every: int) -> SampleArm:
-        """Return every n-th sample."""
-        return SampleArm(**{name: value[::every] for name, value in vars(self).items()})
-
-    def with_bodies(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> SampleArm:
-        """Return itself: the body regressor is the same for any motion."""
-        return self
-
-
 def sample_signals(count: int = 60, dt: float = 0.01) -> RobotSignals:
     """Return signals of a sample arm: smooth, with reversals and loads of both signs.
 
@@ -231,9 +205,8 @@ def sample_signals(count: int = 60, dt: float = 0.01) -> RobotSignals:
         windup=windup,
         drive_torque=torque + friction,
         drive_torque_rate=np.gradient(torque + friction, dt, axis=0),
-        arm=SampleArm(
+        arm=SimpleNamespace(
             tool_position=tool,
-            tool_velocity=np.gradient(tool, dt, axis=0),
             tool_jacobian=lever,
             tool_levers=np.swapaxes(np.concatenate([lever, lever[:, ::-1]], axis=1), 1, 2),
             body_regressor=body,
@@ -321,7 +294,7 @@ def acts_at_rest(effect: Effect) -> bool:
 
 def _hold_still(moving: RobotSignals, order: slice) -> RobotSignals:
     """Return the poses of a motion without its velocities, in an order of the samples."""
-    rest, arm = np.zeros_like(moving.motor_velocity), moving.arm
+    rest = np.zeros_like(moving.motor_velocity)
     places = ("motor_position", "link_position", "transmitted_torque", "spring_torque", "windup")
     speeds = ("motor_velocity", "motor_acceleration", "motor_direction", "link_velocity")
     return replace(
@@ -329,15 +302,7 @@ def _hold_still(moving: RobotSignals, order: slice) -> RobotSignals:
         **{name: getattr(moving, name)[order] for name in places},
         **dict.fromkeys((*speeds, "link_acceleration", "drive_torque_rate"), rest),
         drive_torque=moving.spring_torque[order],
-        arm=SampleArm(
-            tool_position=arm.tool_position[order],
-            tool_velocity=np.zeros_like(arm.tool_velocity),
-            tool_jacobian=arm.tool_jacobian[order],
-            body_regressor=arm.body_regressor[order],
-            tool_levers=arm.tool_levers[order],
-            weight=arm.weight[order],
-            zero_harmonics=arm.zero_harmonics[order],
-        ),
+        arm=SimpleNamespace(**{name: value[order] for name, value in vars(moving.arm).items()}),
     )
 
 

@@ -60,6 +60,7 @@ JOINT_ZERO = Effect(
     scope="joint",
     couples_joints=True,
     shifts_weight=True,
+    moves_zero=True,
     equation="s += f(q + dq, v, a) - f(q, v, a)",
     signature="weight of the joint and of those before it off as if the joint stood at another"
     " angle, the same in every run",

@@ -29,7 +29,7 @@ from stiffopt.discovery.effect import (
     Term,
     Values,
 )
-from stiffopt.discovery.signals import JOINT_SIGNAL_NAMES, JointConstants, JointSignals
+from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.exact.chain import windup_shares
 from stiffopt.robot.robot import Robot
@@ -128,22 +128,7 @@ def _find_weakest_connection(chain: Chain, torque: float) -> int | None:
 
 def _added_windup(found: FittedEffect, constants: JointConstants, torques: np.ndarray) -> float:
     """Return the mean wind-up that a loss of preload adds [rad]."""
-    still = dict.fromkeys(JOINT_SIGNAL_NAMES, np.zeros_like(torques))
-    loaded = {
-        "spring_torque": torques,
-        "windup": constants.windup(torques),
-        "drive_torque": torques,
-    }
-    signals = JointSignals(
-        time=np.arange(len(torques), dtype=float),
-        dt=1.0,
-        session_time=still["windup"],
-        previous_position=still["windup"],
-        previous_velocity=still["windup"],
-        previous_acceleration=still["windup"],
-        constants=constants,
-        **(still | loaded),
-    )
+    signals = JointSignals.of_known(constants, 0.0 * torques, spring_torque=torques)
     term = preload_loss_term(signals, found.amplitudes, found.shapes)
     return float(np.mean(np.asarray(term.deflection)))
 

@@ -122,6 +122,6 @@ def joint_zeros(model: ExtendedModel) -> np.ndarray:
     zeros = np.zeros(len(model.joints))
     for estimated in model.extension.effects:
         located = estimated.located
-        if located.effect.name == "joint_zero" and located.joint is not None:
+        if located.effect.moves_zero and located.joint is not None:
             zeros[located.joint] += float(estimated.amplitudes[0])
     return zeros
