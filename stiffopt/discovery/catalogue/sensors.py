@@ -66,8 +66,12 @@ def _is_limit_possible(shapes: Values, constants: Constants) -> bool:
     return bool(shapes[0] * constants.torque_max >= _MIN_LIMIT_RATIO * constants.measured_torque)
 
 
+# Usual zero error of a torque over the rated torque, which bounds it.
+_TYPICAL_OFFSET_SHARE = 0.03
+
+
 def _typical_offset(constants: JointConstants) -> float:
-    return 0.03 * constants.torque_rated
+    return _TYPICAL_OFFSET_SHARE * constants.torque_rated
 
 
 def _start_limits(constants: JointConstants) -> tuple[float, ...]:
@@ -105,7 +109,16 @@ TORQUE_OFFSET = Effect(
     remedy="Zero the torque reading of {where}, or subtract {off}.",
     needs=("torque", "moves", "reverses"),
     term=torque_offset_term,
-    amplitudes=(Amplitude("off", "N m", _typical_offset, -7.0, 7.0, CHANGED_SCALE_RATIO),),
+    amplitudes=(
+        Amplitude(
+            "off",
+            "N m",
+            _typical_offset,
+            -1.0 / _TYPICAL_OFFSET_SHARE,
+            1.0 / _TYPICAL_OFFSET_SHARE,
+            CHANGED_SCALE_RATIO,
+        ),
+    ),
     separate="Stop for a second in several postures and move in both directions: friction that"
     " differs between directions vanishes at rest, weight changes with posture.",
 )
