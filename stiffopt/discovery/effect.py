@@ -94,8 +94,6 @@ class Amplitude:
 
     Parameters
     ----------
-    name : str
-    unit : str
     scale : callable or float
         Typical size, a function of the joint's constants where callable; standard deviation of the
         prior.
@@ -127,8 +125,6 @@ class Shape:
 
     Parameters
     ----------
-    name : str
-    unit : str
     starts : callable or tuple of float
         Initial values of a fit, a function of the signals' ranges where callable.
     lower, upper : float
@@ -202,7 +198,6 @@ class Effect:
 
     Parameters
     ----------
-    name : str
     family : str
         friction, elastic, periodic, inertial, geometry, sensor, spring, contact.
     scope : {"joint", "robot", "link", "run", "recording"}
@@ -214,8 +209,6 @@ class Effect:
         Visible sign of it in the recordings, in words.
     term : callable
         (signals, amplitudes, shapes) -> Term.
-    amplitudes : tuple of Amplitude
-    shapes : tuple of Shape
     report : callable, optional
         (amplitudes, shapes, constants) -> named values; default: the parameters themselves.
     units : mapping of str to str

@@ -92,7 +92,6 @@ class JointConstants:
         Largest nominal spring torque in the recordings [N m].
     measured_torque : float
         Largest filtered drive torque measured in the training runs; 0 without measurement [N m].
-    prismatic : bool
     belt : bool or None
         True where a belt is among the connections; None where they are unknown.
     joints : int
@@ -250,7 +249,6 @@ class JointSignals(MotionSignals):
     ----------
     previous_position, previous_velocity, previous_acceleration
         Motor motion of the previous joint; 0 for the first [rad], [rad/s], [rad/s^2].
-    constants : JointConstants
     """
 
     previous_position: Quantity
@@ -272,7 +270,6 @@ class RobotConstants:
 
     Parameters
     ----------
-    joints : tuple of JointConstants
     links : tuple of str
         Name of the moving link of each joint.
     masses : array (n,)
@@ -303,7 +300,6 @@ class RobotSignals(MotionSignals):
         Signals of the arm as a whole, which this class passes on.
     last_link, link : int
         Index of the last link, and of the link that an effect is located at.
-    constants : RobotConstants
     """
 
     arm: Any

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stiffopt.discovery.catalogue.common import Constants, winds_up, working_compliance
+from stiffopt.discovery.catalogue.common import winds_up, working_compliance
 from stiffopt.discovery.catalogue.recurrence import first_order_lag
 from stiffopt.discovery.catalogue.robot_change import (
     TORQUE_SHARES,
@@ -16,7 +16,6 @@ from stiffopt.discovery.effect import (
     Amplitude,
     Effect,
     FittedEffect,
-    Reported,
     RobotChange,
     Shape,
     Term,
@@ -32,14 +31,6 @@ def belt_creep_term(signals: JointSignals, amplitudes: Values, shapes: Values) -
     # A belt has settled under the load at the begin of the run.
     slow = first_order_lag(s, np.exp(-signals.dt / shapes[0]))
     return Term(deflection=amplitudes[0] * s + amplitudes[1] * slow)
-
-
-def _report_belt(amplitudes: Values, shapes: Values, constants: Constants) -> Reported:
-    return {"C": amplitudes[0] + amplitudes[1], "tau_r": shapes[0]}
-
-
-def _may_have_belt(constants: JointConstants) -> bool:
-    return winds_up(constants) and constants.belt is not False
 
 
 def put_belt_in_series(
@@ -70,9 +61,9 @@ BELT_CREEP = Effect(
         Amplitude("C_creep", "rad/(N m)", working_compliance, 0.0, 2.0),
     ),
     shapes=(Shape("tau_r", "s", (0.03, 0.1, 0.3, 1.0), 0.01, 5.0),),
-    report=_report_belt,
+    report=lambda a, s, constants: {"C": a[0] + a[1], "tau_r": s[0]},
     units={"C": "rad/(N m)"},
-    applies=_may_have_belt,
+    applies=lambda constants: winds_up(constants) and constants.belt is not False,
     lags=True,
     separate="Run one path fast and slowly: creep shows in the difference, a plain change of"
     " stiffness and hysteresis do not.",

@@ -3,19 +3,11 @@
 from __future__ import annotations
 
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term, Values
-from stiffopt.discovery.signals import JointConstants, JointSignals, RobotConstants, RobotSignals
+from stiffopt.discovery.signals import RobotConstants, RobotSignals
 from stiffopt.symbolic import smooth_abs
 
 # Height over which the contact force sets in [m].
 _CONTACT_ROUNDING = 1e-4
-
-
-def wrist_coupling_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
-    """Return link angle th + c th_before; by virtual work the previous joint carries c s."""
-    return Term(
-        deflection=-amplitudes[0] * signals.previous_position,
-        previous_torque=amplitudes[0] * signals.spring_torque,
-    )
 
 
 def external_contact_term(signals: RobotSignals, amplitudes: Values, shapes: Values) -> Term:
@@ -24,10 +16,6 @@ def external_contact_term(signals: RobotSignals, amplitudes: Values, shapes: Val
     pressed = 0.5 * (depth + smooth_abs(depth, _CONTACT_ROUNDING))
     lever = signals.tool_jacobian[:, 2, :]
     return Term(link_torque=-amplitudes[0] * lever * pressed[:, None])
-
-
-def _has_previous_joint(constants: JointConstants) -> bool:
-    return constants.joint > 1
 
 
 def _start_heights(constants: RobotConstants) -> tuple[float, ...]:
@@ -46,9 +34,13 @@ WRIST_COUPLING = Effect(
     remedy="Check the coupling ratio of {where} in the controller's wrist parameters, and"
     " correct it by {c}.",
     needs=("sensor", "moves", "before"),
-    term=wrist_coupling_term,
+    # By virtual work the previous joint carries a share of the torque.
+    term=lambda signals, a, s: Term(
+        deflection=-a[0] * signals.previous_position,
+        previous_torque=a[0] * signals.spring_torque,
+    ),
     amplitudes=(Amplitude("c", "", 0.01, -5.0, 5.0),),
-    applies=_has_previous_joint,
+    applies=lambda constants: constants.joint > 1,
     log_prior=lambda constants: 0.0 if constants.joint > 4 else -1.0,
     separate="Move the joint before while this one stands: an error of its own gear or encoder"
     " does not follow.",

@@ -7,13 +7,12 @@ both angles. A model with one rotor and friction per joint has neither.
 from __future__ import annotations
 
 from stiffopt.discovery.catalogue.common import (
-    Constants,
     dry_friction,
     motor_inertia,
     viscous_friction,
 )
-from stiffopt.discovery.effect import Amplitude, Effect, Reported, Shape, Term, Values
-from stiffopt.discovery.signals import JointConstants, JointSignals, smooth_sign
+from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term, Values
+from stiffopt.discovery.signals import JointSignals, smooth_sign
 
 # Smallest share of the previous joint in the motor's turning; gears of wrists have 1.
 _MIN_SHARE = 0.5
@@ -27,19 +26,6 @@ def coupled_drive_term(signals: JointSignals, amplitudes: Values, shapes: Values
     dry, viscous, inertia = amplitudes
     torque = dry * smooth_sign(speed) + viscous * speed + inertia * rate
     return Term(drive_torque=torque, previous_torque=share * torque)
-
-
-def _after_another_wrist_joint(constants: JointConstants) -> bool:
-    return constants.joint > 4
-
-
-def _turns_with_both(shapes: Values, constants: Constants) -> bool:
-    """Return True where the previous joint turns the motor; otherwise it is an ordinary drive."""
-    return abs(shapes[0]) >= _MIN_SHARE
-
-
-def _report_drive(amplitudes: Values, shapes: Values, constants: Constants) -> Reported:
-    return {**dict(zip(("Fc", "Fv", "J"), amplitudes, strict=True)), "c": shapes[0]}
 
 
 COUPLED_DRIVE = Effect(
@@ -61,9 +47,10 @@ COUPLED_DRIVE = Effect(
         Amplitude("J", "kg m^2", motor_inertia, 0.0, 10.0),
     ),
     shapes=(Shape("c", "", (1.0, -1.0), -1.5, 1.5),),
-    report=_report_drive,
-    applies=_after_another_wrist_joint,
-    possible=_turns_with_both,
+    report=lambda a, s, constants: {**dict(zip(("Fc", "Fv", "J"), a, strict=True)), "c": s[0]},
+    applies=lambda constants: constants.joint > 4,
+    # Otherwise it is an ordinary drive.
+    possible=lambda shapes, constants: abs(shapes[0]) >= _MIN_SHARE,
     log_prior=lambda constants: -1.0,
     separate="Move both wrist joints together and against each other at one speed: the friction of"
     " their sum vanishes in one of the two.",

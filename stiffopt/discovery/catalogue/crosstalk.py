@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stiffopt.discovery.effect import Amplitude, Effect, Reported, Shape, Term, Values
+from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term, Values
 from stiffopt.discovery.signals import JointConstants, RobotSignals
 from stiffopt.symbolic import Quantity
 
@@ -33,14 +33,6 @@ def _other_joints(constants: JointConstants) -> tuple[float, ...]:
     return tuple(float(joint) for joint in every if joint != constants.joint) or (1.0,)
 
 
-def _has_other_joints(constants: JointConstants) -> bool:
-    return constants.joints > 1
-
-
-def _report_crosstalk(amplitudes: Values, shapes: Values, constants: JointConstants) -> Reported:
-    return {"c": amplitudes[0], "from_joint": float(round(shapes[0]))}
-
-
 def _describe_remedy(amplitudes: Values, shapes: Values, constants: JointConstants) -> str:
     return (
         f"The torque of joint {constants.joint} contains {100.0 * amplitudes[0]:.1f} % of that of"
@@ -64,8 +56,8 @@ CROSSTALK = Effect(
     term=crosstalk_term,
     amplitudes=(Amplitude("c", "", _TYPICAL_SHARE, -20.0, 20.0),),
     shapes=(Shape("from_joint", "", _other_joints, 1.0, float(_MAX_JOINTS), fit="held"),),
-    report=_report_crosstalk,
-    applies=_has_other_joints,
+    report=lambda a, s, constants: {"c": a[0], "from_joint": float(round(s[0]))},
+    applies=lambda constants: constants.joints > 1,
     # Rare beside couplings of gears, which act between neighbours.
     log_prior=lambda constants: -2.0,
     remedy=_describe_remedy,

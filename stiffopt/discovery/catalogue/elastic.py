@@ -69,10 +69,6 @@ def _loop_height(constants: JointConstants) -> float:
     return 0.04 * constants.torque_rated
 
 
-def _start_roundings(constants: JointConstants) -> tuple[float, ...]:
-    return tuple(carried_share(constants) * share for share in (0.002, 0.008, 0.03))
-
-
 BACKLASH = Effect(
     name="backlash",
     family="elastic",
@@ -88,7 +84,17 @@ BACKLASH = Effect(
     term=backlash_term,
     is_play=True,
     amplitudes=(Amplitude("width", "rad", 3e-4, 0.0, 10.0),),
-    shapes=(Shape("rounding", "", _start_roundings, 1e-7, 0.08),),
+    shapes=(
+        Shape(
+            "rounding",
+            "",
+            lambda constants: tuple(
+                carried_share(constants) * share for share in (0.002, 0.008, 0.03)
+            ),
+            1e-7,
+            0.08,
+        ),
+    ),
     report=lambda amplitudes, shapes, constants: {"width": amplitudes[0]},
     possible=lambda shapes, constants: shapes[0] >= _MIN_ROUNDING * carried_share(constants),
     applies=winds_up,

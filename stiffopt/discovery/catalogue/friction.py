@@ -38,16 +38,6 @@ def rounded_load(signals: JointSignals, share: Quantity) -> Quantity:
     return smooth_abs(signals.spring_torque, rounding) - rounding
 
 
-def coulomb_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
-    """Return dry friction dFc sg(w)."""
-    return Term(drive_torque=amplitudes[0] * signals.motor_direction)
-
-
-def viscous_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
-    """Return viscous friction dFv w."""
-    return Term(drive_torque=amplitudes[0] * signals.motor_velocity)
-
-
 def stribeck_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return A exp(-|w/vs|^n) sg(w); n = 2 after Gauss, n = 1 after Tustin."""
     w = signals.motor_velocity
@@ -103,10 +93,6 @@ def _is_within_stroke(shapes: Values, constants: JointConstants) -> bool:
     return bool(low <= place <= high and width <= 0.5 * (high - low))
 
 
-def _start_places(constants: JointConstants) -> tuple[float, ...]:
-    return along_stroke(constants, 10)
-
-
 def is_definite_load(share: float, constants: JointConstants) -> bool:
     """Return True where the rounding of a load is large enough for the joint."""
     return share >= _MIN_LOAD_ROUNDING * carried_share(constants)
@@ -139,7 +125,7 @@ COULOMB = Effect(
     confused_with=("stribeck", "hysteresis", "position_friction"),
     reference="ArmstrongEtAl1994",
     change_robot=add_to_nominal_value,
-    term=coulomb_term,
+    term=lambda signals, a, s: Term(drive_torque=a[0] * signals.motor_direction),
     amplitudes=(Amplitude("dFc", "N m", half_dry_friction, -2.0, 10.0),),
     separate="Move at three speeds or more, in both directions: Coulomb friction does not change"
     " with speed.",
@@ -164,7 +150,7 @@ VISCOUS = Effect(
     confused_with=("thermal_friction", "time_delay"),
     reference="ArmstrongEtAl1994",
     change_robot=add_to_nominal_value,
-    term=viscous_term,
+    term=lambda signals, a, s: Term(drive_torque=a[0] * signals.motor_velocity),
     amplitudes=(Amplitude("dFv", "N m s/rad", viscous_friction, -1.0, 5.0),),
     separate="Hold constant speeds up to the fastest, once cold and once warm: a delay shows only"
     " while the torque changes, heat only from run to run.",
@@ -252,7 +238,7 @@ POSITION_FRICTION = Effect(
     term=position_friction_term,
     amplitudes=(Amplitude("A", "N m", dry_friction, 0.0, 3.0),),
     shapes=(
-        Shape("q0", "rad", _start_places, -20.0, 20.0),
+        Shape("q0", "rad", lambda constants: along_stroke(constants, 10), -20.0, 20.0),
         Shape("width", "rad", (0.12, 0.3, 0.7), 0.05, 1.5),
     ),
     possible=_is_within_stroke,

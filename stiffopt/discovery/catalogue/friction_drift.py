@@ -118,10 +118,6 @@ def friction_within_runs(runs: Sequence[str]) -> Effect:
 
     A hose pinched by another joint or a brake that drags at times also differs between runs, since
     runs have other motions.
-
-    Parameters
-    ----------
-    runs : sequence of str
     """
     return Effect(
         name="friction_within_runs",
@@ -145,7 +141,6 @@ def friction_drift(
 
     Parameters
     ----------
-    runs : sequence of str
     seen : bool
         True where runs of these names are those of the amplitudes.
     states : sequence of str, optional

@@ -57,7 +57,6 @@ def gain_drift(
     ----------
     scope : {"joint", "robot"}
         One torque constant, or that of all joints alike.
-    runs : sequence of str
     seen : bool
         True where runs of these names are those of the amplitudes.
     states : sequence of str, optional

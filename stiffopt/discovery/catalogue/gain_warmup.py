@@ -3,16 +3,7 @@
 from __future__ import annotations
 
 from stiffopt.discovery.catalogue.warming import TIME_CONSTANT, warmed_share
-from stiffopt.discovery.effect import Amplitude, Effect, Term, Values
-from stiffopt.discovery.signals import JointSignals
-
-
-def gain_warmup_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
-    """Return the drive torque times eps and the change since the begin of the run."""
-    return Term(
-        drive_torque=amplitudes[0] * signals.drive_torque * warmed_share(signals, shapes[0])
-    )
-
+from stiffopt.discovery.effect import Amplitude, Effect, Term
 
 GAIN_WARMUP = Effect(
     name="gain_warmup",
@@ -26,7 +17,9 @@ GAIN_WARMUP = Effect(
     " temperature",
     needs=("torque", "torque_sensor", "moves"),
     confused_with=("friction_warmup", "gain_drift", "common_gain_drift"),
-    term=gain_warmup_term,
+    term=lambda signals, a, s: Term(
+        drive_torque=a[0] * signals.drive_torque * warmed_share(signals, s[0])
+    ),
     amplitudes=(Amplitude("eps", "", 0.03, -10.0, 10.0),),
     shapes=(TIME_CONSTANT,),
     report=lambda amplitudes, shapes, constants: {"eps": amplitudes[0]},

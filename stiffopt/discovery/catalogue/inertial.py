@@ -23,7 +23,6 @@ from stiffopt.discovery.effect import (
 from stiffopt.discovery.signals import (
     PARAMETERS_PER_BODY,
     JointConstants,
-    JointSignals,
     RobotConstants,
     RobotSignals,
 )
@@ -36,11 +35,6 @@ _TYPICAL_DISTANCE = 0.1
 _CHANGED_DISTANCE_RATIO = 3.0
 
 
-def rotor_inertia_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
-    """Return the torque dJ dw/dt."""
-    return Term(drive_torque=amplitudes[0] * signals.motor_acceleration)
-
-
 def body_term(signals: RobotSignals, amplitudes: Values, body: int) -> Term:
     """Return the torques of changed inertial parameters of one body."""
     torque: Quantity = 0.0
@@ -51,23 +45,6 @@ def body_term(signals: RobotSignals, amplitudes: Values, body: int) -> Term:
                 torque + amplitude * signals.body_regressor[..., PARAMETERS_PER_BODY * body + k]
             )
     return Term(link_torque=torque)
-
-
-def payload_term(signals: RobotSignals, amplitudes: Values, shapes: Values) -> Term:
-    """Return the torques of a mass dm at c of the last link, with inertia about its joint."""
-    return body_term(signals, amplitudes, signals.last_link)
-
-
-def inertial_error_term(signals: RobotSignals, amplitudes: Values, shapes: Values) -> Term:
-    """Return the torques of mass, first moment and inertia of the located link."""
-    return body_term(signals, amplitudes, signals.link)
-
-
-def change_payload(
-    robot: Robot, found: FittedEffect, joint: int, constants: JointConstants
-) -> RobotChange:
-    """Return the robot with another payload in its last link."""
-    return add_to_body(robot, found, joint, "Payload")
 
 
 def change_body(
@@ -94,10 +71,6 @@ def _report_link(amplitudes: Values, shapes: Values, constants: Constants) -> Re
     }
 
 
-def _typical_rotor_change(constants: JointConstants) -> float:
-    return 0.25 * motor_inertia(constants)
-
-
 def _typical_mass(constants: RobotConstants) -> float:
     return max(0.03 * float(np.sum(constants.masses)), 0.05)
 
@@ -120,16 +93,12 @@ def _moment_amplitudes(*names: str) -> tuple[Amplitude, ...]:
     )
 
 
-def _typical_inertia(constants: RobotConstants) -> float:
-    return _TYPICAL_DISTANCE * _typical_moment(constants)
-
-
 # Inertia about the origin of the body's joint, in the order of the regressor.
 _INERTIA_AMPLITUDES = tuple(
     Amplitude(
         name,
         "kg m^2",
-        _typical_inertia,
+        lambda constants: _TYPICAL_DISTANCE * _typical_moment(constants),
         -40.0,
         40.0,
         CHANGED_SCALE_RATIO * _CHANGED_DISTANCE_RATIO**2,
@@ -151,8 +120,17 @@ ROTOR_INERTIA = Effect(
     " motor's data sheet.",
     needs=("torque", "moves"),
     change_robot=add_to_nominal_value,
-    term=rotor_inertia_term,
-    amplitudes=(Amplitude("dJ", "kg m^2", _typical_rotor_change, -2.0, 40.0, CHANGED_SCALE_RATIO),),
+    term=lambda signals, a, s: Term(drive_torque=a[0] * signals.motor_acceleration),
+    amplitudes=(
+        Amplitude(
+            "dJ",
+            "kg m^2",
+            lambda constants: 0.25 * motor_inertia(constants),
+            -2.0,
+            40.0,
+            CHANGED_SCALE_RATIO,
+        ),
+    ),
     separate="Accelerate hard in several postures: the inertia of links changes with posture and"
     " winds the joint up, the rotor's does neither.",
 )
@@ -173,8 +151,8 @@ PAYLOAD = Effect(
     needs=("torque", "moves"),
     confused_with=("torque_gain", "inertial_error", "base_tilt", "joint_zero", "encoder_offset"),
     shifts_weight=True,
-    change_robot=change_payload,
-    term=payload_term,
+    change_robot=lambda robot, found, joint, constants: add_to_body(robot, found, joint, "Payload"),
+    term=lambda signals, a, s: body_term(signals, a, signals.last_link),
     amplitudes=(_MASS_AMPLITUDE, *_moment_amplitudes("mcx", "mcy", "mcz"), *_INERTIA_AMPLITUDES),
     report=_report_payload,
     units={"cx": "m", "cy": "m", "cz": "m"},
@@ -196,7 +174,7 @@ INERTIAL_ERROR = Effect(
     confused_with=("torque_gain", "joint_zero"),
     shifts_weight=True,
     change_robot=change_body,
-    term=inertial_error_term,
+    term=lambda signals, a, s: body_term(signals, a, signals.link),
     amplitudes=(_MASS_AMPLITUDE, *_moment_amplitudes("dmcx", "dmcy", "dmcz"), *_INERTIA_AMPLITUDES),
     report=_report_link,
     units={"dmc": "kg m", "dI": "kg m^2"},

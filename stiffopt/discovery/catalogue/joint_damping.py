@@ -18,15 +18,6 @@ def joint_damping_term(signals: JointSignals, amplitudes: Values, shapes: Values
     return Term(deflection=-amplitudes[0] * rate * slope)
 
 
-def _nominal_damping(constants: JointConstants) -> float:
-    return constants.joint_damping
-
-
-def _has_known_damping(constants: JointConstants) -> bool:
-    """Return True where links vibrate: without a damping value they are modelled quasi-static."""
-    return constants.elastic and constants.joint_damping > 0.0
-
-
 def change_damping(
     robot: Robot, found: FittedEffect, joint: int, constants: JointConstants
 ) -> RobotChange:
@@ -55,8 +46,11 @@ JOINT_DAMPING = Effect(
     confused_with=("hysteresis",),
     change_robot=change_damping,
     term=joint_damping_term,
-    amplitudes=(Amplitude("dD", "N m s/rad", _nominal_damping, -1.0, 20.0),),
-    applies=_has_known_damping,
+    amplitudes=(
+        Amplitude("dD", "N m s/rad", lambda constants: constants.joint_damping, -1.0, 20.0),
+    ),
+    # Without a damping value links are modelled quasi-static.
+    applies=lambda constants: constants.elastic and constants.joint_damping > 0.0,
     separate="Stop sharply and stand still for a second, with and without load: damping takes the"
     " same share of every period, hysteresis most of small ones, a soft joint vibrates slower.",
 )

@@ -21,7 +21,7 @@ from stiffopt.discovery.catalogue.friction import (
     start_slow_speeds,
 )
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term, Values
-from stiffopt.discovery.signals import JointConstants, JointSignals
+from stiffopt.discovery.signals import JointSignals
 
 # Exponent of the speed, as measured there.
 _SPEED_EXPONENT = 1.3
@@ -42,10 +42,6 @@ def lubricated_friction_term(signals: JointSignals, amplitudes: Values, shapes: 
     return Term(drive_torque=level * signals.motor_direction + weight * viscous * w)
 
 
-def _typical_slope(constants: JointConstants) -> float:
-    return 0.5 * dry_friction(constants) / _TEMPERATURE_RANGE
-
-
 LUBRICATED_FRICTION = Effect(
     name="lubricated_friction",
     family="friction",
@@ -64,7 +60,14 @@ LUBRICATED_FRICTION = Effect(
         Amplitude("mu", "", 0.1, 0.0, 6.0),
         Amplitude("mu_slow", "", 0.1, 0.0, 6.0, own=True),
         Amplitude("A", "N m", half_dry_friction, 0.0, 4.0),
-        Amplitude("A_T", "N m/K", _typical_slope, 0.0, 4.0, own=True),
+        Amplitude(
+            "A_T",
+            "N m/K",
+            lambda constants: 0.5 * dry_friction(constants) / _TEMPERATURE_RANGE,
+            0.0,
+            4.0,
+            own=True,
+        ),
         WEIGHT,
     ),
     shapes=(

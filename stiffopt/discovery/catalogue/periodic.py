@@ -8,7 +8,7 @@ import numpy as np
 
 from stiffopt.discovery.catalogue.common import CHANGED_SCALE_RATIO, Constants
 from stiffopt.discovery.effect import Amplitude, Effect, Report, Reported, Shape, Term, Values
-from stiffopt.discovery.signals import JointConstants, JointSignals
+from stiffopt.discovery.signals import JointSignals
 from stiffopt.symbolic import Quantity
 
 _GEAR_ORDERS = (1, 2, 4)
@@ -75,10 +75,6 @@ def rotor_ripple_term(signals: JointSignals, amplitudes: Values, shapes: Values)
     return Term(drive_torque=_sampled_share(signals, turns) * wave)
 
 
-def _report_wave(amplitudes: Values, shapes: Values, constants: Constants) -> Reported:
-    return {"B": float(np.hypot(amplitudes[0], amplitudes[1])), "waves": shapes[0]}
-
-
 def _report_harmonics(letter: str, orders: Sequence[int]) -> Report:
     def report(amplitudes: Values, shapes: Values, constants: Constants) -> Reported:
         return {
@@ -89,25 +85,16 @@ def _report_harmonics(letter: str, orders: Sequence[int]) -> Report:
     return report
 
 
-def _typical_ripple(constants: JointConstants) -> float:
-    return 0.02 * constants.torque_rated
-
-
 def _wave_amplitude(name: str) -> Amplitude:
     """Return the amplitude of one wave of the motor torque."""
-    return Amplitude(name, "N m", _typical_ripple, -20.0, 20.0, CHANGED_SCALE_RATIO)
-
-
-def _has_gear(constants: JointConstants) -> bool:
-    return constants.ratio > 1.0
-
-
-def _has_gear_and_poles(constants: JointConstants) -> bool:
-    return constants.ratio > 1.0 and constants.pole_pairs is not None
-
-
-def _has_gear_without_poles(constants: JointConstants) -> bool:
-    return constants.ratio > 1.0 and constants.pole_pairs is None
+    return Amplitude(
+        name,
+        "N m",
+        lambda constants: 0.02 * constants.torque_rated,
+        -20.0,
+        20.0,
+        CHANGED_SCALE_RATIO,
+    )
 
 
 TRANSMISSION_ERROR = Effect(
@@ -128,7 +115,7 @@ TRANSMISSION_ERROR = Effect(
     ),
     report=_report_harmonics("A", _GEAR_ORDERS),
     units={f"A{order}": "rad" for order in _GEAR_ORDERS},
-    applies=_has_gear,
+    applies=lambda constants: constants.ratio > 1.0,
     separate="Turn slowly at two constant speeds: the waves keep their order of the rotor angle,"
     " a resonance keeps its frequency, ripple comes with the pole pairs.",
 )
@@ -148,7 +135,7 @@ TORQUE_RIPPLE = Effect(
     ),
     report=_report_harmonics("B", _RIPPLE_ORDERS),
     units={f"B{order}": "N m" for order in _RIPPLE_ORDERS},
-    applies=_has_gear_and_poles,
+    applies=lambda constants: constants.ratio > 1.0 and constants.pole_pairs is not None,
     separate="Turn slowly at two constant speeds in both directions: ripple leaves the link angle"
     " where it is, an error of the gear moves it.",
 )
@@ -173,9 +160,9 @@ ROTOR_RIPPLE = Effect(
             "waves", "", (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 14.0, 24.0), 0.5, 60.0
         ),
     ),
-    report=_report_wave,
+    report=lambda a, s, constants: {"B": float(np.hypot(a[0], a[1])), "waves": s[0]},
     units={"B": "N m"},
-    applies=_has_gear_without_poles,
+    applies=lambda constants: constants.ratio > 1.0 and constants.pole_pairs is None,
     separate="Turn slowly at two constant speeds: the waves keep their number a turn, a resonance"
     " keeps its frequency.",
 )

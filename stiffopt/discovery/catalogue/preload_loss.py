@@ -133,10 +133,6 @@ def _added_windup(found: FittedEffect, constants: JointConstants, torques: np.nd
     return float(np.mean(np.asarray(term.deflection)))
 
 
-def _start_pressures(constants: JointConstants) -> tuple[float, ...]:
-    return tuple(carried_share(constants) * share for share in (0.005, 0.05, 0.5))
-
-
 PRELOAD_LOSS = Effect(
     name="preload_loss",
     family="elastic",
@@ -151,7 +147,15 @@ PRELOAD_LOSS = Effect(
     term=preload_loss_term,
     amplitudes=(Amplitude("c", "", 1.0, 0.0, 20.0),),
     shapes=(
-        Shape("left", "", _start_pressures, 1e-7, 10.0),
+        Shape(
+            "left",
+            "",
+            lambda constants: tuple(
+                carried_share(constants) * share for share in (0.005, 0.05, 0.5)
+            ),
+            1e-7,
+            10.0,
+        ),
         Shape("power", "", (0.35, 0.65), 0.3, 0.9),
     ),
     report=_report_pressure_and_windup,

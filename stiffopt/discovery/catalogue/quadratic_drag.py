@@ -5,18 +5,13 @@ from __future__ import annotations
 from stiffopt.discovery.catalogue.common import viscous_friction
 from stiffopt.discovery.catalogue.friction import rounded_speed
 from stiffopt.discovery.effect import Amplitude, Effect, Term, Values
-from stiffopt.discovery.signals import JointConstants, JointSignals
+from stiffopt.discovery.signals import JointSignals
 
 
 def quadratic_drag_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return drag D w |w|."""
     w = signals.motor_velocity
     return Term(drive_torque=amplitudes[0] * w * rounded_speed(w))
-
-
-def _typical_drag(constants: JointConstants) -> float:
-    """Return the drag that equals half the viscous friction at the fastest speed."""
-    return 0.5 * viscous_friction(constants) / max(constants.fastest, 1e-3)
 
 
 QUADRATIC_DRAG = Effect(
@@ -35,7 +30,16 @@ QUADRATIC_DRAG = Effect(
     confused_with=("viscous", "lubricated_friction"),
     reference="BittencourtAxelsson2014",
     term=quadratic_drag_term,
-    amplitudes=(Amplitude("D", "N m s^2/rad^2", _typical_drag, -1.5, 10.0),),
+    amplitudes=(
+        Amplitude(
+            "D",
+            "N m s^2/rad^2",
+            # Half the viscous friction at the fastest speed.
+            lambda constants: 0.5 * viscous_friction(constants) / max(constants.fastest, 1e-3),
+            -1.5,
+            10.0,
+        ),
+    ),
     separate="Hold at least four constant speeds up to the fastest, both ways: torque over speed is"
     " a straight line for viscous friction, a parabola for drag.",
 )

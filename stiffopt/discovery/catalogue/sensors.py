@@ -7,12 +7,11 @@ from __future__ import annotations
 
 from stiffopt.discovery.catalogue.common import (
     CHANGED_SCALE_RATIO,
-    Constants,
     dry_friction,
     viscous_friction,
 )
-from stiffopt.discovery.effect import Amplitude, Effect, Reported, Shape, Term, Values
-from stiffopt.discovery.signals import JointConstants, JointSignals, RobotSignals
+from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term, Values
+from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.symbolic import softplus
 
 # Rounding of a drive's torque limit over the highest torque.
@@ -21,24 +20,9 @@ _LIMIT_ROUNDING = 0.01
 _MIN_LIMIT_RATIO = 0.97
 
 
-def torque_gain_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
-    """Return eps times the predicted torque: the measured one would explain itself."""
-    return Term(drive_torque=amplitudes[0] * signals.drive_torque)
-
-
-def torque_offset_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
-    """Return a constant torque."""
-    return Term(drive_torque=amplitudes[0] + 0.0 * signals.drive_torque)
-
-
 def encoder_offset_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return a constant added to the reading of the link angle."""
     return Term(reading=-amplitudes[0] + 0.0 * signals.windup)
-
-
-def encoder_skew_term(signals: RobotSignals, amplitudes: Values, shapes: Values) -> Term:
-    """Return the effect of link angles that are read d later than motor angles."""
-    return Term(reading=amplitudes[0] * signals.link_velocity)
 
 
 def saturation_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
@@ -57,21 +41,8 @@ def saturation_term(signals: JointSignals, amplitudes: Values, shapes: Values) -
     return Term(drive_torque=amplitudes[0] * rounding * beyond)
 
 
-def _report_limit(amplitudes: Values, shapes: Values, constants: Constants) -> Reported:
-    return {"limit": shapes[0] * constants.torque_max}
-
-
-def _is_limit_possible(shapes: Values, constants: Constants) -> bool:
-    """Return True where no run shows more torque than the limit; a filter overshoots."""
-    return bool(shapes[0] * constants.torque_max >= _MIN_LIMIT_RATIO * constants.measured_torque)
-
-
 # Usual zero error of a torque over the rated torque, which bounds it.
 _TYPICAL_OFFSET_SHARE = 0.03
-
-
-def _typical_offset(constants: JointConstants) -> float:
-    return _TYPICAL_OFFSET_SHARE * constants.torque_rated
 
 
 def _start_limits(constants: JointConstants) -> tuple[float, ...]:
@@ -92,7 +63,8 @@ TORQUE_GAIN = Effect(
     remedy="Check torque constant and unit of {where}, and correct its readings by {eps:%}.",
     tolerances=("torque_constant",),
     needs=("torque", "moves"),
-    term=torque_gain_term,
+    # Of the predicted torque: the measured one would explain itself.
+    term=lambda signals, a, s: Term(drive_torque=a[0] * signals.drive_torque),
     amplitudes=(Amplitude("eps", "", 0.1, -6.0, 6.0),),
     separate="Fasten a known mass and move fast and slowly: a wrong mass leaves friction and rotor"
     " inertia as they are, a gain scales everything.",
@@ -108,12 +80,12 @@ TORQUE_OFFSET = Effect(
     phrase="torque reading off by {off}",
     remedy="Zero the torque reading of {where}, or subtract {off}.",
     needs=("torque", "moves", "reverses"),
-    term=torque_offset_term,
+    term=lambda signals, a, s: Term(drive_torque=a[0] + 0.0 * signals.drive_torque),
     amplitudes=(
         Amplitude(
             "off",
             "N m",
-            _typical_offset,
+            lambda constants: _TYPICAL_OFFSET_SHARE * constants.torque_rated,
             -1.0 / _TYPICAL_OFFSET_SHARE,
             1.0 / _TYPICAL_OFFSET_SHARE,
             CHANGED_SCALE_RATIO,
@@ -164,7 +136,7 @@ ENCODER_SKEW = Effect(
     phrase="link encoders read {d} late",
     remedy="Shift the link encoders by {d}, or use one clock for all signals.",
     needs=("link", "moves"),
-    term=encoder_skew_term,
+    term=lambda signals, a, s: Term(reading=a[0] * signals.link_velocity),
     amplitudes=(Amplitude("d", "s", 1e-3, -20.0, 20.0),),
     separate="Hold constant speeds in both directions under unlike loads: compliance follows the"
     " load, a skew follows the speed.",
@@ -185,9 +157,11 @@ SATURATION = Effect(
     # -1 is a clipped reading; a saturated drive demands many times the torque beyond the limit.
     amplitudes=(Amplitude("steepness", "", 10.0, -0.15, 20.0),),
     shapes=(Shape("share", "", _start_limits, 0.05, 1.2),),
-    report=_report_limit,
+    report=lambda a, s, constants: {"limit": s[0] * constants.torque_max},
     units={"limit": "N m"},
-    possible=_is_limit_possible,
+    possible=lambda shapes, constants: bool(
+        shapes[0] * constants.torque_max >= _MIN_LIMIT_RATIO * constants.measured_torque
+    ),
     separate="Ask for the highest torque several times: below the limit nothing is missing, a gain"
     " error shows at every torque.",
 )

@@ -64,21 +64,9 @@ def _typical_stiffness(constants: JointConstants) -> float:
     return 0.1 * constants.torque_rated
 
 
-def _typical_stop_stiffness(constants: JointConstants) -> float:
-    return 10.0 * carried_share(constants) * constants.torque_rated
-
-
-def _start_stop_angles(constants: JointConstants) -> tuple[float, ...]:
-    return along_stroke(constants, 6)
-
-
 def _is_within_stroke(shapes: Values, constants: JointConstants) -> bool:
     low, high = constants.stroke
     return bool(low <= shapes[0] <= high)
-
-
-def _start_rest_angles(constants: JointConstants) -> tuple[float, ...]:
-    return along_stroke(constants, 5)
 
 
 GRAVITY_SPRING = Effect(
@@ -122,7 +110,7 @@ CABLE_SPRING = Effect(
         Amplitude("k1", "N m/rad", _typical_stiffness, 0.0, 5.0),
         Amplitude("k3", "N m/rad^3", _typical_stiffness, 0.0, 5.0),
     ),
-    shapes=(Shape("q0", "rad", _start_rest_angles, -20.0, 20.0),),
+    shapes=(Shape("q0", "rad", lambda constants: along_stroke(constants, 5), -20.0, 20.0),),
     log_prior=lambda constants: 0.0 if on_wrist(constants) else -1.0,
     separate="Go to both ends of the stroke: a cable pulls back ever harder, weight repeats after"
     " a turn.",
@@ -140,9 +128,17 @@ END_STOP = Effect(
     needs=("torque", "moves"),
     confused_with=("cable_spring",),
     term=end_stop_term,
-    amplitudes=(Amplitude("k", "N m/rad", _typical_stop_stiffness, 0.0, 100.0),),
+    amplitudes=(
+        Amplitude(
+            "k",
+            "N m/rad",
+            lambda constants: 10.0 * carried_share(constants) * constants.torque_rated,
+            0.0,
+            100.0,
+        ),
+    ),
     shapes=(
-        Shape("q0", "rad", _start_stop_angles, -20.0, 20.0),
+        Shape("q0", "rad", lambda constants: along_stroke(constants, 6), -20.0, 20.0),
         Shape("side", "", (-1.0, 1.0), -1.0, 1.0),
     ),
     report=lambda amplitudes, shapes, constants: {"k": amplitudes[0], "q0": shapes[0]},

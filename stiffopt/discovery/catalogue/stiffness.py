@@ -33,15 +33,6 @@ from stiffopt.exact.connection import reducer_windup
 from stiffopt.robot.robot import Robot
 
 
-def stiffness_linear_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
-    """Return the wind-up x D(s)."""
-    return Term(deflection=amplitudes[0] * signals.windup)
-
-
-def _report_factor(amplitudes: Values, shapes: Values, constants: Constants) -> Reported:
-    return {"factor": 1.0 / (1.0 + amplitudes[0])}
-
-
 def scale_stiffness(
     robot: Robot, found: FittedEffect, joint: int, constants: JointConstants
 ) -> RobotChange | None:
@@ -142,9 +133,9 @@ STIFFNESS_LINEAR = Effect(
     needs=("windup", "moves"),
     confused_with=("belt_creep", "preload_loss"),
     change_robot=scale_stiffness,
-    term=stiffness_linear_term,
+    term=lambda signals, a, s: Term(deflection=a[0] * signals.windup),
     amplitudes=(Amplitude("x", "", 0.3, -2.2, 7.8),),
-    report=_report_factor,
+    report=lambda a, s, constants: {"factor": 1.0 / (1.0 + a[0])},
     units={"factor": ""},
     applies=winds_up,
     separate="Use the whole range of torque on both sides, slowly and fast: an added belt is not"

@@ -21,11 +21,6 @@ def tool_force_term(signals: RobotSignals, amplitudes: Values, shapes: Values) -
     return Term(link_torque=_weigh_levers(levers, amplitudes, 0))
 
 
-def turning_force_term(signals: RobotSignals, amplitudes: Values, shapes: Values) -> Term:
-    """Return -J^T R f of a force on the tool with constant components along the tool's axes."""
-    return Term(link_torque=_weigh_levers(signals.tool_levers, amplitudes, 3))
-
-
 def _weigh_levers(levers: Quantity, force: Sequence[Quantity], first: int) -> Quantity:
     torque: Quantity = 0.0
     for k, part in enumerate(force):
@@ -33,12 +28,17 @@ def _weigh_levers(levers: Quantity, force: Sequence[Quantity], first: int) -> Qu
     return torque
 
 
-def _typical_force(constants: RobotConstants) -> float:
-    return max(_WEIGHT_SHARE * _STANDARD_GRAVITY * float(np.sum(constants.masses)), 0.5)
-
-
 _FORCE_COMPONENTS = tuple(
-    Amplitude(name, "N", _typical_force, -40.0, 40.0) for name in ("fx", "fy", "fz")
+    Amplitude(
+        name,
+        "N",
+        lambda constants: max(
+            _WEIGHT_SHARE * _STANDARD_GRAVITY * float(np.sum(constants.masses)), 0.5
+        ),
+        -40.0,
+        40.0,
+    )
+    for name in ("fx", "fy", "fz")
 )
 
 
@@ -75,7 +75,7 @@ TURNING_TOOL_FORCE = Effect(
     phrase="a force that is fixed to the tool",
     needs=("torque", "moves", "tool_frame"),
     confused_with=("payload", "tool_force"),
-    term=turning_force_term,
+    term=lambda signals, a, s: Term(link_torque=_weigh_levers(signals.tool_levers, a, 3)),
     amplitudes=_FORCE_COMPONENTS,
     remedy=_describe_remedy,
     separate="Turn the wrist by half a turn at one place: the force of a spring in the tool turns"

@@ -36,10 +36,6 @@ _CENTRE_STEP = 1e-5
 class RobotModel:
     """Nominal dynamics in the joint order of the recording set.
 
-    Parameters
-    ----------
-    recordings : RecordingSet
-
     Attributes
     ----------
     n : int
@@ -108,7 +104,6 @@ class RobotModel:
 
         Parameters
         ----------
-        signals : sequence of RobotSignals
         measured : array (n,), optional
             Largest measured drive torque [N m].
         """
@@ -297,7 +292,6 @@ class _TorqueParts:
 
     Parameters
     ----------
-    robot : RobotModel
     motion : tuple of array (K, n)
         Position, velocity and acceleration of the links.
     width : int
@@ -333,7 +327,6 @@ class BodyRegressor(_TorqueParts):
 
     Parameters
     ----------
-    robot : RobotModel
     motion : tuple of array (K, n)
     """
 
@@ -361,7 +354,6 @@ class LazyArmSignals:
 
     Parameters
     ----------
-    robot : RobotModel
     q, v, a : array (K, n)
 
     Attributes

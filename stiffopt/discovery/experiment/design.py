@@ -52,7 +52,6 @@ class ExperimentPlan:
         Predicted on the motion [sigma].
     reference : float
         On the training run that separates them best, scaled to the motion's duration [sigma].
-    reference_run : str
     """
 
     joints: tuple[str, ...]
@@ -107,10 +106,8 @@ def plan_experiment(
 
     Parameters
     ----------
-    training : Training
     result : SearchResult
         Of these training runs.
-    settings : Settings
     pair : (LocatedEffect, LocatedEffect)
         The explanations, such as a finding and its strongest rival.
     say : callable

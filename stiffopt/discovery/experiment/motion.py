@@ -95,8 +95,6 @@ def fourier_motion(
 
     Parameters
     ----------
-    limits : MotionLimits
-    robot : RobotModel
     duration : float
         [s]
     draws : array (n, DRAWS_PER_JOINT)

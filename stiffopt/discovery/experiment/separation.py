@@ -30,7 +30,6 @@ class Separation:
     ----------
     comparison : Comparison
         Of the training runs.
-    first, second : LocatedEffect
     others : sequence of LocatedEffect
         Effects common to both explanations.
 
@@ -61,7 +60,6 @@ class Separation:
 
         Parameters
         ----------
-        run : PreparedRun
         step : float, optional
             Sampling time of the recording [s]; default: that of the run.
         """

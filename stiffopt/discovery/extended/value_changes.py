@@ -34,10 +34,8 @@ class ValueChange:
         From 1; of a body, the joint that carries it.
     name : str
         Of the joint.
-    quantity : str
     old, new : float
         In `unit`.
-    unit : str
     """
 
     joint: int
