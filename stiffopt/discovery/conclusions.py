@@ -59,10 +59,8 @@ def build_findings(
     ----------
     comparison : Comparison
         With the noise estimated beside the effects.
-    kept : sequence of Selected
     parameters : Estimate
         Joint estimate of the same effects.
-    training : Training
     again : array (e,)
         Share of the perturbation ensemble in which each is named again.
     """
@@ -210,12 +208,7 @@ _REPEAT_INSTRUCTIONS = {
 
 
 def describe_next_recording(unexplained: Unexplained) -> str:
-    """Describe the recording that would show most about the unexplained residual.
-
-    Parameters
-    ----------
-    unexplained : Unexplained
-    """
+    """Describe the recording that would show most about the unexplained residual."""
     kind, _, joint = unexplained.channels[0].rpartition("_")
     words = "torque" if kind == "torque" else "link encoder"
     repeats = []

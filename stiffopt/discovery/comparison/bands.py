@@ -77,7 +77,6 @@ def choose_bands(
 
     Parameters
     ----------
-    robot : RobotModel
     runs : sequence of RecordedRun
         Training runs.
     slow : float
