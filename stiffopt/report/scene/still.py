@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
+from stiffopt.report.common.page import PageFigures, write_page
 from stiffopt.report.common.svg import BLUE, GREY, PALE, VERMILLION, WIDTH, figure_style
 from stiffopt.report.common.text import si
 from stiffopt.report.scene.document import edges_around, scene_document, scene_json
@@ -263,3 +265,14 @@ def embedded_scene(
         still_caption(motions, shown, factor),
         {name: Markup(text) for name, text in texts.items()},
     )
+
+
+def write_scene_page(
+    title: str, robot: Robot, motions: Mapping[str, Poses], path: Path, cell: Cell | None = None
+) -> Path:
+    """Write a page of its own with a scene; return its path."""
+    space = embedded_scene(robot, motions, "total", cell)
+    figures = PageFigures(path.stem, svg=False, png=False)
+    figures.draw("arm", space.still, "The arm with the paths of its tool")
+    context = {"title": title, "space": space.embedded, "still": space.caption}
+    return write_page("scene/page.html.j2", path, context, figures)
