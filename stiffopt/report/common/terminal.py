@@ -13,9 +13,6 @@ from rich.status import Status
 from rich.table import Table
 from rich.text import Text
 
-# Width of a table in a file or log, where rich would truncate cells at 80 columns.
-_LOG_COLUMNS = 160
-
 
 def print_lines(lines: Iterable[str | Text | None]) -> None:
     """Print each text on its own line, without markup; None is skipped."""
@@ -34,7 +31,8 @@ def print_table(
     """Print a table; the columns named in `numbers` are right-aligned."""
     console = Console(highlight=False)
     if not console.is_terminal:
-        console = Console(highlight=False, width=_LOG_COLUMNS)
+        # Width of a table in a file or log, where rich would truncate cells at 80 columns.
+        console = Console(highlight=False, width=160)
     table = Table(title=title)
     for name in head:
         table.add_column(Text(name), justify="right" if name in numbers else "left")

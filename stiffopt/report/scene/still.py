@@ -28,10 +28,6 @@ if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
 _HEIGHT_INCH = 4.6
-# Least extent of the view [m], for an arm whose joints and tool coincide.
-_MIN_VIEW_SIZE = 0.1
-# Picture over content: lines have a width.
-_VIEW_MARGIN = 1.02
 # Elevation of the viewpoint above the horizon [rad].
 _VIEW_ELEVATION = 0.4
 
@@ -158,7 +154,9 @@ def _fit_view(
     ]
     every = np.vstack([*ends, seen])
     low, high = every.min(axis=0), every.max(axis=0)
-    wide, tall = _VIEW_MARGIN * np.maximum(high - low, _MIN_VIEW_SIZE)
+    # Least extent of the view [m], for an arm whose joints and tool coincide.
+    # Picture over content: lines have a width.
+    wide, tall = 1.02 * np.maximum(high - low, 0.1)
     scale = min(WIDTH / wide, _HEIGHT_INCH / tall)
     middle = 0.5 * (low + high)
     half = 0.5 * np.array([WIDTH, _HEIGHT_INCH]) / scale

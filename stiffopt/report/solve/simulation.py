@@ -51,7 +51,6 @@ _MOTION_STYLES: tuple[dict[str, Any], ...] = (
 )
 PAGE_FILE = "simulation.html"
 _TIME_AFTER_ARRIVAL = 0.4  # shown in the figure and the scene [s]
-_FRAME_COUNT = 241  # of the scene
 _VIBRATION_PART = "vibratory"  # part of the deflection that the scene magnifies
 
 
@@ -155,7 +154,7 @@ def write_simulation_report(
     return write_page("solve/simulation.html.j2", path, context, figures, COMPENSATION_FILTERS)
 
 
-def elastic_poses(arm: ElasticArm, motion: SimulatedMotion, frames: int = _FRAME_COUNT) -> Poses:
+def elastic_poses(arm: ElasticArm, motion: SimulatedMotion, frames: int = 241) -> Poses:
     """Return static equilibria at the simulated motor positions, with the links' vibration."""
     end = min(float(motion.time[-1]), motion.duration + _TIME_AFTER_ARRIVAL)
     at = np.unique(np.searchsorted(motion.time, np.linspace(0.0, end, frames)))
