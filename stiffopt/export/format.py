@@ -15,11 +15,6 @@ from stiffopt.errors import InputError
 from stiffopt.export.motion import MotionEvent, SampledMotion, StoredMotion, check_rate
 from stiffopt.problem.registry import Registry
 
-# Change of a joint [rad] between samples below which it rests: rounding of files.
-_REST_ANGLE = 1e-9
-# Lowest speed [%] of a point to point move in both languages.
-_MIN_SPEED = 0.01
-
 
 class ExportFormat(ABC):
     """Format of an exported motion.
@@ -184,7 +179,8 @@ class PointFormat(ExportFormat):
         change = np.abs(np.diff(motion.position, axis=0))
         step = np.diff(motion.time)
         share = np.max(change / motion.velocity_max, axis=1) / step
-        moves = np.append(np.max(change, axis=1) > _REST_ANGLE, False)
+        # Change of a joint [rad] between samples below which it rests: rounding of files.
+        moves = np.append(np.max(change, axis=1) > 1e-9, False)
         found: list[PointStep] = []
         rest = 0.0
         for k in range(1, len(motion.time)):
@@ -193,7 +189,8 @@ class PointFormat(ExportFormat):
                 if rest:
                     found.append(PointStep(rest=rest))
                     rest = 0.0
-                speed = float(np.clip(100.0 * share[k - 1], _MIN_SPEED, 100.0))
+                # Lowest speed [%] of a point to point move in both languages.
+                speed = float(np.clip(100.0 * share[k - 1], 0.01, 100.0))
                 stop = bool(events) or not moves[k]
                 found.append(PointStep(sample=k, speed=speed, stop=stop))
             else:

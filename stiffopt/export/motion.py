@@ -37,10 +37,6 @@ if TYPE_CHECKING:
 Which = Literal["motor", "link"]
 
 
-# Share of a joint's largest velocity below which it counts as at rest.
-_REST_SPEED_SHARE = 1e-3
-
-
 @dataclass(frozen=True, kw_only=True)
 class MotionEvent:
     """Event of the gripper or tool changer.
@@ -189,7 +185,8 @@ class StoredMotion:
     def require_rest(self, owner: str) -> None:
         """Raise `InputError` unless the motion starts and ends at rest."""
         velocity = self.curve.derivative(1)(self.curve.x)
-        moves = np.abs(velocity[[0, -1]]) > _REST_SPEED_SHARE * np.max(np.abs(velocity), axis=0)
+        # Share of a joint's largest velocity below which it counts as at rest.
+        moves = np.abs(velocity[[0, -1]]) > 1e-3 * np.max(np.abs(velocity), axis=0)
         for k, side, action in (
             (0, "start", "starts with an approach to rest"),
             (1, "end", "stops there"),

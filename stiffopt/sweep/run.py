@@ -25,10 +25,6 @@ from stiffopt.units import number_and_unit
 CASES_FOLDER = "cases"
 # Folder of warm starts; removed when the sweep is complete.
 _WARM_FOLDER = "warm"
-# Largest warm-start file [bytes]: 16 million variables and multipliers.
-_MAX_WARM_SIZE = 2**27
-# Deaths of a worker that ran a case alone, after which the case counts as failed.
-_MAX_WORKER_DEATHS = 2
 
 
 @dataclass(frozen=True)
@@ -133,7 +129,8 @@ class _CaseQueue:
         before = self._before[case.key]
         while before is not None:
             path = self.file(before)
-            if is_regular(path.parent, path.name) and path.stat().st_size <= _MAX_WARM_SIZE:
+            # Largest warm-start file [bytes]: 16 million variables and multipliers.
+            if is_regular(path.parent, path.name) and path.stat().st_size <= 2**27:
                 return path.read_bytes()
             before = self._before[before]
         return None
@@ -170,7 +167,8 @@ def _solve_cases(queue: _CaseQueue, pool: Workers) -> Iterator[_SolvedCase]:
                 yield future.result()
             except pool.lost:
                 deaths[case.key] = deaths.get(case.key, 0) + lonely
-                if deaths[case.key] < _MAX_WORKER_DEATHS:
+                # Deaths of a worker that ran a case alone, after which the case counts as failed.
+                if deaths[case.key] < 2:
                     alone.append(case)
                 else:
                     text = "Its worker process died at each attempt, for example out of memory."
