@@ -27,7 +27,6 @@ class StoredCycle(StoredMotion):
 
     Parameters
     ----------
-    legs : tuple of StoredMotion
     starts : tuple of float
         Of the legs [s].
     """

@@ -128,7 +128,6 @@ class PointStep:
         True where a move comes to rest.
     rest : float
         Duration of a rest [s].
-    event : MotionEvent or None
     """
 
     sample: int = 0

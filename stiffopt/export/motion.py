@@ -113,7 +113,6 @@ class StoredMotion:
         Problem whose limits apply.
     seal : dict
         Hashes of the motion's file, the robot, its payload and the limits.
-    events : tuple of MotionEvent
     """
 
     title: str

@@ -41,7 +41,6 @@ class FreedomOptimum:
 
     Parameters
     ----------
-    choice : FreedomChoice
     cost : float
         Of the goal, less is better.
     value : float

@@ -43,7 +43,6 @@ def scan_candidates(task: FreedomTask, near: np.ndarray, count: int) -> list[Pat
 
     Parameters
     ----------
-    task : FreedomTask
     near : array (n,)
         Reference of the postures [rad].
     count : int

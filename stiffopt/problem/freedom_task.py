@@ -40,9 +40,6 @@ class FreedomTask:
 
     Parameters
     ----------
-    robot : Robot
-    freedom : PathFreedom
-    limits : Limits
     path : ToolPath
         As stated.
     origin : array (3,) [m]

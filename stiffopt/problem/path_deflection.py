@@ -30,7 +30,6 @@ class ProcessDeflection:
 
     Parameters
     ----------
-    robot : Robot
     joints : array (K, n)
     """
 

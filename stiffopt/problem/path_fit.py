@@ -32,7 +32,6 @@ def fit_joint_path(
         Parameters that are knots: joints of the curve's pieces, 0 and 1.
     error : callable
         Error (K,) of joint positions (K, n) that stand for the curve at parameters (K,).
-    tolerance : float
 
     Returns
     -------

@@ -67,7 +67,6 @@ def path_force(
 
     Parameters
     ----------
-    path : ToolPath
     values : array (m, 3) [N]
         Constant parts.
     at : array (m + 1,) or (m,) [m]

@@ -151,7 +151,6 @@ class FreedomChoice:
         Of the stated work frame.
     placement : array (6,)
         Shift [m] and rotation vector [rad] of the work frame.
-    basis : TurnBasis
     turns : array (m, 3)
         Coefficients of the rotation about the tool's axis and of the tilts about x and y [rad].
     joints : callable

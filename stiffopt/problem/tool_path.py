@@ -78,7 +78,6 @@ class ToolPath:
         [m]
     rotation : array (3, 3)
         Orientation of the tool at the start.
-    segments : sequence of ToolSegment
 
     Attributes
     ----------
@@ -330,8 +329,6 @@ def fit_tool_path(
 
     Parameters
     ----------
-    robot : Robot
-    path : ToolPath
     near : array (n,) or callable
         Selects the inverse-kinematics solution at the start, or at each distance [m]. [rad]
     tolerance : float
