@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from stiffopt.problem.tool_path import ToolPath
     from stiffopt.robot.robot import Robot
 
-# Distance between nodes of a scan, which takes each fourth node [m], and their least and largest
-# number.
+# A scan takes each fourth node.
 SCAN_STRIDE = 4
 # Residual at which a pose counts as found [m].
 _SOLVED_RESIDUAL = 1e-8
@@ -98,6 +97,7 @@ class FreedomTask:
     def along(self) -> np.ndarray:
         """Distances of the nodes (K,) [m]."""
         length = self.path.length
+        # Nodes of a scan are 20 mm apart, within bounds of their number.
         scanned = int(np.clip(np.ceil(length / 0.02), 6, 30))
         return np.linspace(0.0, length, SCAN_STRIDE * scanned + 1)
 

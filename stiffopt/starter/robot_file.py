@@ -132,7 +132,8 @@ def robot_text(
     ]
     if arm.held:
         held = ", ".join(f"{toml_key(h.name)} = {toml_number(h.value)}" for h in arm.held)
-        lines.append(f"lock = {{ {held} }}  # held: {_held_reasons(arm)}")
+        reasons = "; ".join(dict.fromkeys(h.why for h in arm.held))
+        lines.append(f"lock = {{ {held} }}  # held: {reasons}")
     lines.append(f"tool = {{ link = {toml_string(tool.link)}, offset = [0.0, 0.0, 0.0] }}  # [m]")
     if catalogue is not None:
         lines.append(f"catalogue = {toml_string(relative_path(catalogue, folder))}")
@@ -307,10 +308,6 @@ def _random_poses(arm: LoadedUrdf) -> np.ndarray:
     reach = np.where(slides, 0.5 * _DEFAULT_SLIDE_RANGE, np.pi)
     low, high = np.where(endless, -reach, low), np.where(endless, reach, high)
     return np.random.default_rng(1).uniform(low, high, (200, len(low)))
-
-
-def _held_reasons(arm: LoadedUrdf) -> str:
-    return "; ".join(dict.fromkeys(h.why for h in arm.held))
 
 
 def _joint_lines(

@@ -83,7 +83,7 @@ def run_sweep(
             # The warm start first: successors of a finished case need it.
             if end is not None:
                 atomic_write(queue.file(found["key"]), end)
-            _write_case(folder, found)
+            write_json(_case_file(folder, found["key"]), found)
             results[found["key"]] = found
             queue.done.add(found["key"])
             watch.report()
@@ -232,10 +232,6 @@ def _is_document(found: Any) -> TypeGuard[dict[str, Any]]:
             for entry in found["values"].values()
         )
     )
-
-
-def _write_case(folder: Path, found: dict[str, Any]) -> None:
-    write_json(_case_file(folder, found["key"]), found)
 
 
 def spread_order(cases: list[Case]) -> list[Case]:
