@@ -92,7 +92,11 @@ _FACTORS_WITHOUT_PINT = {
     "speed": {"m/s": 1.0, "mm/s": 1e-3},
     "acceleration": {"m/s^2": 1.0},
     "jerk": {"m/s^3": 1.0},
-    "angular velocity": {"rad/s": 1.0, "deg/s": math.pi / 180.0},
+    "angular velocity": {
+        "rad/s": 1.0,
+        "deg/s": math.pi / 180.0,
+        "rpm": math.pi / 30.0,
+    },
     "angular acceleration": {"rad/s^2": 1.0, "deg/s^2": math.pi / 180.0},
     "angular jerk": {"rad/s^3": 1.0, "deg/s^3": math.pi / 180.0},
     "stiffness": {"N*m/rad": 1.0, "Nm/rad": 1.0, "N*m/arcmin": 10800.0 / math.pi},

@@ -52,7 +52,7 @@ from stiffopt.discovery.position_fit import model_section
 from stiffopt.discovery.progress import repeat_progress
 from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
 from stiffopt.discovery.sanity.doubt import Doubt
-from stiffopt.discovery.sanity.gate import judge_plausibility
+from stiffopt.discovery.sanity.gate import judge_plausibility, leave_out_currents
 from stiffopt.discovery.sanity.position_errors import take_errors_as_commands
 from stiffopt.discovery.search.candidates import Scorer
 from stiffopt.discovery.search.rivals import Selected
@@ -223,6 +223,8 @@ def _run_diagnosis(
     doubted, remarked = judge_plausibility(
         recordings, runs, despite_doubts=despite_doubts, remarks=base is None
     )
+    if not doubted:
+        recordings, runs = leave_out_currents(recordings, runs)
     training = prepare_training(recordings, settings, base, say, runs)
     facts = joint_facts(recordings, training.recorded)
     checks = effect_checks(recordings, facts, len(training.recorded), catalogue)

@@ -21,6 +21,7 @@ from stiffopt.starter.column_names import (
     split_words,
     stated_unit,
 )
+from stiffopt.units import to_si
 
 # Units without a known factor to SI, and the factor to ask for.
 FACTOR_REQUESTS = {
@@ -33,7 +34,9 @@ FACTOR_REQUESTS = {
 _COUNTS_PER_TURN = (4096, 8192, 16384, 32768, 65536)
 # Units per rad and per rad/s, for comparing position changes with speeds.
 _ANGLE_UNITS_PER_RAD = {"": 1.0, "deg": np.degrees(1.0), "mrad": 1e3, "turn": 0.5 / np.pi}
-_SPEED_UNITS_PER_RAD_S = {"": 1.0, "deg/s": np.degrees(1.0)}
+_SPEED_UNITS_PER_RAD_S = {"": 1.0} | {
+    unit: 1.0 / to_si(f"1 {unit}", "angular velocity") for unit in ("deg/s", "rpm")
+}
 # Largest log ratio of values in the same unit; ratio of magnitudes above which columns may have
 # different units.
 _UNIT_LOG_TOLERANCE, _MIXED_UNIT_RATIO = 0.5, 10.0

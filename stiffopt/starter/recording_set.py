@@ -127,7 +127,10 @@ def _write_set(
                 path, "", f"lacks {', '.join(lacking)}, which {files[0].name} has."
             )
     runs: list[tuple[str, str, dict[str, np.ndarray]]] = []
-    parts, begun = _split_runs(tables, first.time, [*wanted, *first.asked])
+    # Names that were guessed are corrected in [signals]: the other columns must be there then.
+    every = [c for c in tables[files[0]] if all(c in table for table in tables.values())]
+    kept = every if layout else [*wanted, *first.asked]
+    parts, begun = _split_runs(tables, first.time, kept)
     notes += begun
     if len(parts) == 1:
         _, stem, table = parts[0]

@@ -23,6 +23,7 @@ from stiffopt.cli import run
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings
+from stiffopt.discovery.sanity.explanations import Explanations
 from stiffopt.discovery.sanity.gate import SanityGate
 from stiffopt.discovery.sanity.interpretations import sample_runs
 from stiffopt.discovery.sanity.joint_gains import _CommonFit, find_joint_gains
@@ -121,6 +122,11 @@ CASES = {
         times("qd1 qd2", DEGREES),
         ("velocity", (1, 2)),
         SCALE + 'velocity = "deg/s"\n',
+    ),
+    "velocity in turns a minute": (
+        times("qd1 qd2", 30.0 / np.pi),
+        ("velocity", (1, 2)),
+        SCALE + 'velocity = "rpm"\n',
     ),
 }
 
@@ -528,3 +534,18 @@ def test_drives_that_are_coupled_are_no_sum_of_positions() -> None:
     if not folder.is_dir():
         pytest.skip("the published recordings are not beside this repository")
     assert not doubted(folder)
+
+
+@pytest.mark.parametrize("side", ["motor", "link"])
+def test_zero_of_a_joint_torque_sensor_exceeds_the_load_of_a_wrist(side, tmp_path):
+    """Its zero error goes with the range of the sensor, that of a current with the load."""
+
+    def shifted(columns: Columns) -> None:
+        columns["tau2"] = columns["tau2"] + 0.9 * np.abs(columns["tau2"]).max()
+
+    folder = changed_copy(SHIPPED, tmp_path / "set", shifted)
+    rewritten(folder, 'torque_side = "motor"', f'torque_side = "{side}"')
+    recordings = load_recordings(folder)
+    samples = sample_runs(open_training_runs(recordings))
+    share = Explanations(RobotModel(recordings), samples).strict[1]
+    assert (share < 0.05) == (side == "link")

@@ -80,8 +80,12 @@ def _is_limit_possible(shapes: Sequence[float], constants: Constants) -> bool:
     return bool(shapes[0] * constants.torque_max >= _MIN_LIMIT_RATIO * constants.measured_torque)
 
 
+# Usual zero error of a torque over the rated torque, which bounds it.
+_TYPICAL_OFFSET_SHARE = 0.03
+
+
 def _typical_offset(constants: JointConstants) -> float:
-    return 0.03 * constants.torque_rated
+    return _TYPICAL_OFFSET_SHARE * constants.torque_rated
 
 
 def _start_limits(constants: JointConstants) -> tuple[float, ...]:
@@ -124,8 +128,8 @@ TORQUE_OFFSET = Effect(
             name="off",
             unit="N m",
             scale=_typical_offset,
-            lower=-7.0,
-            upper=7.0,
+            lower=-1.0 / _TYPICAL_OFFSET_SHARE,
+            upper=1.0 / _TYPICAL_OFFSET_SHARE,
             changed=CHANGED_SCALE_RATIO,
         ),
     ),

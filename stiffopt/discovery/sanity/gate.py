@@ -92,6 +92,8 @@ class SanityGate:
             return (_doubt_masses(recordings),)
         if recordings.signals.commanded and (told := tuple(doubt_commands(recordings, self._runs))):
             return told
+        if self._without_currents is not None:
+            return self._without_currents.doubts
         found = [
             *_doubt_currents(recordings),
             *_doubt_set_points(recordings),
@@ -128,6 +130,9 @@ class SanityGate:
 
         For example a gain that may be an effect of the catalogue or a wrong description.
         """
+        if self._without_currents is not None:
+            left = _remark_currents(self.recordings.signals.current_joints)
+            return (left, *self._without_currents.remarks)
         told = tuple(_doubt_references(self.recordings))
         if self._explanation_search is None or self.recordings.signals.currents:
             return told
@@ -138,6 +143,18 @@ class SanityGate:
             *(_doubt_joint_gain(self.recordings, each) for each in gains),
             *self._contacts_at_rest,
         )
+
+    @cached_property
+    def _without_currents(self) -> SanityGate | None:
+        """Gate of the other joints, where the weight tells no factor of the remaining currents."""
+        signals = self.recordings.signals
+        if not 0 < len(signals.current_joints) < sum(map(bool, signals.torque)):
+            return None
+        explanation = None if self._explanation_search is None else self._explanation_search.best()
+        gains = None if explanation is None else explanation.gains
+        if gains is not None and np.any(gains[list(signals.current_joints)] != 1.0):
+            return None
+        return SanityGate(*leave_out_currents(self.recordings, self._runs))
 
     @property
     def _contacts_at_rest(self) -> tuple[Doubt, ...]:
@@ -187,24 +204,45 @@ def _doubt_masses(recordings: RecordingSet) -> Doubt:
 
 
 def _doubt_currents(recordings: RecordingSet) -> Iterator[Doubt]:
-    """Doubt torques that are still currents."""
-    joints = recordings.signals.current_joints
-    if joints:
-        some = 0 < len(joints) < sum(map(bool, recordings.signals.torque))
-        stated = (
-            f"The torque of {format_joints(joints)} is stated as a current"
-            if some
-            else "The torques are stated as currents"
-        )
-        leave = ', or "" in place of its torque column, to go without it;' if some else ";"
+    """Doubt torques that are all still currents."""
+    if len(recordings.signals.current_joints) == sum(map(bool, recordings.signals.torque)) > 0:
         yield Doubt(
             kind="torque unit",
-            joints=tuple(j + 1 for j in joints) if some else (),
-            evidence=f"{stated} in A. Give N m per A at each joint (the"
-            f" motor's torque constant times the gear ratio) as torque in [signals.scale]{leave}"
-            " an estimate from the weight of the nominal model, if possible, is listed as well.",
+            joints=(),
+            evidence="The torques are stated as currents in A. Give N m per A at each joint (the"
+            " motor's torque constant times the gear ratio) as torque in [signals.scale]; an"
+            " estimate from the weight of the nominal model, if possible, is listed as well.",
             line="",
         )
+
+
+def _remark_currents(joints: Sequence[int]) -> Doubt:
+    """Remark that currents whose factor neither the user nor the weight tells are left out."""
+    return Doubt(
+        kind="torque unit",
+        joints=tuple(j + 1 for j in joints),
+        evidence=f"The torque of {format_joints(joints)} is stated as a current in A, and the"
+        " weight does not tell its N m per A: it is left out of a diagnosis. Give the motor's"
+        " torque constant times the gear ratio as torque in [signals.scale] to include it.",
+        line="",
+    )
+
+
+def leave_out_currents(
+    recordings: RecordingSet, runs: Sequence[RecordedRun]
+) -> tuple[RecordingSet, list[RecordedRun]]:
+    """Return a set and its runs without the torques that are still currents."""
+    joints = list(recordings.signals.current_joints)
+    if not joints:
+        return recordings, list(runs)
+    torque = tuple("" if j in joints else c for j, c in enumerate(recordings.signals.torque))
+    signals = replace(recordings.signals, torque=torque, current_joints=())
+    left = []
+    for run in runs:
+        values = run.torque.copy()
+        values[:, joints] = np.nan
+        left.append(replace(run, torque=values))
+    return replace(recordings, signals=signals), left
 
 
 def _doubt_set_points(recordings: RecordingSet) -> Iterator[Doubt]:
