@@ -270,16 +270,10 @@ def _normalised_values(cases: list[Case]) -> np.ndarray:
     columns = []
     for k in range(len(cases[0].changes)):
         values = [case.changes[k][1] for case in cases]
-        numbers = [_number_or_nan(value) for value in values]
+        numbers = [number_and_unit(value)[0] for value in values]
         if not np.all(np.isfinite(numbers)):
             texts = sorted({str(value) for value in values})
             numbers = [float(texts.index(str(value))) for value in values]
         column = np.array(numbers)
         columns.append((column - column.min()) / (np.ptp(column) or 1.0))
     return np.stack(columns, axis=1) if columns else np.zeros((len(cases), 0))
-
-
-def _number_or_nan(value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float | str):
-        return np.nan
-    return number_and_unit(value)[0]

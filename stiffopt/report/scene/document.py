@@ -17,6 +17,7 @@ from stiffopt.files import to_json_types
 from stiffopt.report.scene.poses import Poses
 from stiffopt.robot.body_tree import arm_reach, joint_radii, link_capsules
 from stiffopt.robot.frames import rotation_from_rpy
+from stiffopt.robot.joint_load import complete_axes
 from stiffopt.robot.link_shapes import JointShape, Kind, LinkShape, mesh_triangles
 
 if TYPE_CHECKING:
@@ -224,7 +225,7 @@ def shapes_around(cell: Cell | None, reach: float) -> list[JointShape]:
         # Centred at the base and entirely behind the face.
         middle = out * (out @ point - 0.5 * _WALL_THICKNESS)
         found.append(
-            _shape_at(name, "box", (side, side, _WALL_THICKNESS), middle, _frame_along(out))
+            _shape_at(name, "box", (side, side, _WALL_THICKNESS), middle, complete_axes(out))
         )
     return found
 
@@ -248,14 +249,6 @@ def _shape_at(
         file=file,
     )
     return JointShape(shape, 0, offset, rotation)
-
-
-def _frame_along(axis: np.ndarray) -> np.ndarray:
-    """Return a rotation (3, 3) whose third column is the unit vector `axis`."""
-    other = np.eye(3)[int(np.argmin(np.abs(axis)))]
-    first = np.cross(other, axis)
-    first = first / np.linalg.norm(first)
-    return np.column_stack([first, np.cross(axis, first), axis])
 
 
 def edges_around(cell: Cell | None) -> np.ndarray:
