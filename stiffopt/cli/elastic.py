@@ -142,35 +142,41 @@ def simulate(
 
 @app.command
 def view(
-    result: Path, *, problem: SolvedProblem = None, port: int = 8080, changes: NoChanges = ()
+    result: Path,
+    *,
+    problem: SolvedProblem = None,
+    out: Out | None = None,
+    show: Annotated[bool, Parameter(name="--open", help="Open the page in the browser.")] = True,
+    changes: NoChanges = (),
 ) -> int:
-    """Show a solved motion in the browser until Ctrl-C; needs the extra `view`.
+    """Show a solved motion in the browser: scene.html, which needs no network.
 
     Parameters
     ----------
     result
         Folder of a solve.
-    port
-        Local port of the page; if it is in use, the next one is taken.
+    out
+        Folder for the page; default: the folder of the solve.
     """
     from stiffopt.recipe.stored_result import read_result
-    from stiffopt.report.scene.live import LiveScene
     from stiffopt.report.scene.poses import stored_poses
+    from stiffopt.report.scene.still import write_scene_page
 
     refuse_changes(changes)
     stored = read_result(result, problem)
     own, *others = stored.motions()
-    ghost = next((each for each in others if each.name == "toppra"), None)
-    robot = stored.problem.robot
-    scene = LiveScene(
-        robot,
-        stored_poses(robot, own.time, own.position, stored.windup),
-        None if ghost is None else stored_poses(robot, ghost.time, ghost.position),
-        cell=stored.problem.cell,
-        port=port,
-    )
-    print(f"{result} is shown at {scene.address}. Stop with Ctrl-C.", flush=True)
-    scene.run()
+    robot, folder = stored.problem.robot, out or result
+    motions = {"planned": stored_poses(robot, own.time, own.position, stored.windup)}
+    motions |= {
+        each.name: stored_poses(robot, each.time, each.position)
+        for each in others
+        if each.name == "toppra"
+    }
+    with output_folder(folder, "view", of="solve") as stage:
+        title = stored.problem.title or robot.name
+        page = write_scene_page(title, robot, motions, stage / "scene.html", stored.problem.cell)
+    print(f"Wrote {folder / page.name}")
+    show_report(folder, show, page.name)
     return 0
 
 
