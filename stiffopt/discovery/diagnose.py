@@ -38,7 +38,7 @@ from stiffopt.discovery.judging.ensemble import recurrence
 from stiffopt.discovery.judging.episodes import (
     training_tracks,
 )
-from stiffopt.discovery.judging.explained_shares import split_extension, variance_explained
+from stiffopt.discovery.judging.explained_shares import split_extension
 from stiffopt.discovery.judging.friction_refit import refit_friction
 from stiffopt.discovery.judging.held_out import HeldOutRuns
 from stiffopt.discovery.judging.left_open import add_left_open_deviation, build_left_open
@@ -398,13 +398,7 @@ def _estimate_parameters(
         estimated = skip_if_stopped(stopped, BAND_NOT_VARIED, lambda: asked(first)) or first
         return kept, add_left_open_deviation(training, estimated)
 
-    def explained(found: Sequence[Selected]) -> Sequence[float]:
-        located, channels = zip(*((s.located, s.channel) for s in found), strict=True)
-        return variance_explained(comparison, located, channels)
-
-    # Changes since an extended model are judged against its open residual, not the noise.
-    asked_for = None if comparison.after_model else explained
-    return drop_insignificant(selected, doubted, asked_for)
+    return drop_insignificant(selected, doubted)
 
 
 def _perturb_findings(

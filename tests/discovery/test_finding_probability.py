@@ -42,7 +42,9 @@ def test_probability_is_the_product_of_its_shares(
     again: float,
     probability: float,
 ) -> None:
-    gain = LeftOutGain(removed=10.0, left_open=left_open, share=0.5, support=support)
+    gain = LeftOutGain(
+        removed=10.0, left_open=left_open, share=0.5, explained=0.5, channel=1, support=support
+    )
     monkeypatch.setattr(conclusions, "left_out_gains", lambda *_: (gain,))
     located = LocatedEffect(effect=effect("coulomb"), joint=1, calibrated=calibrated)
     comparison = training.comparison()
