@@ -28,7 +28,6 @@ from stiffopt.discovery.search.uncertainty import (
     null_probability,
 )
 from stiffopt.discovery.thresholds import (
-    KNOWN_CAUSE_ODDS,
     OPEN_RATIO,
     OPEN_SHARE,
     UNSTATED_DEVIATIONS,
@@ -73,8 +72,8 @@ def build_findings(
         if selected.located.calibrated and parameters.min_deviations(index) < UNSTATED_DEVIATIONS:
             continue
         located, effect = selected.located, selected.located.effect
-        odds = KNOWN_CAUSE_ODDS if located.calibrated else 1.0
-        unknown = odds * gain.open_share
+        # A value that every joint has exists, whatever else acts there.
+        unknown = 0.0 if located.calibrated else gain.open_share
         values = parameters.parameters(index, located.constants(constants))
         before = parameters.prior_deviations(index, located.constants(constants))
         reported = tuple(

@@ -49,6 +49,7 @@ from stiffopt.discovery.judging.tool_force import explain_by_tool_force
 from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings, judge_channels
 from stiffopt.discovery.law_search.find import LawSearch, find_laws, located_tables
 from stiffopt.discovery.position_fit import model_section
+from stiffopt.discovery.prediction_bands import choose_prediction_bands
 from stiffopt.discovery.progress import repeat_progress
 from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
 from stiffopt.discovery.sanity.doubt import Doubt
@@ -234,8 +235,11 @@ def _run_diagnosis(
     training, result, touched = search_training_runs(
         recordings, training, sought, settings, base, say
     )
-    settings = training.settings
     stopped = describe_stop(result)
+    start = () if base is None else (base.extension,)
+    if settings.cutoff is None and not (stopped or runs[0].at_rest or training.robot.vibrates):
+        training = _with_prediction_bands(training, start, result, say)
+    settings = training.settings
     laws = skip_if_stopped(stopped, NO_LAWS, lambda: find_laws(result, say)) or LawSearch(
         result=result
     )
@@ -247,7 +251,6 @@ def _run_diagnosis(
         return kept, explain_by_tool_force(result, left)
 
     selected, unexplained = finish_step(stopped, assessed)
-    start = () if base is None else (base.extension,)
     selected, parameters = _estimate_parameters(
         training, settings, start, result, selected, stopped, say
     )
@@ -399,6 +402,27 @@ def _estimate_parameters(
         return kept, add_left_open_deviation(training, estimated)
 
     return drop_insignificant(selected, doubted)
+
+
+def _with_prediction_bands(
+    training: Training, start: tuple[Extension, ...], result: SearchResult, say: Say
+) -> Training:
+    """Return the training runs with the bands of predictions, unless those of a model hold."""
+    if training.settings.predict is not None:
+        return training
+    say("choose how fast a motion predictions follow")
+    found = result.comparison.extension_of(result.fit)
+    bands = choose_prediction_bands(training, (*start, found))
+    each = ", ".join(f"{j}: {band:g}" for j, band in enumerate(bands, start=1))
+    note = (
+        f"Predicted torques follow the motion up to (joint {each}) Hz, as the fitted model predicts"
+        " the training runs best."
+    )
+    return replace(
+        training,
+        settings=replace(training.settings, predict=bands),
+        assumptions=(*training.assumptions, note),
+    )
 
 
 def _perturb_findings(

@@ -87,12 +87,6 @@ ADDED_MASS_OFFSET = 0.1
 # Rounds of exchanges for likelier rivals and of confirmation.
 MAX_EXCHANGES = 3
 
-# ---- Probability of an unknown cause [0077]
-
-# Odds of an unknown law against a value that every joint has, in units of those against an effect
-# that was sought at all places with thousands of shapes.
-KNOWN_CAUSE_ODDS = 0.5
-
 # Normalised residual of a fit with vibration from which a quasi-static one is tried as well [0037].
 MAX_VIBRATION_MISFIT = 1.5
 

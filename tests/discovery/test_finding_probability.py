@@ -28,7 +28,7 @@ def training() -> Training:
     [
         (False, 0.0, 1.0, 1.0, 1.0),
         (False, 10.0, 1.0, 1.0, 0.5),  # as much open as explained
-        (True, 10.0, 1.0, 1.0, 0.75),  # a value that every joint has
+        (True, 10.0, 1.0, 1.0, 1.0),  # a value that every joint has
         (False, 0.0, 0.7, 1.0, 0.7),
         (False, 0.0, 1.0, 0.5, 0.5),
     ],

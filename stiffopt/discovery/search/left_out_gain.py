@@ -28,6 +28,7 @@ from stiffopt.discovery.thresholds import (
     MIN_ACTIVE_SHARE,
     MIN_CHANGE_SHARE,
     MIN_HELD_OUT_SHARE,
+    NAMED_PROBABILITY,
     RARE_SHARE,
     UNEXPLAINED_RATIO,
 )
@@ -53,7 +54,7 @@ class LeftOutGain:
     channel : int
         Its best channel among those that it acts on: others improve through nominal values.
     support : float
-        Probability that it improves predictions at all, by the spread of its gain between
+        Probability that it improves predictions where it acts, by the spread of its gain between
         stretches (Student's t): errors of a law are correlated within a stretch, so that the number
         of samples says nothing.
     """
@@ -121,22 +122,23 @@ class _GainJudge:
         """Return the gain of an effect with columns (m, k) from weighted residuals (m,)."""
         comparison, rows = self._comparison, self._comparison.rows.channel
         fall = without**2 - now**2
-        acted = np.bincount(rows, np.sum(columns**2, axis=1))
-        falls = np.bincount(rows, fall)
-        channel = int(np.argmax(np.where(acted > MIN_ACTIVE_SHARE * acted.max(), falls, -np.inf)))
-        own, noise = rows == channel, comparison.inflation[channel]
+        square = np.bincount(rows, np.sum(columns**2, axis=1))
+        acted = square > MIN_ACTIVE_SHARE * square.max()
+        channel = int(np.argmax(np.where(acted, np.bincount(rows, fall), -np.inf)))
+        own, noise = rows == channel, float(comparison.inflation[channel])
         after, before = (noise**2 * float(np.sum(left[own] ** 2)) for left in (now, without))
         count = int(own.sum())
         beyond = before - count
         return LeftOutGain(
             removed=max(before - after, 0.0),
             left_open=max(
-                _smooth_squares(comparison, now * noise, own), after - self._usual[channel] * count
+                _smooth_squares(comparison, now * noise, own),
+                after - float(self._usual[channel]) * count,
             ),
             share=float(np.clip(1.0 - after / before, 0.0, 1.0)) if before > 0.0 else 0.0,
             explained=float(np.clip((before - after) / beyond, 0.0, 1.0)) if beyond > 0.0 else 0.0,
             channel=channel,
-            support=_probability_of_gain(np.bincount(self._stretch, fall)),
+            support=_probability_of_gain(np.bincount(self._stretch, fall * acted[rows])),
         )
 
 
@@ -176,13 +178,17 @@ def select_predictive(
 def _excess_share(comparison: Comparison, located: LocatedEffect, gain: LeftOutGain) -> float:
     """Return the share that an effect removes less the required one; negative without support.
 
-    With an extended model a change must exceed the open residual of its recordings.
+    An effect that removes less than laws leave open in its channel is one of many that would: it
+    is never named, and predicts no better for being fitted. With an extended model a change must
+    exceed the open residual of its recordings.
     """
     changed = comparison.after_model and not comparison.unseen[gain.channel]
     # Friction and other values that every joint has only need to help on the whole.
     plain = bool(located.effect.nominal) and not changed
     if not plain and gain.support < FOUND_PROBABILITY and gain.share < RARE_SHARE:
         return gain.support - 1.0
+    if not plain and not changed and gain.open_share > 1.0 - NAMED_PROBABILITY:
+        return 1.0 - NAMED_PROBABILITY - gain.open_share
     required = MIN_CHANGE_SHARE if changed else 0.0 if plain else MIN_HELD_OUT_SHARE
     return gain.share - required if gain.removed > 0.0 else -1.0
 
