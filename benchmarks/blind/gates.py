@@ -138,6 +138,7 @@ GATES = tuple(
         ("pruned", "pruning", (f"{_SEARCH}.search:prune_effects",), _all, None),
         ("nominal", "exemption by nominal values", (f"{_E}:_is_supported_by_nominal",), _always(False), None),
         ("predictive", "gain in folds left out", _PREDICTIVE, _all, None),
+        ("cancelling", "effects that cancel others", (f"{_SEARCH}.left_out_gain:drop_cancelling",), _all, None),
         ("exchanged", "exchange for likelier rivals", (f"{_SEARCH}.search:exchange_rivals",), _ranked_only, _exchanged),
         ("twins", "twins compared by fit", (f"{_SEARCH}.rivals:_evidence_lead",), lambda _, c, own: c.evidence - own.evidence, None),
         ("outside_values", "values beyond tolerance claimed", (f"{_SEARCH}.search:claim_outside_values",), lambda _, start, current, ranked, *__: (current, ranked), lambda found, start, current, ranked, *_: found[1] is not ranked),

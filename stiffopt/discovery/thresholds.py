@@ -67,6 +67,10 @@ EQUIVALENT_EVIDENCE_SHARE = 0.5
 # A single change replaces several if its residual is at most this ratio of theirs in every channel.
 MAX_SINGLE_CHANGE_RATIO = 1.5
 
+# Contribution of a finding to its channel over the residual of the nominal model (root mean
+# squares); a larger one only cancels another finding.
+MAX_CANCELLATION_RATIO = 1.5
+
 # ---- Rivals [0020]
 
 # Log evidences are overestimated if formulas differ from nature: differences are divided by this

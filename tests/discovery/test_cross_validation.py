@@ -15,6 +15,7 @@ from stiffopt.discovery.judging.friction_refit import _apply_steps, _MovingSampl
 from stiffopt.discovery.search.left_out_gain import (
     LeftOutGain,
     _excess_share,
+    drop_cancelling,
     select_predictive,
 )
 from stiffopt.discovery.search.rivals import Selected
@@ -63,6 +64,27 @@ def test_value_that_every_joint_has_needs_no_even_gain() -> None:
     friction = LocatedEffect(effect=effect("coulomb"), joint=0)
     assert _excess_share(comparison, friction, _gain(0.002, 0.6)) >= 0.0
     assert _excess_share(comparison, friction, _gain(0.0, 0.4)) < 0.0
+
+
+def test_cancelling_effects_are_dropped() -> None:
+    """Nine times as much as there is to explain, less nearly as much again: neither is there."""
+    time = np.linspace(0.0, 1.0, 200)
+    shapes = {"viscous": time, "coulomb": 1.0 + 0.0 * time, "torque_offset": 1.0 + 0.01 * time}
+    amplitudes = {"viscous": 1.0, "coulomb": -9.0, "torque_offset": 9.0}
+    found = [LocatedEffect(effect=effect(name), joint=0) for name in shapes]
+    comparison: Any = SimpleNamespace(
+        target=time,
+        rows=SimpleNamespace(channel=np.zeros(200, dtype=int)),
+        effect_columns=lambda e: shapes[e.effect.name][:, None],
+        fit=lambda effects: SimpleNamespace(
+            amplitudes=lambda: np.array(
+                [amplitudes[e.effect.name] if len(effects) == 3 else 0.5 for e in effects]
+            )
+        ),
+    )
+    kept = [e.effect.name for e in drop_cancelling(comparison, found)]
+    assert "viscous" in kept
+    assert len(kept) == 2  # alone, the other adds no more than there is
 
 
 def test_friction_is_refitted_to_moving_samples() -> None:

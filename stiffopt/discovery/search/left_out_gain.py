@@ -25,6 +25,7 @@ from stiffopt.discovery.search.cross_validation import (
 from stiffopt.discovery.search.uncertainty import number_stretches
 from stiffopt.discovery.thresholds import (
     FOUND_PROBABILITY,
+    MAX_CANCELLATION_RATIO,
     MIN_ACTIVE_SHARE,
     MIN_CHANGE_SHARE,
     MIN_HELD_OUT_SHARE,
@@ -160,10 +161,10 @@ def select_predictive(
 
     Notes
     -----
-    The least helpful one is removed repeatedly, each judged by a fit without it. Calibrated values
-    stay.
+    Effects that cancel others are removed first, then the least helpful one repeatedly, each judged
+    by a fit without it. Calibrated values stay.
     """
-    kept = list(effects)
+    kept = drop_cancelling(comparison, effects)
     while True:
         excess = [
             0.0 if each.calibrated else _excess_share(comparison, each, gain)
@@ -173,6 +174,32 @@ def select_predictive(
         if not poor:
             return kept
         kept.pop(poor[0])
+
+
+def drop_cancelling(
+    comparison: Comparison, effects: Sequence[LocatedEffect]
+) -> list[LocatedEffect]:
+    """Remove effects whose contribution far exceeds the nominal residual of their channel.
+
+    Two nearly collinear formulas fit best as a difference of large values, which has no meaning
+    and extrapolates badly.
+    """
+    kept, rows = list(effects), comparison.rows.channel
+    before = np.bincount(rows, comparison.target**2)
+    while kept:
+        amplitudes, begin, ratios = comparison.fit(kept).amplitudes(), 0, []
+        for located in kept:
+            columns = comparison.effect_columns(located)
+            end = begin + columns.shape[1]
+            square = np.bincount(rows, (columns @ amplitudes[begin:end]) ** 2)
+            own, begin = int(np.argmax(square)), end
+            seen = before[own] > 0.0 and not located.calibrated
+            ratios.append(float(square[own] / before[own]) if seen else 0.0)
+        worst = int(np.argmax(ratios))
+        if ratios[worst] <= MAX_CANCELLATION_RATIO**2:
+            break
+        kept.pop(worst)
+    return kept
 
 
 def _excess_share(comparison: Comparison, located: LocatedEffect, gain: LeftOutGain) -> float:
