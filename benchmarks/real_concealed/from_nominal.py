@@ -92,7 +92,7 @@ def section(
             "## From the nominal model\n",
             table(("size", "cases", *OUTCOMES), lines),
             f"Of 4 and more: right or in group {Rate.of(x != 'missed' for x in large)}.",
-            f"Claims at P >= {CLAIM_PROBABILITY} that are false: {false}; beyond friction, rotors and"
-            f" offsets, which every joint has: {beyond}.\n",
+            f"Claims at P >= {CLAIM_PROBABILITY} that are false: {false}; beyond friction, rotors"
+            f" and offsets, which every joint has: {beyond}.\n",
         ]
     )
