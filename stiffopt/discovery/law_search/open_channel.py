@@ -145,7 +145,8 @@ class OpenChannel:
         for kind, own in SOURCE_KINDS.items():
             joints = range(self.comparison.robot.n) if own.per_joint else (None,)
             found += [LawSource(kind, joint) for joint in joints]
-        return tuple(s for s in found if self.extent(s).span > 1e-9 * self.extent(s).size)
+        ranges = [(source, self.extent(source)) for source in found]
+        return tuple(s for s, own in ranges if own.high - own.low > 1e-9 * own.size)
 
     def extent(self, source: LawSource) -> SignalRange:
         """Return the range of a signal in the runs."""

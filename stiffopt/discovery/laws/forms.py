@@ -207,11 +207,35 @@ def _frequency_bounds(r: SignalRange) -> tuple[float, float]:
     return low, max(0.4 * r.rate, 2.0 * low)
 
 
+# Ratio of neighbouring frequencies of a mode that are tried: between them a fit finds its way.
+_MODE_RATIO = 1.2
+
+
+def _mode_bounds(r: SignalRange) -> tuple[float, float]:
+    """Return the frequencies of hidden modes that ring in a recording and that its rows show."""
+    low = 1.5 / r.duration
+    return low, max(0.4 * r.rate, 2.0 * low)
+
+
+def _mode_frequencies(low: float, high: float) -> tuple[float, ...]:
+    count = 1 + int(np.log(high / low) / np.log(_MODE_RATIO))
+    return tuple(np.geomspace(low, high, count))
+
+
 _SCALE_SHAPE = FormShape(name="s", unit="signal", **_scale(0.1, 0.3, 1.0))
 _PLACE_SHAPE = FormShape(name="c", unit="signal", **_centre(0.15, 0.35, 0.5, 0.65, 0.85))
 _ORDER_SHAPE = FormShape(name="k", unit="per signal", starts=_orders, bounds=_order_bounds)
 _FREQUENCY_SHAPE = FormShape(
     name="f", unit="Hz", starts=lambda r: r.peaks, bounds=_frequency_bounds
+)
+_MODE_SHAPES = (
+    FormShape(
+        name="f",
+        unit="Hz",
+        starts=lambda r: _mode_frequencies(*_mode_bounds(r)),
+        bounds=lambda r: _mode_bounds(r),
+    ),
+    FormShape(name="z", unit="", **_fixed((0.03, 0.2), 0.002, 1.5)),
 )
 _HINGE_POWER_SHAPE = FormShape(name="n", unit="", **_fixed((1.5, 3.0), 1.0, 5.0))
 FORMS = {
@@ -230,13 +254,34 @@ FORMS = {
             words="in proportion to the {x} from one value on, both ways",
             shapes=(FormShape(name="c", unit="signal", **_centre(0.25, 0.5, 0.75, beyond=1.0)),),
             in_signal=True,
+            general="stiffening",
             resembles="a spring or cable at rest at one place",
+        ),
+        Form(
+            name="stiffening",
+            formulas=("(x - c) * (1.0 + ((x - c) / s) ** 2)",),
+            words="with the {x} from one value on, both ways, ever more",
+            shapes=(
+                FormShape(name="c", unit="signal", **_centre(0.5, beyond=1.0)),
+                FormShape(name="s", unit="signal", **_width(0.7, least=0.1, most=10.0)),
+            ),
+            in_signal=True,
+            resembles="a spring or cable that stiffens to both sides of one place",
         ),
         Form(
             name="magnitude",
             formulas=("np.abs(x)",),
             words="with the magnitude of the {x}",
             symmetry="even",
+            in_signal=True,
+            general="rounded_magnitude",
+        ),
+        Form(
+            name="rounded_magnitude",
+            formulas=("(np.sqrt(x**2 + s**2) - s)",),
+            words="with the magnitude of the {x}, hardly at first",
+            symmetry="even",
+            shapes=(FormShape(name="s", unit="signal", **_scale(0.1, least=1e-3)),),
             in_signal=True,
         ),
         Form(
@@ -399,6 +444,13 @@ FORMS = {
             resembles="warming up",
         ),
         Form(
+            name="approach",
+            formulas=("(1.0 - np.exp(-x / s))",),
+            words="with the {x}, ever more slowly",
+            shapes=(FormShape(name="s", unit="signal", **_scale(0.3, 1.0, least=0.01)),),
+            resembles="warming up",
+        ),
+        Form(
             name="lag",
             formulas=("lag(x, T, dt)",),
             words="with the {x}, late by a time constant",
@@ -425,19 +477,22 @@ FORMS = {
             formulas=("sprung(x, f, z, dt)",),
             words="with the {x} of a hidden mass on a spring",
             symmetry="odd",
-            shapes=(
-                FormShape(
-                    name="f",
-                    unit="Hz",
-                    starts=lambda r: (1.0, 1.7, 2.6, 3.6, 4.8, 6.3, 8.0),
-                    bounds=lambda r: (0.3, max(0.4 * r.rate, 1.0)),
-                ),
-                FormShape(name="z", unit="", **_fixed((0.03, 0.2), 0.002, 1.5)),
-            ),
+            shapes=_MODE_SHAPES,
             in_signal=True,
             unscreened=True,
             has_memory=True,
             resembles="something loose: a pendulum, a hose or a liquid",
+        ),
+        Form(
+            name="loose",
+            formulas=("(x - sprung(x, f, z, dt))",),
+            words="with the {x} relative to that of a hidden mass on a spring",
+            symmetry="odd",
+            shapes=_MODE_SHAPES,
+            in_signal=True,
+            unscreened=True,
+            has_memory=True,
+            resembles="a part of the link that is not fixed to it: a pendulum, a hose or a liquid",
         ),
         Form(
             name="stop",
