@@ -224,6 +224,17 @@ def test_the_frequency_of_a_hidden_mode_is_searched(frequency: float) -> None:
     assert factor.shapes[0] == pytest.approx(frequency, rel=0.02)
 
 
+def test_the_order_of_a_motors_ripple_is_searched() -> None:
+    def content(signals):
+        return 4.0 * np.sin(190.4 * signals.motor_position[:, 4] + 0.3)
+
+    found = search_channel(KnownChannel(content))
+    assert found.best is not None
+    (factor,) = found.best.law.factors
+    assert factor.form == "harmonic"
+    assert factor.shapes[0] == pytest.approx(190.4, rel=1e-3)
+
+
 def test_an_overtone_is_found_beside_its_wave() -> None:
     def content(signals):
         turn = 2.0 * np.pi * 1.3 * signals.session_time

@@ -139,6 +139,8 @@ def _fit_pairs(channel: OpenChannel, terms: Sequence[FreeTerm]) -> list[FittedLa
 def _laws_of(channel: OpenChannel, base: Sequence[Factor], source: LawSource) -> list[Law]:
     """Return the laws of one signal beside given factors, with all initial shapes."""
     extent = _extent_of(channel, source)
+    if not base and source == LawSource("position", channel.joint):
+        extent = replace(extent, peaks=channel.orders(source))
     return [
         Law(channel.joint, _place_of(channel), (*base, factor))
         for form in source.own.forms

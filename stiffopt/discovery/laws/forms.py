@@ -36,7 +36,8 @@ class SignalRange:
     rate : float
         Rate up to which recordings resolve a motion [Hz].
     peaks : tuple of float
-        Likeliest frequencies of the residual over a clock [Hz].
+        Likeliest frequencies of the residual over a clock [Hz], or orders over an angle beyond
+        those of the grid [1/rad].
     """
 
     low: float
@@ -184,9 +185,10 @@ def _fixed(starts: Sequence[float], low: float, high: float) -> dict[str, Any]:
     return {"starts": lambda r: tuple(starts), "bounds": lambda r: (low, high)}
 
 
-# A faster wave of an angle than this is ripple of a gear or motor, which the catalogue knows
-# [1/rad]; fewer than a third of a wave within the stroke is no period.
-_MAX_ORDER, _MIN_WAVES = 60.0, 0.6
+# Orders of an angle up to the first value are tried in steps that the range tells apart, with any
+# carrier; higher ones, of gears and motors, where the residual has peaks [1/rad]. Fewer waves than
+# the second value within the range are no period.
+MAX_GRID_ORDER, _MIN_WAVES = 60.0, 0.6
 _ORDERS_PER_WAVE = 3.0
 
 
@@ -194,12 +196,13 @@ def _orders(r: SignalRange) -> tuple[float, ...]:
     """Return orders that the range tells apart."""
     step = 2.0 * np.pi / r.span / _ORDERS_PER_WAVE
     low, high = _order_bounds(r)
-    return tuple(np.arange(low, high, step)) or (low,)
+    grid = np.arange(low, min(high, MAX_GRID_ORDER), step)
+    return (*(grid.tolist() or [low]), *r.peaks)
 
 
 def _order_bounds(r: SignalRange) -> tuple[float, float]:
     low = 2.0 * np.pi * _MIN_WAVES / r.span
-    return low, max(_MAX_ORDER, 2.0 * low)
+    return low, max(MAX_GRID_ORDER, 2.0 * low, *(1.1 * order for order in r.peaks))
 
 
 def _frequency_bounds(r: SignalRange) -> tuple[float, float]:

@@ -213,6 +213,10 @@ class LawSource:
             return values
         return _column(values, self.joint)
 
+    def value_in(self, run: Any) -> np.ndarray:
+        """Return the signal (K,) in a run."""
+        return np.broadcast_to(np.asarray(self.value(run.signals)), run.time.shape)
+
     def expression(self, joint: int, *, of_robot: bool) -> str:
         """Return the Python expression in `signals` for a law at a joint."""
         if self.joint is None or not of_robot:
