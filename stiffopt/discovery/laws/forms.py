@@ -240,6 +240,12 @@ _MODE_SHAPES = (
     ),
     FormShape(name="z", unit="", **_fixed((0.03, 0.2), 0.002, 1.5)),
 )
+_PLAY_SHAPE = FormShape(
+    name="r",
+    unit="signal",
+    starts=lambda r: (0.01 * r.span, 0.05 * r.span),
+    bounds=lambda r: (1e-3 * r.span, 0.5 * r.span),
+)
 _HINGE_POWER_SHAPE = FormShape(name="n", unit="", **_fixed((1.5, 3.0), 1.0, 5.0))
 FORMS = {
     each.name: each
@@ -502,19 +508,24 @@ FORMS = {
             formulas=("stop(x, r)",),
             words="with the {x} since the last reversal, up to a limit",
             symmetry="odd",
-            shapes=(
-                FormShape(
-                    name="r",
-                    unit="signal",
-                    starts=lambda r: (0.01 * r.span, 0.05 * r.span),
-                    bounds=lambda r: (1e-3 * r.span, 0.5 * r.span),
-                ),
-            ),
+            shapes=(_PLAY_SHAPE,),
             in_signal=True,
             analytic=False,
             unscreened=True,
             has_memory=True,
             resembles="a seal or cable that sticks before it slides",
+        ),
+        Form(
+            name="play",
+            formulas=("(x - stop(x, r))",),
+            words="with the {x}, which has to go beyond a play after every reversal",
+            symmetry="odd",
+            shapes=(_PLAY_SHAPE,),
+            in_signal=True,
+            analytic=False,
+            unscreened=True,
+            has_memory=True,
+            resembles="a part that is taken along with play",
         ),
     )
 }

@@ -61,7 +61,7 @@ SOURCE_KINDS = {
         symbol="q_{}",
         unit="rad",
         words="position of joint {}",
-        forms=(*_PLACE_FORMS, "harmonic", "stop"),
+        forms=(*_PLACE_FORMS, "harmonic", "stop", "play"),
     ),
     "speed": SourceKind(
         attribute="motor_velocity",
@@ -91,7 +91,7 @@ SOURCE_KINDS = {
         words="load of joint {}",
         forms=(
             *_SIGNED_FORMS,
-            *("hinge_above", "hinge_below", "lag", "stop", "sprung", "loose"),
+            *("hinge_above", "hinge_below", "lag", "stop", "play", "sprung", "loose"),
         ),
     ),
     "windup": SourceKind(
