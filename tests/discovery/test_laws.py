@@ -16,9 +16,10 @@ from stiffopt.discovery.law_search.free_function import best_sum, residual_table
 from stiffopt.discovery.law_search.open_channel import OpenChannel
 from stiffopt.discovery.law_search.search import search_channel
 from stiffopt.discovery.laws import operators
-from stiffopt.discovery.laws.forms import FORMS, SignalRange
+from stiffopt.discovery.laws.forms import FORMS
 from stiffopt.discovery.laws.law import Factor, Law, law_effect, law_of
 from stiffopt.discovery.laws.law_file import law_file_text
+from stiffopt.discovery.laws.shapes import SignalRange
 from stiffopt.discovery.laws.sources import SOURCE_KINDS, LawSource
 from stiffopt.discovery.laws.table import table_of
 from stiffopt.discovery.user_effects import (

@@ -11,8 +11,8 @@ from scipy.linalg import solve_triangular
 
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.laws.forms import MAX_GRID_ORDER, SignalRange
 from stiffopt.discovery.laws.law import Law
+from stiffopt.discovery.laws.shapes import MAX_GRID_ORDER, SignalRange
 from stiffopt.discovery.laws.sources import SOURCE_KINDS, LawSource
 
 # Frequencies of a wave: step over the inverse duration, largest one over the rate of the rows,

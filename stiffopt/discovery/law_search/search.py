@@ -20,8 +20,9 @@ from stiffopt.discovery.law_search.free_function import (
     screen_products,
 )
 from stiffopt.discovery.law_search.open_channel import OpenChannel
-from stiffopt.discovery.laws.forms import FORMS, SignalRange
+from stiffopt.discovery.laws.forms import FORMS
 from stiffopt.discovery.laws.law import Factor, Law, Place
+from stiffopt.discovery.laws.shapes import SignalRange
 from stiffopt.discovery.laws.sources import LawSource
 from stiffopt.discovery.search.rivals import tempering_width
 from stiffopt.discovery.thresholds import NAMED_EVIDENCE, RIVAL_LOG_ODDS

@@ -13,7 +13,8 @@ from typing import Literal
 import numpy as np
 
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
-from stiffopt.discovery.laws.forms import FORMS, Form, SignalRange
+from stiffopt.discovery.laws.forms import FORMS, Form
+from stiffopt.discovery.laws.shapes import SignalRange
 from stiffopt.discovery.laws.sources import SOURCE_KINDS, LawSource
 from stiffopt.discovery.signals import JointSignals, RobotSignals
 from stiffopt.symbolic import Quantity
