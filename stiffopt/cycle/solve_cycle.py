@@ -85,8 +85,10 @@ def solve_cycle(
         solutions = run.solve_within_duty(rests)
         found = run.result(solutions, rests)
         usable = all(each.status.usable for each in solutions) and len(solutions) == len(cycle.legs)
-        if not (simulate and usable):
+        if not usable:
             return found
+        if not simulate:
+            return run.judged(found)
         solutions = run.with_commands(solutions)
         try:
             simulation, settled = simulate_cycle(cycle, solutions, rests)
@@ -98,7 +100,7 @@ def solve_cycle(
         rests = settled
         if changed <= _SAME_REST or cycle.time_is_minimised:
             break
-    return run.with_rivals_and_duty(found)
+    return run.with_rivals(run.judged(found))
 
 
 class _CycleRun:
@@ -348,8 +350,8 @@ class _CycleRun:
         value = combined(np.array([each.value for each in found]), lasted, self._combination)
         return replace(found[0], value=value, terms={})
 
-    def with_rivals_and_duty(self, found: CycleSolution) -> CycleSolution:
-        """Result with rivals and duty, judged by the cycle's upper bound of time."""
+    def judged(self, found: CycleSolution) -> CycleSolution:
+        """Result with its duty, judged by the limits of that and of the cycle's time."""
         upper = self._cycle.duration[1]
         if found.duration > upper * (1.0 + 1e-9):
             found = replace(
@@ -367,16 +369,16 @@ class _CycleRun:
                 message=f"Every limit of the legs holds, but {'; '.join(over)}. Give longer dwells "
                 "or more time.",
             )
-        return replace(found, rivals=self._rivals(found), duty=duty)
+        return replace(found, duty=duty)
 
-    def _rivals(self, found: CycleSolution) -> tuple[RivalCycle, ...]:
-        """Cycles of baselines that stop at every pose and keep every limit.
+    def with_rivals(self, found: CycleSolution) -> CycleSolution:
+        """Result with cycles of baselines that stop at every pose and keep every limit.
 
         None beside an error limit. Where the time of the legs is given, each move has its share of
         that of its leg.
         """
         if self._cycle.error_limit is not None:
-            return ()
+            return found
         times: dict[str, list[float]] = {}
         values: dict[str, list[float]] = {}
         moves = [each for leg in found.legs for each in _single_moves(leg)]
@@ -386,7 +388,7 @@ class _CycleRun:
                 times.setdefault(rival.name, []).append(motion.duration)
                 values.setdefault(rival.name, []).append(objective_value(problem, motion).value)
         rest = sum(leg.dwell for leg in found.legs)
-        return tuple(
+        rivals = tuple(
             RivalCycle(
                 name=name,
                 duration=sum(own) + rest,
@@ -397,6 +399,7 @@ class _CycleRun:
             for name, own in times.items()
             if len(own) == len(moves)
         )
+        return replace(found, rivals=rivals)
 
 
 def _duty_integrals(
