@@ -224,8 +224,7 @@ def _run_diagnosis(
     doubted, remarked = judge_plausibility(
         recordings, runs, despite_doubts=despite_doubts, remarks=base is None
     )
-    if not doubted:
-        recordings, runs = leave_out_currents(recordings, runs)
+    recordings, runs = leave_out_currents(recordings, runs)
     training = prepare_training(recordings, settings, base, say, runs)
     facts = joint_facts(recordings, training.recorded)
     checks = effect_checks(recordings, facts, len(training.recorded), catalogue)
