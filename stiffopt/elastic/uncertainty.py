@@ -39,7 +39,7 @@ class Uncertainty:
     bearing_stiffness: Annotated[
         Ratio,
         Bounds(least=0.0, below=1.0),
-        Doc("Relative bound of the stiffness of each output bearing."),
+        Doc("Relative bound of the stiffness of each output bearing and bending link."),
     ] = 0.2
     damping: Annotated[
         Ratio, Bounds(least=0.0), Doc("Relative bound of the damping of the joints.")
@@ -206,11 +206,10 @@ class ParameterBox:
     def __init__(self, uncertainty: Uncertainty, robot: Robot, *, servo: bool = True) -> None:
         self._uncertainty, self._joints = uncertainty, robot.n
         yields = [chain is not None for chain in robot.chains]
-        tilts = [bearing is not None for bearing in robot.bearings] or [False] * robot.n
         self._bounds = np.concatenate(
             [
                 uncertainty.shares(robot.n) * yields,
-                uncertainty.bearing_stiffness * np.array(tilts),
+                uncertainty.bearing_stiffness * np.array([bool(each) for each in robot.mounts]),
                 [uncertainty.damping, uncertainty.payload * (robot.payload is not None), servo],
             ]
         )
