@@ -33,15 +33,16 @@ _ANGLE_UNITS = (
 )
 
 
-def number_and_unit(value: float | str) -> tuple[float, str | None]:
-    """Split a value of a file into number and unit: "" for a bare number, None for other texts.
+def number_and_unit(value: object) -> tuple[float, str | None]:
+    """Split a value of a file into number and unit: "" for a bare number, None for other values.
 
     >>> number_and_unit("0.4 s"), number_and_unit(2), number_and_unit("fast")
     ((0.4, 's'), (2.0, ''), (nan, None))
     """
-    if not isinstance(value, str):
+    if isinstance(value, int | float) and not isinstance(value, bool):
         return float(value), ""
-    match = _NUMBER_AND_UNIT.match(value) if len(value) <= MAX_NUMBER_LENGTH else None
+    short = isinstance(value, str) and len(value) <= MAX_NUMBER_LENGTH
+    match = _NUMBER_AND_UNIT.match(str(value)) if short else None
     return (float(match[1]), match[2]) if match else (math.nan, None)
 
 

@@ -263,6 +263,12 @@ class JointSignals(MotionSignals):
         names = ("time", "session_time", *before, *JOINT_SIGNAL_NAMES)
         return cls(constants=constants, dt=1.0, **(dict.fromkeys(names, rest) | known))
 
+    @property
+    def nominal_friction(self) -> Quantity:
+        """Friction of the nominal model [N m]."""
+        own = self.constants
+        return own.coulomb * self.motor_direction + own.viscous * self.motor_velocity
+
 
 @dataclass(frozen=True, kw_only=True)
 class RobotConstants:
@@ -306,6 +312,12 @@ class RobotSignals(MotionSignals):
     last_link: int
     link: int
     constants: RobotConstants
+
+    @property
+    def nominal_friction(self) -> Quantity:
+        """Friction of the nominal model (K, n) [N m]."""
+        coulomb, viscous = np.array([[j.coulomb, j.viscous] for j in self.constants.joints]).T
+        return coulomb * self.motor_direction + viscous * self.motor_velocity
 
     @property
     def tool_position(self) -> Quantity:

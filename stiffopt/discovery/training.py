@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from stiffopt.discovery.comparison.bands import choose_bands
+from stiffopt.discovery.comparison.bands import choose_fit_band
 from stiffopt.discovery.comparison.channel_rows import KnownNoise, known_noise
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.design_matrix import MIN_RUNS_AS_BLOCKS, DesignMatrix
@@ -174,7 +174,7 @@ def prepare_training(
         settings = replace(settings, cutoff=PoseFilter().cutoff)
     elif settings.cutoff is None and not robot.vibrates:
         say("choose how fast a motion to follow")
-        settings, note = _choose_bands(robot, opened, settings)
+        settings, note = _choose_fit_band(robot, opened, settings)
         notes.append(note)
         # Release memory before the runs are prepared again.
         prepared.clear()
@@ -256,18 +256,17 @@ def _max_effects(free: bool, two_states: bool) -> int:
     return (MAX_EFFECTS_FREE if free else MAX_EFFECTS) * (1 + two_states)
 
 
-def _choose_bands(
+def _choose_fit_band(
     robot: RobotModel, runs: Sequence[RecordedRun], settings: Settings
 ) -> tuple[Settings, str]:
-    bands = choose_bands(
+    band = choose_fit_band(
         robot, runs, slow=settings.slow, fit=settings.fit_band, predict=PREDICTION_CUTOFF
     )
-    each = ", ".join(f"{j}: {band:g}" for j, band in enumerate(bands.predict, start=1))
     note = (
-        f"Fits follow the recordings up to {bands.fit:g} Hz, predicted torques up to"
-        f" (joint {each}) Hz: chosen by cross-validation over stretches of the training runs."
+        f"Fits follow the recordings up to {band:g} Hz: chosen by cross-validation over stretches"
+        " of the training runs."
     )
-    return replace(settings, cutoff=bands.fit, predict=bands.predict), note
+    return replace(settings, cutoff=band), note
 
 
 def _check_nominal(robot: RobotModel, run: RecordedRun, ready: PreparedRun) -> None:

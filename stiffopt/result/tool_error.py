@@ -14,8 +14,6 @@ import numpy as np
 
 # Parts of the tool error beside its magnitude.
 ERROR_PARTS = ("along", "across", "orientation")
-# Share of the largest tool speed below which the path keeps the direction of its last movement.
-_MIN_DIRECTION_SPEED = 1e-4
 # Bound over the root mean square error: 95 % of a normal distribution.
 BOUND_FACTOR = 2.0
 # Mean square of a parameter that is uniform within its bound, over the bound's.
@@ -156,7 +154,8 @@ def path_directions(places: np.ndarray) -> np.ndarray:
     """
     moved = np.gradient(places, axis=0) if len(places) > 1 else np.zeros_like(places)
     speed = np.linalg.norm(moved, axis=1)
-    moving = np.flatnonzero(speed > _MIN_DIRECTION_SPEED * speed.max(initial=0.0))
+    # Share of the largest tool speed below which the path keeps the direction of its last movement.
+    moving = np.flatnonzero(speed > 1e-4 * speed.max(initial=0.0))
     if not moving.size:
         return np.zeros_like(places)
     last = np.maximum(np.searchsorted(moving, np.arange(len(places)), side="right") - 1, 0)

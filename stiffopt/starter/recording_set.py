@@ -207,7 +207,9 @@ def _split_runs(
     notes: list[str] = []
     taken = {_run_name(path) for path in tables}
     for path, table in tables.items():
-        own = list(_split_at_clock_resets(_select_columns(table, names), time))
+        own = list(
+            _split_at_clock_resets({name: table[name] for name in names if name in table}, time)
+        )
         called = (
             [_run_name(path)] if len(own) == 1 else _part_names(_run_name(path), len(own), taken)
         )
@@ -246,10 +248,6 @@ def _split_at_clock_resets(
         return
     for begin, end in itertools.pairwise(ends):
         yield {name: column[begin:end] for name, column in table.items()}
-
-
-def _select_columns(table: Mapping[str, np.ndarray], names: Sequence[str]) -> dict[str, np.ndarray]:
-    return {name: table[name] for name in names if name in table}
 
 
 def _find_files(data: Sequence[Path]) -> list[Path]:

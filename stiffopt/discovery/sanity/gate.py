@@ -227,9 +227,9 @@ def _remark_currents(joints: Sequence[int]) -> Doubt:
 def leave_out_currents(
     recordings: RecordingSet, runs: Sequence[RecordedRun]
 ) -> tuple[RecordingSet, list[RecordedRun]]:
-    """Return a set and its runs without the torques that are still currents."""
+    """Return a set and its runs without torques that are still currents, unless all are."""
     joints = list(recordings.signals.current_joints)
-    if not joints:
+    if not 0 < len(joints) < sum(map(bool, recordings.signals.torque)):
         return recordings, list(runs)
     torque = tuple("" if j in joints else c for j, c in enumerate(recordings.signals.torque))
     signals = replace(recordings.signals, torque=torque, current_joints=())

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
 # Share of the mismatch that is written as none; all but that is written as all.
 _MIN_SHARE = 0.005
-# Share of nominal values above which the value that moved most is named.
-_MIN_NOMINAL_SHARE = 0.2
 # Names of nominal values of joints, where they differ from the keys of files.
 _NOMINAL_NAMES = {
     "coulomb": "Coulomb friction",
@@ -251,9 +249,8 @@ def _part_phrase(diagnosis: Diagnosis, share: MismatchShare) -> str:
         return f"offsets{where}"
     if part.kind == "nominal":
         text = _nominal_part_phrase(diagnosis, part.effects)
-        return (
-            f"{text}{_largest_moved_value(diagnosis) if share.share > _MIN_NOMINAL_SHARE else ''}"
-        )
+        # Share of nominal values above which the value that moved most is named.
+        return f"{text}{_largest_moved_value(diagnosis) if share.share > 0.2 else ''}"
     return f"{part.effects[0].effect.title}{where}"
 
 

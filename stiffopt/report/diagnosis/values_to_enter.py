@@ -98,8 +98,6 @@ def _pinned_sentence(diagnosis: Diagnosis, value: OutsideValue) -> str:
 
 # Standard deviations from which a change of a mass or first moment is told.
 _MIN_DEVIATIONS = 3.0
-# Share of the gain of all bodies below which the best single body is no hint.
-_MIN_SINGLE_SHARE = 0.25
 
 
 def mass_sentences(diagnosis: Diagnosis) -> list[str]:
@@ -128,7 +126,8 @@ def _single_body_sentence(diagnosis: Diagnosis) -> list[str]:
     rigid = diagnosis.search.rigid
     assert rigid is not None
     best = rigid.nearest
-    if best is None or rigid.single is not None or rigid.nearest_share < _MIN_SINGLE_SHARE:
+    # Share of the gain of all bodies below which the best single body is no hint.
+    if best is None or rigid.single is not None or rigid.nearest_share < 0.25:
         return []
     constants = diagnosis.training.constants
     located = best.located

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 _PLANNED_LABEL, _COMPENSATED_LABEL = "as planned", "compensated"
 # Text alternative of the figure.
 COMPENSATED = "Peak deviations on uncertain arms, as planned and compensated"
-# Half height over which the dots of a row are spread.
-_DOT_SPREAD = 0.25
 
 
 def compensation_section(compensation: Compensation) -> ReportSection:
@@ -134,7 +132,8 @@ def compensation_figure(compensation: Compensation) -> Figure:
         for axes, phase in zip(panels, ("flight", "after"), strict=True):
             for place, (_, color, spreads) in enumerate(rows):
                 spread: Spread = getattr(spreads, phase)
-                height = place + _DOT_SPREAD * np.linspace(-1.0, 1.0, len(spread.draws))
+                # Half height over which the dots of a row are spread.
+                height = place + 0.25 * np.linspace(-1.0, 1.0, len(spread.draws))
                 axes.plot(factor * spread.draws, height, ".", color=color, alpha=0.4, markersize=4)
                 axes.plot(factor * spread.nominal, place, "D", color=color, markersize=6)
                 axes.plot(factor * spread.worst, place, "|", color=color, markersize=16)
