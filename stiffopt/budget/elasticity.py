@@ -1,4 +1,4 @@
-"""Errors of the tool by the joints: wind-up, output bearings, payload, hysteresis and servo.
+"""Errors of the tool by the joints: wind-up, bearings and links, payload, hysteresis and servo.
 
 Quasi-static: every spring carries the load of the motion, without vibration.
 """
@@ -62,7 +62,9 @@ def elastic_errors(
     share = uncertainty.bearing_stiffness / BOUND_IN_STANDARD_DEVIATIONS
     for j in np.flatnonzero(np.any(tilt != 0.0, axis=(0, 2)) & (share > 0.0)):
         yield ErrorSource(
-            name=f"bearing of {robot.joint_names[j]}", group="tilt", effect=share * tilt[:, j]
+            name=f"{_name_mounts(robot, j)} of {robot.joint_names[j]}",
+            group="tilt",
+            effect=share * tilt[:, j],
         )
     if robot.payload is not None and uncertainty.payload > 0.0:
         heavier = robot.with_payload_times(1.0 + uncertainty.payload / BOUND_IN_STANDARD_DEVIATIONS)
@@ -98,6 +100,13 @@ def _half_loops(robot: Robot) -> np.ndarray:
     if robot.hysteresis is not None and np.any(robot.hysteresis):
         return np.asarray(springs * robot.hysteresis)
     return np.asarray(TYPICAL_HALF_LOOP * (springs & ~robot.prismatic))
+
+
+def _name_mounts(robot: Robot, joint: int) -> str:
+    """Name the elastic parts behind a joint (from 0)."""
+    bearing = bool(robot.bearings) and robot.bearings[joint] is not None
+    link = bool(robot.links) and robot.links[joint] is not None
+    return "bearing and link" if bearing and link else "link" if link else "bearing"
 
 
 def _bearing_deflections(robot: Robot, states: States, force: np.ndarray) -> np.ndarray:

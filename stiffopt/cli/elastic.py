@@ -37,7 +37,15 @@ if TYPE_CHECKING:
 
     import numpy as np
 
+    from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.robot.robot import Robot
+
+
+def _with_model(problem: TrajectoryProblem, model: Path, effects: Path | None) -> TrajectoryProblem:
+    """Return the problem with the robot of an extended model."""
+    from stiffopt.discovery.extended.planning import extended_problem, planner_model, read_model
+
+    return extended_problem(problem, planner_model(problem.robot, read_model(model, effects)))
 
 
 @app.command
@@ -51,6 +59,8 @@ def simulate(
     feed_forward: float = 1.0,
     delay: str = "0 s",
     damping: float | None = None,
+    model: Path | None = None,
+    effects: Path | None = None,
     changes: Changes = (),
     open_report: Open = False,
 ) -> int:
@@ -77,6 +87,11 @@ def simulate(
         Dead time of the loop.
     damping
         Damping ratio of each elastic joint on its own, in place of the robot file's damping.
+    model
+        extended.toml of a diagnosis of this arm: the arm that the motion is simulated on; default:
+        the one that it was planned with.
+    effects
+        Python file of its user-defined effects.
     """
     from stiffopt.command.compensation import judge_existing_command
     from stiffopt.command.simulation import elastic_arm, simulate_motions
@@ -105,7 +120,14 @@ def simulate(
                 "uncertainty of servos. Omit one of the two."
             )
     servo = None if bandwidth is None else Servo(bandwidth, feed_forward, late)
-    stored = read_result(result, problem, changes)
+    stored = read_result(result, problem, changes, _with_model)
+    if model is not None:
+        if stored.model is not None:
+            raise InputError(
+                f"--model: the motion in {result} was planned with {stored.model}, and is simulated"
+                " on that arm. Omit the option, or solve without a model."
+            )
+        stored = replace(stored, problem=_with_model(stored.problem, model, effects))
     if changes and stored.command is None:
         raise InputError(
             f"--set {shortened(changes[0])}: uncertainties apply to a command, and {result} has no "

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.connection.reducer import Reducer
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
 from stiffopt.problem.cycle import Cycle
 from stiffopt.problem.rest_poses import gravity_torque
 from stiffopt.result.cycle import CycleSimulation, CycleSolution, JoinedMotion, LegError
-from stiffopt.result.duty import Duty, DutyHistory, LifeRating, duty_of
+from stiffopt.result.duty import Duty, DutyHistory, duty_of
+from stiffopt.result.life_rating import life_rating
 from stiffopt.result.solution import Solution
 
 if TYPE_CHECKING:
@@ -207,25 +207,5 @@ def cycle_duty(cycle: Cycle, found: CycleSolution) -> Duty:
                 )
             )
     robot = cycle.first.robot
-    ratings = [_life_rating(robot, j) for j in range(robot.n)]
+    ratings = [life_rating(robot, j) for j in range(robot.n)]
     return duty_of(histories, robot.joint_names, robot.torque_max, ratings)
-
-
-def _life_rating(robot: Robot, joint: int) -> LifeRating | None:
-    """Rated life of the reducer of a joint, at the joint's output; None where it is not known."""
-    chain = robot.chains[joint]
-    for stage in () if chain is None else chain.stages:
-        own = stage.element
-        if not isinstance(own, Reducer) or None in (own.rated_torque, own.rated_speed):
-            continue
-        if own.rated_life is None or own.life_exponent is None:
-            continue
-        assert own.rated_torque is not None
-        assert own.rated_speed is not None
-        return LifeRating(
-            torque=own.rated_torque * stage.reduction,
-            speed=own.rated_speed / stage.ratio,
-            life=own.rated_life,
-            exponent=own.life_exponent,
-        )
-    return None

@@ -38,7 +38,7 @@ from stiffopt.discovery.judging.ensemble import recurrence
 from stiffopt.discovery.judging.episodes import (
     training_tracks,
 )
-from stiffopt.discovery.judging.explained_shares import split_extension, variance_explained
+from stiffopt.discovery.judging.explained_shares import split_extension
 from stiffopt.discovery.judging.friction_refit import refit_friction
 from stiffopt.discovery.judging.held_out import HeldOutRuns
 from stiffopt.discovery.judging.left_open import add_left_open_deviation, build_left_open
@@ -49,6 +49,7 @@ from stiffopt.discovery.judging.tool_force import explain_by_tool_force
 from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings, judge_channels
 from stiffopt.discovery.law_search.find import LawSearch, find_laws, located_tables
 from stiffopt.discovery.position_fit import model_section
+from stiffopt.discovery.prediction_bands import choose_prediction_bands
 from stiffopt.discovery.progress import repeat_progress
 from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
 from stiffopt.discovery.sanity.doubt import Doubt
@@ -223,8 +224,7 @@ def _run_diagnosis(
     doubted, remarked = judge_plausibility(
         recordings, runs, despite_doubts=despite_doubts, remarks=base is None
     )
-    if not doubted:
-        recordings, runs = leave_out_currents(recordings, runs)
+    recordings, runs = leave_out_currents(recordings, runs)
     training = prepare_training(recordings, settings, base, say, runs)
     facts = joint_facts(recordings, training.recorded)
     checks = effect_checks(recordings, facts, len(training.recorded), catalogue)
@@ -236,8 +236,11 @@ def _run_diagnosis(
     training, result, touched = search_training_runs(
         recordings, training, sought, settings, base, say
     )
-    settings = training.settings
     stopped = describe_stop(result)
+    start = () if base is None else (base.extension,)
+    if settings.cutoff is None and not (stopped or runs[0].at_rest or training.robot.vibrates):
+        training = _with_prediction_bands(training, start, result, say)
+    settings = training.settings
     laws = skip_if_stopped(stopped, NO_LAWS, lambda: find_laws(result, say)) or LawSearch(
         result=result
     )
@@ -249,7 +252,6 @@ def _run_diagnosis(
         return kept, explain_by_tool_force(result, left)
 
     selected, unexplained = finish_step(stopped, assessed)
-    start = () if base is None else (base.extension,)
     selected, parameters = _estimate_parameters(
         training, settings, start, result, selected, stopped, say
     )
@@ -400,13 +402,28 @@ def _estimate_parameters(
         estimated = skip_if_stopped(stopped, BAND_NOT_VARIED, lambda: asked(first)) or first
         return kept, add_left_open_deviation(training, estimated)
 
-    def explained(found: Sequence[Selected]) -> Sequence[float]:
-        located, channels = zip(*((s.located, s.channel) for s in found), strict=True)
-        return variance_explained(comparison, located, channels)
+    return drop_insignificant(selected, doubted)
 
-    # Changes since an extended model are judged against its open residual, not the noise.
-    asked_for = None if comparison.after_model else explained
-    return drop_insignificant(selected, doubted, asked_for)
+
+def _with_prediction_bands(
+    training: Training, start: tuple[Extension, ...], result: SearchResult, say: Say
+) -> Training:
+    """Return the training runs with the bands of predictions, unless those of a model hold."""
+    if training.settings.predict is not None:
+        return training
+    say("choose how fast a motion predictions follow")
+    found = result.comparison.extension_of(result.fit)
+    bands = choose_prediction_bands(training, (*start, found))
+    each = ", ".join(f"{j}: {band:g}" for j, band in enumerate(bands, start=1))
+    note = (
+        f"Predicted torques follow the motion up to (joint {each}) Hz, as the fitted model predicts"
+        " the training runs best."
+    )
+    return replace(
+        training,
+        settings=replace(training.settings, predict=bands),
+        assumptions=(*training.assumptions, note),
+    )
 
 
 def _perturb_findings(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from stiffopt.recording.nominal import Tolerance
 SIGN_SPEED = 0.01
 # A slower joint counts as stationary, its dry friction as undetermined [rad/s].
 MIN_MOVING_SPEED = 3.0 * SIGN_SPEED
+
+# Bound on nominal values in a fit, in standard deviations.
+MAX_NOMINAL_DEVIATIONS = 4.0
 
 # Cutoff of the filter of a fit where recordings do not choose it [Hz].
 FIT_CUTOFF = 12.0
@@ -71,24 +74,11 @@ class Settings:
         likewise.
     slow : float
         A joint slower than this counts as stationary [rad/s]; its friction is undetermined.
-    tolerance : Tolerance
-        Used where the set states none.
-    after_model : Tolerance
-        Likewise, where the diagnosis starts from an extended model.
-    box : float
-        Bound on nominal values in standard deviations.
-    effects : int, optional
-        Maximum number of findings, values that the nominal model does not state apart. Default: 3;
-        12 without stated tolerances of masses.
     """
 
     cutoff: float | None = None
     predict: tuple[float, ...] | None = None
     slow: float = MIN_MOVING_SPEED
-    tolerance: Tolerance = field(default_factory=lambda: DEFAULT_TOLERANCE)
-    after_model: Tolerance = field(default_factory=lambda: EXTENDED_MODEL_TOLERANCE)
-    box: float = 4.0
-    effects: int | None = None
 
     @property
     def fit_band(self) -> float:

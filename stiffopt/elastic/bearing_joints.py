@@ -38,6 +38,8 @@ class BearingJoints:
     def __init__(self, arm: ElasticArm, start: np.ndarray) -> None:
         robot, stiffness = with_bearing_joints(arm.robot)
         self.driven = np.flatnonzero(stiffness == 0.0)
+        laws = tuple(each.moved(self.driven.tolist()) for each in arm.robot.added_torques)
+        robot = replace(robot, added_torques=laws)
         self._places = np.searchsorted(self.driven, np.arange(robot.n), side="right") - 1
         at = self.spread(np.asarray(start, dtype=float))
         found = ElasticArm(robot, at, arm.process_force)

@@ -36,7 +36,7 @@ class Uncertainty:
     bearing_stiffness: Annotated[
         Ratio,
         Bounds(least=0.0, below=1.0),
-        Doc("Relative bound of the stiffness of each output bearing."),
+        Doc("Relative bound of the stiffness of each output bearing and bending link."),
     ] = 0.2
     damping: Annotated[
         Ratio, Bounds(least=0.0), Doc("Relative bound of the damping of the joints.")

@@ -9,7 +9,10 @@ from ruckig import Trajectory as RuckigTrajectory
 
 from stiffopt.baseline.toppra_motion import toppra_baseline
 from stiffopt.path.path_timing import PathDemands, fastest_timing
+from stiffopt.path.timed_path import timed_motion
 from stiffopt.problem.limit import Limits
+from stiffopt.problem.objective import Objective
+from stiffopt.problem.trajectory import Target, TrajectoryProblem
 from stiffopt.result.joint_path import JointPath
 from stiffopt.robot.files import load_robot
 
@@ -42,6 +45,29 @@ def test_duration_is_that_of_toppra_where_only_its_limits_are_asked():
         reference = toppra_baseline(arm, limits, path, intervals=2000).fastest
         law = fastest_timing(arm, limits, path, PathDemands(eased=False))
         assert law.duration == pytest.approx(reference, rel=5e-3)
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+def test_certified_duration_is_that_of_toppra_where_torque_and_tool_speed_limit(seed):
+    """Torque and tool speed are kept between the stages too: nothing is backed off as a whole."""
+    arm = load_robot("er3a_c60")
+    limits = {"jerk": FREE, "acceleration": FREE, "tool_speed": 1.0}
+    lower, upper = np.clip([arm.position_lower, arm.position_upper], -2.0, 2.0)
+    waypoints = np.random.default_rng(seed).uniform(0.6 * lower, 0.6 * upper, (5, 6))
+    problem = TrajectoryProblem(
+        robot=arm,
+        start=Target(joints=waypoints[0]),
+        end=Target(joints=waypoints[-1]),
+        duration=(0.01, np.inf),
+        objectives=(Objective(name="duration"),),
+        limits=Limits({**Limits.of(arm).values, **limits}),
+        boundary_acceleration="free",
+        path=waypoints,
+    )
+    reference = toppra_baseline(arm, problem.limits, problem.path, intervals=2000).fastest
+    found = timed_motion(problem)
+    assert found.assessment.feasible(5e-3)
+    assert found.assessment.duration == pytest.approx(reference, rel=5e-3)
 
 
 def test_duration_on_a_straight_path_is_that_of_an_s_curve():

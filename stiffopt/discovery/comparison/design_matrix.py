@@ -66,11 +66,8 @@ class DesignMatrix:
 
     Parameters
     ----------
-    robot : RobotModel
     runs : tuple of PreparedRun
         Runs with the nominal model.
-    noise : ChannelNoise
-    tolerance : Tolerance
     start : Extension
         Extension of the compared model.
     found : Extension
@@ -119,7 +116,6 @@ class DesignMatrix:
 
         Parameters
         ----------
-        found : Extension
         inflation : array (2 n,), optional
             Residual noise of every channel over the stated one; default as stated. With vibrating
             links the residual may stem from the linearisation: the stated one counts.

@@ -202,8 +202,6 @@ def added_inertia(
     ----------
     run : PreparedRun
         Run with the nominal model.
-    robot : RobotModel
-    extensions : sequence of Extension
     every : int
         Samples between matrices.
 

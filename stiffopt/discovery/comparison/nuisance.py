@@ -47,7 +47,6 @@ class NuisanceColumn:
 
     Parameters
     ----------
-    name : ValueName
     sd : float
         Tolerance of the value, one standard deviation.
     added : Contribution
@@ -72,7 +71,6 @@ class OutsideValue:
 
     Parameters
     ----------
-    name : ValueName
     change, sd : float
         Fitted change from nominal, and its standard deviation: relative, or [m].
     tolerance : float
@@ -123,9 +121,6 @@ def nuisance_columns(
 
     Parameters
     ----------
-    run : PreparedRun
-    robot : RobotModel
-    tolerance : Tolerance
     bodies : array (n, 10), optional
         Standard deviations of all inertial parameters, in place of mass and centre of mass.
     selected : callable
@@ -271,7 +266,6 @@ def spring_deflection(
 
     Parameters
     ----------
-    constants : RobotConstants
     values : mapping of ValueName to float
         Changes, of `SPRING_VALUES`.
     elastic : array (K, n)

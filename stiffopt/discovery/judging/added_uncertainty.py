@@ -19,7 +19,6 @@ from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.uncertainty import Estimate, estimate_parameters
 from stiffopt.discovery.thresholds import (
     FINDING_DEVIATIONS,
-    FINDING_SHARE,
 )
 from stiffopt.discovery.training import Training
 
@@ -29,7 +28,6 @@ Found = tuple[tuple[Selected, ...], Estimate]
 def drop_insignificant(
     selected: Sequence[Selected],
     estimated: Callable[[Sequence[Selected]], Found],
-    explained: Callable[[Sequence[Selected]], Sequence[float]] | None = None,
 ) -> Found:
     """Estimate findings, and drop insignificant ones one after another.
 
@@ -38,8 +36,6 @@ def drop_insignificant(
     selected : sequence of Selected
     estimated : callable
         -> supported findings among the given ones, and their estimate.
-    explained : callable, optional
-        -> share of its channel that each removes in recordings left out.
 
     Notes
     -----
@@ -49,11 +45,6 @@ def drop_insignificant(
     while True:
         kept, parameters = estimated(selected)
         excess = [_excess_deviations(each, parameters, k) for k, each in enumerate(kept)]
-        if explained is not None and kept and min(excess) >= 0.0:
-            excess = [
-                0.0 if each.located.calibrated else share - FINDING_SHARE
-                for each, share in zip(kept, explained(kept), strict=True)
-            ]
         if not excess or min(excess) >= 0.0:
             return kept, parameters
         least = excess.index(min(excess))

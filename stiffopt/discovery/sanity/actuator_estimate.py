@@ -84,7 +84,6 @@ class ResolvedActuator:
 
     Parameters
     ----------
-    recordings : RecordingSet
     runs : list of RecordedRun
         With torques by the law, nan where it gives them no scale.
     notes : tuple of str

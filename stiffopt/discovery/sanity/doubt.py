@@ -50,7 +50,6 @@ class DoubtfulRecordings(InputFileError):
     ----------
     path : Path
         Of recordings.toml.
-    doubts : sequence of Doubt
     """
 
     def __init__(self, path: Path, doubts: Sequence[Doubt]) -> None:

@@ -35,10 +35,8 @@ def describe_explanation(
 
     Parameters
     ----------
-    recordings : RecordingSet
     search : Explanations
         With residual shares of the stated reading.
-    explanation : Explanation
     """
     shares = format_shares(search.strict, explanation.left, explanation.joints)
     joints = tuple(j + 1 for j in explanation.joints)

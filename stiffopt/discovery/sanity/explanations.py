@@ -69,7 +69,6 @@ class Explanation:
         Joints that it explains, from 0.
     score : float
         Sum of the log ratios of residual shares.
-    reading : Reading
     gains : array (n,) or None
         Recorded over true torque.
     gravity : array (3,) or None
@@ -94,13 +93,7 @@ class Explanation:
 
 
 class Explanations:
-    """Search for other descriptions of the same files.
-
-    Parameters
-    ----------
-    robot : RobotModel
-    samples : Samples
-    """
+    """Search for other descriptions of the same files."""
 
     def __init__(self, robot: RobotModel, samples: Samples) -> None:
         self.robot, self.samples, self.n = robot, samples, robot.n

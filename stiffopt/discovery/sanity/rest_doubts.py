@@ -38,7 +38,6 @@ def doubt_contacts_at_rest(robot: RobotModel, runs: Sequence[RecordedRun]) -> It
     ----------
     robot : RobotModel
         Joints without stated friction are left out.
-    runs : sequence of RecordedRun
     """
     for run in runs:
         if not run.usable:

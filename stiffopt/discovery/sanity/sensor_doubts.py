@@ -19,13 +19,7 @@ FACTOR_TOLERANCE, _UNIT_TOLERANCE = 0.2, 0.1
 
 
 def doubt_position_limits(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> Iterator[Doubt]:
-    """Yield doubts about positions beyond limits: a unit if that explains all of them.
-
-    Parameters
-    ----------
-    recordings : RecordingSet
-    runs : sequence of RecordedRun
-    """
+    """Yield doubts about positions beyond limits: a unit if that explains all of them."""
     lower = recordings.robot.position_lower[recordings.order]
     upper = recordings.robot.position_upper[recordings.order]
     span = upper - lower

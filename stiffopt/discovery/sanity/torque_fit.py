@@ -64,12 +64,7 @@ class Additions:
 
 
 class TorqueFit:
-    """Fit of measured torques by the nominal model with bounded friction, inertia and offset.
-
-    Parameters
-    ----------
-    robot : RobotModel
-    """
+    """Fit of measured torques by the nominal model with bounded friction, inertia and offset."""
 
     def __init__(self, robot: RobotModel) -> None:
         self.robot = robot
@@ -81,10 +76,8 @@ class TorqueFit:
 
         Parameters
         ----------
-        motion : Motion
         torque : array (m,)
             Measured [N m].
-        joint : int
         extra : Additions, optional
             Further columns, such as springs and payloads.
         """

@@ -124,7 +124,7 @@ def duty_rows(solution: CycleSolution) -> list[list[str]]:
             si(each.peak_power, "W", 3),
             si(each.energy, "J", 3),
             si(each.regenerated, "J", 3),
-            _share_text(each.mean_torque, None if each.rating is None else each.rating.torque),
+            _share_text(each.mean_torque, None if each.life is None else each.rating.torque),
             _life_text(each),
         ]
         for each in solution.duty.joints

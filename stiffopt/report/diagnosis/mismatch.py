@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from stiffopt.discovery.answer import format_probability, place
 from stiffopt.discovery.judging.noise_ceiling import SHOWN_SHARE
+from stiffopt.discovery.settings import MAX_NOMINAL_DEVIATIONS
 from stiffopt.report.common.text import listed, significant
 from stiffopt.report.diagnosis.overview import moved_values
 from stiffopt.report.diagnosis.words import (
@@ -256,7 +257,7 @@ def _part_phrase(diagnosis: Diagnosis, share: MismatchShare) -> str:
 def _largest_moved_value(diagnosis: Diagnosis) -> str:
     """Return the nominal value that moved most, where it exceeds its tolerance; else ""."""
     # A value at its bound is no result of a fit.
-    bound = 0.999 * diagnosis.training.box
+    bound = 0.999 * MAX_NOMINAL_DEVIATIONS
     moved = [
         each
         for each in moved_values(diagnosis)

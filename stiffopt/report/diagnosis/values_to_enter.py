@@ -10,6 +10,7 @@ from stiffopt.discovery.answer import missing_physics
 from stiffopt.discovery.comparison.inertial_parameters import nominal_bodies
 from stiffopt.discovery.sanity.doubt import format_numbers
 from stiffopt.discovery.search.nominal_values import values_outside_tolerance
+from stiffopt.discovery.settings import MAX_NOMINAL_DEVIATIONS
 from stiffopt.discovery.signals import PARAMETERS_PER_BODY
 from stiffopt.report.common.text import capital, pm, significant
 from stiffopt.report.diagnosis.overview import moved_bodies
@@ -85,7 +86,7 @@ def _pinned_sentence(diagnosis: Diagnosis, value: OutsideValue) -> str:
         else f"{100.0 * value.change:+.2g} ± {100.0 * value.sd:.1g} %"
     )
     axis = f" along {part}" if kind == "com" else ""
-    most = diagnosis.training.box
+    most = MAX_NOMINAL_DEVIATIONS
     return (
         f"Nominal value pinned at its tolerance: the {_KIND_WORDS.get(kind, kind)}"
         f" joint {joint + 1}{axis} would have to change by {size},"
