@@ -239,8 +239,9 @@ def _run_diagnosis(
     )
     stopped = describe_stop(result)
     start = () if base is None else (base.extension,)
-    if settings.cutoff is None and not (stopped or runs[0].at_rest or training.robot.vibrates):
-        training = _with_prediction_bands(training, start, result, say)
+    # Bands that were asked for hold, and a stopped diagnosis takes no longer.
+    asked_band = settings.cutoff is not None or bool(stopped)
+    training = _with_prediction_bands(training, start, result, say, fixed=asked_band)
     settings = training.settings
     laws = skip_if_stopped(stopped, NO_LAWS, lambda: find_laws(result, say)) or LawSearch(
         result=result
@@ -407,10 +408,19 @@ def _estimate_parameters(
 
 
 def _with_prediction_bands(
-    training: Training, start: tuple[Extension, ...], result: SearchResult, say: Say
+    training: Training,
+    start: tuple[Extension, ...],
+    result: SearchResult,
+    say: Say,
+    *,
+    fixed: bool,
 ) -> Training:
-    """Return the training runs with the bands of predictions, unless those of a model hold."""
-    if training.settings.predict is not None:
+    """Return the training runs with the bands of predictions, unless these are fixed.
+
+    Those of a model hold, poses at rest have none, and vibration follows the band of the fit.
+    """
+    fixed |= training.settings.predict is not None or training.robot.vibrates
+    if fixed or training.recorded[0].at_rest:
         return training
     say("choose how fast a motion predictions follow")
     found = result.comparison.extension_of(result.fit)
