@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from stiffopt.discovery.catalogue import CATALOGUE, changes_in, effects_of_runs
+from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.conclusions import build_findings, decide_verdict, describe_next_experiment
 from stiffopt.discovery.diagnosis import (
@@ -254,13 +255,16 @@ def _run_diagnosis(
         return kept, explain_by_tool_force(result, left)
 
     selected, unexplained = finish_step(stopped, assessed)
+    half_band = cache(partial(half_band_comparison, training, result.comparison))
     selected, parameters = _estimate_parameters(
-        training, settings, start, result, selected, stopped, say
+        training, settings, start, result, selected, half_band, stopped, say
     )
     parameters = add_scale_deviation(parameters, selected)
     located = tuple(s.located for s in selected)
     again = skip_if_stopped(
-        stopped, NOT_PERTURBED, lambda: _perturb_findings(training, result, selected, say)
+        stopped,
+        NOT_PERTURBED,
+        lambda: _perturb_findings(training, result, selected, half_band, say),
     )
     if again is None:
         again = np.ones(len(selected))
@@ -375,6 +379,7 @@ def _estimate_parameters(
     start: tuple[Extension, ...],
     result: SearchResult,
     selected: tuple[Selected, ...],
+    half_band: Callable[[], Comparison | None],
     stopped: list[str],
     say: Say,
 ) -> tuple[tuple[Selected, ...], Estimate]:
@@ -395,7 +400,7 @@ def _estimate_parameters(
 
     def asked(estimated: Estimate) -> Estimate:
         say("fit the parameters again in half the band")
-        return add_band_deviation(training, comparison, estimated)
+        return add_band_deviation(comparison, half_band(), estimated)
 
     def doubted(found: Sequence[Selected]) -> tuple[tuple[Selected, ...], Estimate]:
         kept, first = skip_if_stopped(
@@ -438,15 +443,19 @@ def _with_prediction_bands(
 
 
 def _perturb_findings(
-    training: Training, result: SearchResult, selected: Sequence[Selected], say: Say
+    training: Training,
+    result: SearchResult,
+    selected: Sequence[Selected],
+    half_band: Callable[[], Comparison | None],
+    say: Say,
 ) -> np.ndarray:
     """Return the share of the perturbation ensemble in which each finding is named again."""
     if not selected:
         return np.ones(0)
     say("fit the findings again to perturbed runs and models")
     vibrates = training.runs[0].vibration is not None
-    half_band = None if vibrates else half_band_comparison(training, result.comparison)
-    return recurrence(result.comparison, selected, half_band, free_bodies=training.free_bodies)
+    other = None if vibrates else half_band()
+    return recurrence(result.comparison, selected, other, free_bodies=training.free_bodies)
 
 
 def _predict_held_out(
