@@ -41,7 +41,7 @@ def export(
     Parameters
     ----------
     result
-        Folder of a solve whose motion meets its limits, or of a diagnosis.
+        Folder of a solve or an improvement whose motion meets its limits, or of a diagnosis.
     rate
         Sampling rate [Hz]; default 500, for krl-rsi 250.
     of
@@ -58,6 +58,7 @@ def export(
     from stiffopt.export.cycle_motion import read_stored
     from stiffopt.export.format import FORMATS
     from stiffopt.export.model_format import MODEL_FORMATS
+    from stiffopt.improvement.improvement_files import IMPROVEMENT_FILE
     from stiffopt.result.store import RESULT_FILE
 
     refuse_changes(changes)
@@ -76,6 +77,7 @@ def export(
         texts, maker = _extended_robot_files(result, to, recordings, effects), "diagnose"
     elif to in FORMATS:
         texts, maker = FORMATS[to].export(read_stored(result, of, problem), rate), "solve"
+        maker = "improve" if (result / IMPROVEMENT_FILE).is_file() else maker
     else:
         names = [*FORMATS, *MODEL_FORMATS]
         raise InputError(f"--to {to}: unknown format. {nearest(to, names)}")
