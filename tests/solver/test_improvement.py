@@ -101,6 +101,6 @@ def test_command_line_writes_command_and_report(tmp_path, capsys):
     capsys.readouterr()
     (out / "command.csv").write_text((out / "command.csv").read_text().replace("1", "2", 1))
     assert run(["export", str(out), "--to", "csv"]) == 2
-    assert "is not the motion that was certified" in capsys.readouterr().err
+    assert "was changed since" in capsys.readouterr().err
     assert "The motion as given" in (out / "report.html").read_text()
     assert run(["improve", str(file)]) == 2
