@@ -78,7 +78,7 @@ def compensate(
     others = motions[len(first) :]
     found = [*first, *commands_on_arms(problem, arm, others, law, progress=progress)]
     own = found[0]
-    found = [own, *(_slow_until_led(problem, arm, each) for each in found[1:])]
+    found = [own, *(slow_until_led(problem, arm, each) for each in found[1:])]
     refusal, command = _explain_refusal(problem, own.excess), None
     if not refusal:
         command = assess(problem, own.motors, times=export_times(own.motors.duration))
@@ -104,7 +104,7 @@ def compensate(
     )
 
 
-def _slow_until_led(
+def slow_until_led(
     problem: TrajectoryProblem, arm: ElasticArm, found: CommandOnArms
 ) -> CommandOnArms:
     """Return a rival at the duration at which its command keeps the limits, as far as it does."""
