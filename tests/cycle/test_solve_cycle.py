@@ -14,6 +14,7 @@ from stiffopt.cli import run
 from stiffopt.cycle.solve_cycle import solve_cycle
 from stiffopt.export.cycle_motion import read_stored
 from stiffopt.export.format import FORMATS, read_seal
+from stiffopt.files import read_table
 from stiffopt.problem.cycle_files import load_cycle
 
 
@@ -177,3 +178,20 @@ def test_a_guess_of_other_legs_is_refused(folder, tmp_path, capsys):
     assert run(arguments) == 2
     assert "the earlier cycle has 3 legs, this one 2" in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_a_sweep_varies_the_time_and_the_part_of_a_cycle(tmp_path, capsys):
+    write_cycle_file(tmp_path)
+    sweep = tmp_path / "sweep.toml"
+    sweep.write_text(
+        'schema = 1\nkind = "sweep"\nbase = "cycle.toml"\n[grid]\n"motion.duration" = [3.0, 3.4]\n'
+    )
+    out = tmp_path / "out"
+    arguments = ["sweep", str(sweep), "--out", str(out), "--workers", "1", "--quiet"]
+    assert run(arguments) == 0
+    columns = ["objective", "duration", "leg_1", "leg_2", "leg_3", "energy"]
+    table = read_table(out / "table.csv", columns)
+    legs = np.sum([table[f"leg_{k}"] for k in (1, 2, 3)], axis=0)
+    assert legs == pytest.approx([2.9, 3.3])
+    assert table["objective"][1] < table["objective"][0]
