@@ -53,7 +53,6 @@ from stiffopt.discovery.position_fit import model_section
 from stiffopt.discovery.prediction_bands import choose_prediction_bands
 from stiffopt.discovery.progress import repeat_progress
 from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
-from stiffopt.discovery.sanity.doubt import Doubt
 from stiffopt.discovery.sanity.gate import judge_plausibility, leave_out_currents
 from stiffopt.discovery.sanity.position_errors import take_errors_as_commands
 from stiffopt.discovery.search.candidates import Scorer
@@ -225,8 +224,7 @@ def _run_diagnosis(
     doubted, remarked = judge_plausibility(
         recordings, runs, despite_doubts=despite_doubts, remarks=base is None
     )
-    if not doubted:
-        recordings, runs = leave_out_currents(recordings, runs)
+    recordings, runs = leave_out_currents(recordings, runs)
     training = prepare_training(recordings, settings, base, say, runs)
     facts = joint_facts(recordings, training.recorded)
     checks = effect_checks(recordings, facts, len(training.recorded), catalogue)
@@ -349,7 +347,7 @@ def _run_diagnosis(
             assumptions=(
                 *stopped,
                 *opened.describe_unusable(),
-                *_describe_ignored_doubts(doubted),
+                *(f"Diagnosed despite a doubt: {doubt.evidence}" for doubt in doubted),
                 *(f"to be checked: {each}" for each in remarked),
                 *thin,
                 *derived,
@@ -489,10 +487,6 @@ def _assess_left_open(
     if training.free_bodies:
         found = skip_if_stopped(stopped, NO_SUSPECTS, suspected)
     return found or finish_step(stopped, lambda: build_left_open(training, whole, (), before))
-
-
-def _describe_ignored_doubts(doubted: Sequence[Doubt]) -> list[str]:
-    return [f"Diagnosed despite a doubt: {doubt.evidence}" for doubt in doubted]
 
 
 def _load_user_effects(effects: Sequence[Effect] | str | os.PathLike[str]) -> tuple[Effect, ...]:

@@ -135,7 +135,7 @@ class ReducerLoad(JointIntegral):
         return turning * (torque**2 + _SMOOTH_SHARE**2) ** (0.5 * rating.exponent)
 
     def certified_integrand(self, robot: Robot, motion: Assessment) -> np.ndarray:
-        """Of the certificate's spring torques."""
+        """Return the integrand of the certificate's spring torques."""
         ratings = [life_rating(robot, j) for j in range(robot.n)]
         torque, speed, exponent = np.array([(r.torque, r.speed, r.exponent) for r in ratings]).T
         return np.asarray(

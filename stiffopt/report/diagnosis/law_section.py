@@ -38,6 +38,10 @@ _OPERATOR_DEFINITIONS = {
     " constant before the first sample, (1 + 2 * z * o + o**2) * y_k + 2 * (o**2 - 1) * y_(k-1) +"
     " (1 - 2 * z * o + o**2) * y_(k-2) = (o**2 + 2 * z * o) * x_k + 2 * o**2 * x_(k-1) +"
     " (o**2 - 2 * z * o) * x_(k-2)",
+    "mode": "mode(x, f, z) is the deflection y of a mass on a spring and damper of frequency f and"
+    " damping ratio z, over that under a constant x: with o = tan(pi * f * dt) and x, y constant"
+    " before the first sample, (1 + 2 * z * o + o**2) * y_k + 2 * (o**2 - 1) * y_(k-1) +"
+    " (1 - 2 * z * o + o**2) * y_(k-2) = o**2 * (x_k + 2 * x_(k-1) + x_(k-2))",
     "stop": "stop(x, r) follows x and slides where it would leave -r to r: it is x_k - y_k with"
     " y_0 = x_0 and y_k = min(max(y_(k-1), x_k - r), x_k + r)",
 }

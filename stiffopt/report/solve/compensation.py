@@ -94,8 +94,7 @@ def _compensation_notes(compensation: Compensation) -> list[str]:
     return [
         *([f"The motors of every arm follow in position loops of {loop}."] if loop else []),
         f"Uncertain: {listed(compensation.uncertainty)}. The worst"
-        " case is over arms with each value "
-        "at a bound, and with the joints' stiffness such that their errors add up; "
+        " case is the worst arm that an exchange of the values at their bounds finds; "
         f"{compensation.draws} arms are drawn uniformly within the bounds. The problem's limits, "
         "settling included, are checked on the nominal arm only.",
         f"{made}; the feedforward lead is {100 * own.share:.0f} % of the nominal wind-up, "
