@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.recipe.stored_result import StoredResult
     from stiffopt.robot.robot import Robot
 
 
@@ -123,20 +124,13 @@ def simulate(
             )
     servo = None if bandwidth is None else Servo(bandwidth, feed_forward, late)
     if (result / CYCLE_FILE).is_file():
-        if model is not None:
-            raise InputError("--model: a cycle is simulated on the arm as modelled. Omit the option.")
         refuse_changes(changes, "a simulated cycle has the arm as modelled. Omit --set.")
+        if model is not None:
+            raise InputError("--model: a cycle is simulated on its own arm. Omit the option.")
         return _simulate_cycle(
             result, out or result, problem, servo=servo, band=settled, damping=damping
         )
-    stored = read_result(result, problem, changes, _with_model)
-    if model is not None:
-        if stored.model is not None:
-            raise InputError(
-                f"--model: the motion in {result} was planned with {stored.model}, and is simulated"
-                " on that arm. Omit the option, or solve without a model."
-            )
-        stored = replace(stored, problem=_with_model(stored.problem, model, effects))
+    stored = _stored_on_model(read_result(result, problem, changes, _with_model), model, effects)
     if changes and stored.command is None:
         raise InputError(
             f"--set {shortened(changes[0])}: uncertainties apply to a command, and {result} has no "
@@ -169,6 +163,20 @@ def simulate(
     print(f"Wrote {path}, {path.with_suffix('.csv').name} and {page.name}")
     show_report(folder, open_report, page.name)
     return 0
+
+
+def _stored_on_model(
+    stored: StoredResult, model: Path | None, effects: Path | None
+) -> StoredResult:
+    """Return a result whose problem has the arm of an extended model."""
+    if model is None:
+        return stored
+    if stored.model is not None:
+        raise InputError(
+            f"--model: the motion was planned with {stored.model}, and is simulated on that arm."
+            " Omit the option, or solve without a model."
+        )
+    return replace(stored, problem=_with_model(stored.problem, model, effects))
 
 
 def _simulate_cycle(result: Path, folder: Path, problem: Path | None, **settings: Any) -> int:
