@@ -9,13 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-<<<<<<< HEAD
-||||||| c047dffd
-from stiffopt.discovery.experiment.collocation import improve_motion
-=======
-from stiffopt.discovery.experiment.collocation import improve_motion
 from stiffopt.discovery.experiment.commands import SentCommands, motion_commands
->>>>>>> cmd3
 from stiffopt.discovery.experiment.motion import (
     DRAWS_PER_JOINT,
     MotionLimits,
@@ -59,18 +53,8 @@ class ExperimentPlan:
         Predicted on the motion [sigma].
     reference : float
         On the training run that separates them best, scaled to the motion's duration [sigma].
-<<<<<<< HEAD
-||||||| c047dffd
-    reference_run : str
-    method : str
-        How the motion was found.
-=======
-    reference_run : str
-    method : str
-        How the motion was found.
     commands : SentCommands, optional
         That move the arm so, where it follows commands.
->>>>>>> cmd3
     """
 
     joints: tuple[str, ...]
@@ -80,13 +64,7 @@ class ExperimentPlan:
     separation: float
     reference: float
     reference_run: str
-<<<<<<< HEAD
-||||||| c047dffd
-    method: str
-=======
-    method: str
     commands: SentCommands | None = None
->>>>>>> cmd3
 
     @property
     def sentence(self) -> str:
@@ -188,13 +166,7 @@ def plan_experiment(
         separation=value,
         reference=reference,
         reference_run=name,
-<<<<<<< HEAD
-||||||| c047dffd
-        method=method,
-=======
-        method=method,
         commands=motion_commands(training.robot, training.recorded, best),
->>>>>>> cmd3
     )
 
 
