@@ -22,7 +22,7 @@ _NOISE_ROUNDS = 2
 # Duration of all runs that the leading parameters are fitted to, times joints [s].
 _LEADING_SECONDS = 40.0
 # Division of steps and of the width of dry friction by which the fit's dependence on them is told.
-_REFINEMENT = 2.0
+_REFINEMENT_RATIO = 2.0
 # Longest lag over which residuals repeat one another [s].
 _MAX_REPETITION = 1.0
 
@@ -251,11 +251,11 @@ class _Fit:
         How sharply dry friction changes its direction is not known, and steps are finite: where
         the fit would go with both halved, twice as far as it would go with neither, is a deviation.
         """
-        finer = self.evaluate(parameters, _REFINEMENT)
+        finer = self.evaluate(parameters, _REFINEMENT_RATIO)
         hessian, before = self._normal_equations(parameters, point, noise)
         after = self._normal_equations(parameters, finer, noise)[1]
         inverse = np.linalg.inv(hessian)
-        moved = _REFINEMENT / (_REFINEMENT - 1.0) * inverse @ (after - before)
+        moved = _REFINEMENT_RATIO / (_REFINEMENT_RATIO - 1.0) * inverse @ (after - before)
         return np.asarray(self._size[:, None] * (inverse + np.outer(moved, moved)) * self._size)
 
     def _cost(self, parameters: Parameters, point: _Point, noise: np.ndarray) -> float:
