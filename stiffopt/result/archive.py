@@ -31,8 +31,8 @@ def write_archive(solution: Solution, folder: Path) -> None:
     arrays: list[np.ndarray] = []
     structure = json.dumps(_encode(solution, arrays))
     named = {f"a{number}": each for number, each in enumerate(arrays)}
-    # Compressed, it would be a tenth smaller and take seconds.
-    np.savez(folder / ARCHIVE_FILE, **{_STRUCTURE_NAME: np.array(structure)}, **named)
+    named[_STRUCTURE_NAME] = np.array(structure)
+    np.savez(folder / ARCHIVE_FILE, allow_pickle=False, **named)
 
 
 def read_archive(folder: Path) -> Solution:
@@ -98,7 +98,7 @@ def _decode(content: Any, arrays: Any) -> Any:
     made = getattr(import_module(module), name)
     if "value" in content and issubclass(made, Enum):
         return made(content["value"])
-    if not is_dataclass(made):
+    if not (isinstance(made, type) and is_dataclass(made)):
         raise ValueError(f"{name} is no part of a solution")
     return made(**{key: _decode(each, arrays) for key, each in content["fields"].items()})
 
