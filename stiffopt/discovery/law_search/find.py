@@ -23,8 +23,8 @@ from stiffopt.discovery.law_search.search import (
 from stiffopt.discovery.laws.law import LAW_FAMILY, Law, law_effect
 from stiffopt.discovery.laws.table import ResidualTable
 from stiffopt.discovery.search.candidates import Scorer
-from stiffopt.discovery.search.cross_validation import select_predictive
 from stiffopt.discovery.search.joint_fit import passes_thresholds, prune_effects
+from stiffopt.discovery.search.left_out_gain import select_predictive
 from stiffopt.discovery.search.rivals import Selected, tempering_width
 from stiffopt.discovery.search.search import SearchResult
 from stiffopt.discovery.search.uncertainty import estimate_parameters

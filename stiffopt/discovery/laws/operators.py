@@ -1,7 +1,7 @@
 """Operators with memory: linear lags, a sprung mass, and the stop element of hysteresis.
 
 Each takes a signal (K,) at equal time steps and starts at rest from the first sample. Parameters
-may be floats, complex numbers (for derivatives) or CasADi symbols.
+may be floats or complex numbers (for derivatives).
 """
 
 from __future__ import annotations
@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import get_lapack_funcs
 
-from stiffopt.discovery.catalogue.recurrence import first_order_lag, recurrence_output
-from stiffopt.symbolic import Quantity, is_symbolic
+from stiffopt.symbolic import Quantity
 
 # Operators that formulas of laws may name.
 OPERATOR_NAMES = ("lag", "sprung", "mode", "stop")
@@ -22,8 +21,6 @@ OPERATOR_NAMES = ("lag", "sprung", "mode", "stop")
 def lag(x: Quantity, T: Quantity, dt: float) -> Quantity:
     """Return the first-order lag y of a signal, T dy/dt = x - y [unit of x]."""
     kept = np.exp(-dt / T)
-    if is_symbolic(x) or is_symbolic(kept):
-        return first_order_lag(x, kept)
     return _filter_linear([1.0 - kept], [1.0, -kept], x)
 
 
@@ -53,21 +50,11 @@ def _filter_by_mode(
     b0, b1, b2 = through + square, 2.0 * square, square - through
     a0, a1, a2 = 1.0 + damped + square, 2.0 * square - 2.0, 1.0 - damped + square
     numerator, denominator = [b0 / a0, b1 / a0, b2 / a0], [a1 / a0, a2 / a0]
-    if is_symbolic(x) or is_symbolic(over):
-        # Transposed direct form: rest at the first sample as in `_filter_linear`.
-        first = 0.0 * x[0]
-        return (
-            recurrence_output(_sprung_step, [x - x[0]], [first, first], [*numerator, *denominator])
-            + x[0]
-        )
     return _filter_linear(numerator, [1.0, *denominator], x)
 
 
 def stop(x: Quantity, r: Quantity) -> Quantity:
     """Return the stop element: follows x, and slides where it would leave -r to r [unit of x]."""
-    if is_symbolic(x) or is_symbolic(r):
-        before = recurrence_output(_play_step, [x], [x[0]], [r])
-        return x - before if is_symbolic(x) else x[:, None] - before
     left = []
     play = x[0]
     # Comparisons of floats: calls of min and max take three times as long.
@@ -91,21 +78,3 @@ def _filter_linear(b: Sequence[Any], a: Sequence[Any], x: np.ndarray) -> np.ndar
     diagonals = np.repeat(np.array(a)[:, None], len(x), axis=1)
     (solve,) = get_lapack_funcs(("tbtrs",), (diagonals, driven))
     return np.asarray(x[0] + solve(diagonals, driven, uplo="L")[0])
-
-
-def _sprung_step(
-    state: Quantity, inputs: Sequence[Quantity], parameters: Sequence[Quantity]
-) -> tuple[Quantity, Quantity]:
-    import casadi as ca
-
-    b0, b1, b2, a1, a2 = parameters
-    (x,) = inputs
-    y = b0 * x + state[0]
-    return ca.vertcat(b1 * x - a1 * y + state[1], b2 * x - a2 * y), y
-
-
-def _play_step(
-    state: Quantity, inputs: Sequence[Quantity], parameters: Sequence[Quantity]
-) -> tuple[Quantity, Quantity]:
-    now = np.fmin(np.fmax(state[0], inputs[0] - parameters[0]), inputs[0] + parameters[0])
-    return now, now
