@@ -57,7 +57,8 @@ def test_the_equation_typed_from_the_page_gives_the_torque_of_the_model():
     (estimated,) = [e for e in model.extension.effects if law_of(e.effect) is not None]
     law = law_of(estimated.effect)
     signals = sample_signals(count=300)
-    typed = typed_torque(equation, numbers.split("<br>"), meanings.split("; "), signals)
+    lines = [line.strip() for line in numbers.split("<br>") if line.strip()]
+    typed = typed_torque(equation, lines, meanings.split("; "), signals)
     columns = law.columns(signals, estimated.shapes)
     own = sum(a * c for a, c in zip(estimated.amplitudes, columns, strict=True))
     np.testing.assert_allclose(typed, own, rtol=1e-9, atol=1e-9 * np.abs(own).max())

@@ -147,7 +147,8 @@ class OpenChannel:
         found = []
         for kind, own in SOURCE_KINDS.items():
             joints = range(self.comparison.robot.n) if own.per_joint else (None,)
-            found += [LawSource(kind, joint) for joint in joints]
+            every = (self.joint,) if own.of_own_joint else joints
+            found += [LawSource(kind, joint) for joint in every]
         ranges = [(source, self.extent(source)) for source in found]
         return tuple(s for s, own in ranges if own.high - own.low > 1e-9 * own.size)
 

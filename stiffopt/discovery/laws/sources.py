@@ -25,6 +25,8 @@ class SourceKind:
         Names of the forms that a law may take in it.
     per_joint : bool
         False for a signal of the robot as a whole.
+    of_own_joint : bool
+        True where only laws of that joint may depend on it.
     """
 
     attribute: str
@@ -33,6 +35,7 @@ class SourceKind:
     words: str
     forms: tuple[str, ...]
     per_joint: bool = True
+    of_own_joint: bool = False
 
 
 _PLACE_FORMS = (
@@ -100,6 +103,7 @@ SOURCE_KINDS = {
         unit="rad",
         words="nominal wind-up of joint {}",
         forms=("linear",),
+        of_own_joint=True,
     ),
     "friction": SourceKind(
         attribute="nominal_friction",
@@ -107,6 +111,7 @@ SOURCE_KINDS = {
         unit="N m",
         words="nominal friction of joint {}",
         forms=("linear",),
+        of_own_joint=True,
     ),
     "drive": SourceKind(
         attribute="drive_torque",
