@@ -51,6 +51,7 @@ def compensate(
     motions: Sequence[PlannedMotion],
     *,
     known: CommandOnArms | None = None,
+    rivals: Sequence[CommandOnArms] | None = None,
     progress: Progress | None = None,
 ) -> Compensation:
     """Return the command of the first motion, and the effect of compensation on all motions.
@@ -64,6 +65,8 @@ def compensate(
         The optimised one first.
     known : CommandOnArms, optional
         Of the first motion, where it is known already.
+    rivals : sequence of CommandOnArms, optional
+        Of the others, as of `rival_commands`.
     progress : callable, optional
         Called with the name of each motion before it is compensated.
 
@@ -74,11 +77,10 @@ def compensate(
     RobotError
         An uncertainty takes a joint's damping above critical.
     """
-    first, law = ([], None) if known is None else ([known], known.law)
-    others = motions[len(first) :]
-    found = [*first, *commands_on_arms(problem, arm, others, law, progress=progress)]
-    own = found[0]
-    found = [own, *(slow_until_led(problem, arm, each) for each in found[1:])]
+    own = known or commands_on_arms(problem, arm, motions[:1], progress=progress)[0]
+    if rivals is None:
+        rivals = rival_commands(problem, arm, motions[1:], own.law, progress=progress)
+    found = [own, *rivals]
     refusal, command = _explain_refusal(problem, own.excess), None
     if not refusal:
         command = assess(problem, own.motors, times=export_times(own.motors.duration))
@@ -102,6 +104,19 @@ def compensate(
         rival_plan=assess(problem, plan.rival.at(duration), times=export_times(duration)),
         rival_command=assess(problem, motors, times=export_times(motors.duration)),
     )
+
+
+def rival_commands(
+    problem: TrajectoryProblem,
+    arm: ElasticArm,
+    motions: Sequence[PlannedMotion],
+    law: MotorLaw | None = None,
+    *,
+    progress: Progress | None = None,
+) -> list[CommandOnArms]:
+    """Return the commands of rivals, each slowed until its command keeps the limits, if it does."""
+    found = commands_on_arms(problem, arm, motions, law, progress=progress)
+    return [slow_until_led(problem, arm, each) for each in found]
 
 
 def slow_until_led(

@@ -76,7 +76,7 @@ class Uncertainty:
     ] = 0.2
     draws: Annotated[
         int, Bounds(least=50, most=10000), Doc("Number of random arms for the distribution.")
-    ] = 60
+    ] = 100
     seed: Annotated[int, Bounds(least=0), Doc("Seed of the random draws.")] = 1
     # Stated by the user; `AssumedUncertainty` holds the defaults otherwise.
     stated: ClassVar[bool] = True

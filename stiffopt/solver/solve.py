@@ -170,7 +170,7 @@ def solve_with_state(
         )
     solution = _name_steps_left_out(run, solution)
     if simulate:
-        solution = with_simulation(stated, solution, progress, motion, run.command)
+        solution = with_simulation(stated, solution, progress, motion, run.command, run.rivals)
     kept = None if run.optimum is None else (run, run.optimum)
     return replace(solution, inputs_hash=inputs_hash(stated)), kept
 

@@ -195,3 +195,24 @@ def test_a_sweep_varies_the_time_and_the_part_of_a_cycle(tmp_path, capsys):
     legs = np.sum([table[f"leg_{k}"] for k in (1, 2, 3)], axis=0)
     assert legs == pytest.approx([2.9, 3.3])
     assert table["objective"][1] < table["objective"][0]
+
+
+@pytest.mark.slow
+def test_a_stored_cycle_is_simulated_again_with_other_servos_and_damping(folder, tmp_path, capsys):
+    stated = json.loads((folder / "cycle.json").read_text())
+    same, damped, slow = (tmp_path / name for name in ("same", "damped", "slow"))
+    assert run(["simulate", str(folder), "--out", str(same)]) == 0
+    assert run(["simulate", str(folder), "--out", str(damped), "--damping", "0.2"]) == 0
+    assert run(["simulate", str(folder), "--out", str(slow), "--bandwidth", "5"]) == 0
+    found, less, more = (
+        json.loads((each / "simulation.json").read_text()) for each in (same, damped, slow)
+    )
+    for leg, own in zip(stated["legs"], found["legs"], strict=True):
+        assert own["flight"] == pytest.approx(leg["tool_error"]["flight"], rel=0.02)
+    assert less["legs"][2]["flight"] < 0.6 * found["legs"][2]["flight"]
+    assert more["in_flight"] > 2.0 * found["in_flight"]
+    table = read_table(same / "simulation.csv", ["t", "distance"])
+    assert max(table["distance"]) >= found["in_flight"]
+    capsys.readouterr()
+    assert run(["simulate", str(folder), "--set", "uncertainty.stiffness=0.3"]) == 2
+    assert "Omit --set" in capsys.readouterr().err

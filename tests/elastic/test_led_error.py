@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -17,6 +18,7 @@ from stiffopt.elastic.smooth_motion import smooth_motion
 from stiffopt.elastic.uncertain_arms import Member, UncertainArms
 from stiffopt.elastic.uncertainty import ParameterBox, Uncertainty
 from stiffopt.problem.motor_model import MotorLaw
+from stiffopt.result.compensation import Spread
 from stiffopt.result.joint_path import JointPath
 from stiffopt.robot.files import load_robot
 
@@ -60,3 +62,33 @@ def test_no_uncertainty_leaves_no_error(planned):
     unsure = led_error(elastic, link, Uncertainty(), Servo())
     assert found.shares == {}
     assert found.in_flight < 1e-2 * unsure.in_flight
+
+
+def test_bounds_hold_for_sampled_arms_and_are_tight():
+    robot = load_robot("er3a_c60").with_payload(1.0, (0.0, 0.0, 0.05), (1e-3, 1e-3, 1e-3))
+    path = JointPath.through(
+        np.array([[0.4, 0.1, 0.2, 0.0, 0.8, 0.3], [-0.3, 0.4, 0.0, 0.2, 0.6, 0.0]])
+    )
+    elastic = ElasticArm(robot, path(np.zeros(1))[0])
+    link = smooth_motion(path.follow(quintic_law(0.5)), 0.02)
+    usual, servo = Uncertainty(), Servo(kind="industrial")
+    many = UncertainArms(elastic, link, servo, usual.worst_servo(servo))
+    motors = MotorLaw(robot).motion(link, 1e-2, elastic.lag(link(np.zeros(1))[0]))
+    command = MotorMotion.of(servo.lead(motors))
+    drawn, other = (
+        many.simulate(
+            [
+                Member(command=command, departure=each)
+                for each in ParameterBox(replace(usual, **asked), robot).drawn()
+            ]
+        )
+        for asked in ({}, {"draws": 500, "seed": 3})
+    )
+    found = led_error(elastic, link, usual, servo)
+    for phase, worst in ((drawn.flight, found.in_flight), (drawn.after, found.after_arrival)):
+        draws = drawn.peaks(phase)["position"]
+        spread = Spread(nominal=0.0, worst=0.0, worst_case="", worst_arm={}, draws=draws, parts={})
+        peaks = other.peaks(phase)["position"]
+        assert np.mean(peaks > spread.bound) <= 0.05
+        assert spread.bound <= 1.3 * np.quantile(peaks, 0.95)
+        assert peaks.max() < 1.02 * worst

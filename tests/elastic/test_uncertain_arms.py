@@ -98,7 +98,7 @@ def test_corners_and_draws_are_within_bounds(tmp_path):
     assert nominal.factors() == modelled.factors()
     arms = box.drawn()
     stiffness = np.array([each.stiffness for each in arms])
-    assert len(arms) == 60
+    assert len(arms) == 100
     assert np.all(np.abs(stiffness - 1.0) <= [0.1, 0.3])
     assert np.all(np.std(stiffness, axis=0) > [0.04, 0.12])
     assert np.array_equal(stiffness, np.array([each.stiffness for each in box.drawn()]))

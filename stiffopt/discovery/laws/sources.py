@@ -91,7 +91,7 @@ SOURCE_KINDS = {
         words="load of joint {}",
         forms=(
             *_SIGNED_FORMS,
-            *("hinge_above", "hinge_below", "lag", "stop", "play", "sprung", "mode", "loose"),
+            *("hinge_above", "hinge_below", "lag", "stop", "sprung", "mode", "loose"),
         ),
     ),
     "windup": SourceKind(

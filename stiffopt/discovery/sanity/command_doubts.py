@@ -9,7 +9,7 @@ import numpy as np
 from stiffopt.discovery.sanity.doubt import Doubt, format_joints
 from stiffopt.recording.channel_faults import MIN_TRAVEL
 from stiffopt.recording.recording_set import RecordingSet
-from stiffopt.recording.run import RecordedRun
+from stiffopt.recording.run import RecordedRun, command_interval
 
 # Range of the ratio of commanded to measured travel in one unit: a weak joint covers a share.
 _TRAVEL_RATIO = (1.0 / 3.0, 3.0)
@@ -172,18 +172,11 @@ def find_lag(run: RecordedRun) -> np.ndarray:
 
 def _doubt_thinned(runs: Sequence[RecordedRun], moving: np.ndarray) -> Iterator[Doubt]:
     """Doubt commands that change far more rarely than rows are logged."""
-    intervals, steps = [], []
-    for run in runs:
-        assert run.command is not None
-        command = run.command[:, moving]
-        changed = np.any(np.nan_to_num(np.diff(command, axis=0)) != 0.0, axis=1)
-        times = run.time[1:][changed]
-        if len(times) > 2:
-            intervals.append(float(np.median(np.diff(times))))
-            steps.append(run.step)
-    if not intervals:
+    each = np.array([(command_interval(run, moving), run.step) for run in runs])
+    each = each[np.isfinite(each[:, 0])]
+    if not len(each):
         return
-    interval, step = float(np.median(intervals)), float(np.median(steps))
+    interval, step = np.median(each, axis=0)
     if interval > _MAX_COMMAND_INTERVAL and interval > _MIN_HELD_ROWS * step:
         yield Doubt(
             kind="command rate",
