@@ -20,9 +20,10 @@ from stiffopt.certificate.rigid_body import (
 )
 from stiffopt.certificate.violations import find_drive_violations, find_violations
 from stiffopt.elastic.arm import ElasticArm
-from stiffopt.elastic.error_propagation import propagate_error
+from stiffopt.elastic.led_error import led_error
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
+from stiffopt.elastic.smooth_motion import smooth_motion
 from stiffopt.errors import NotSimulatedError
 from stiffopt.exact.chain import compliance_along, windup_along
 from stiffopt.problem.objective import OBJECTIVES
@@ -37,6 +38,9 @@ _MotionArrays = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 # Equal steps of the certificate's grid, plus one.
 FINE_GRID_POINTS = 6001
+# Knots of the spline through a motion that was not planned for a lead [s]: commands of S-curves and
+# toppra's motions within the motors' limits have these.
+_LED_KNOT_SPACING = 0.02
 # Joint speed [rad/s] or [m/s] below which dry friction has no direction: rounding of zero.
 _STANDSTILL_SPEED = 1e-9
 
@@ -116,12 +120,13 @@ def assess(
         if values is not None
         for j, value in enumerate(values, start=1)
     }
-    swing = propagated = None
+    swing = led = None
     if whole and problem.judges_uncertain_arms:
         with suppress(NotSimulatedError):
-            propagated = propagate_error(
+            led = led_error(
                 ElasticArm(robot, position[0], problem.process_force),
-                motion if link is None else link,
+                # As commands of rivals do: a lead needs continuous jerk.
+                smooth_motion(motion, _LED_KNOT_SPACING) if link is None else link,
                 problem.uncertainty,
                 problem.servo,
             )
@@ -129,9 +134,7 @@ def assess(
         arm = ElasticArm(robot, position[0], problem.process_force)
         command = MotorMotion(times, position, velocity)
         swing = simulate(arm, command, band=problem.active_limits.settling_band)
-    return find_violations(
-        problem, replace(assessment, integrals=named, simulated=swing, propagated=propagated)
-    )
+    return find_violations(problem, replace(assessment, integrals=named, simulated=swing, led=led))
 
 
 def drive_violations(

@@ -37,7 +37,16 @@ if TYPE_CHECKING:
 
     import numpy as np
 
+    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.recipe.stored_result import StoredResult
     from stiffopt.robot.robot import Robot
+
+
+def _with_model(problem: TrajectoryProblem, model: Path, effects: Path | None) -> TrajectoryProblem:
+    """Return the problem with the robot of an extended model."""
+    from stiffopt.discovery.extended.planning import extended_problem, planner_model, read_model
+
+    return extended_problem(problem, planner_model(problem.robot, read_model(model, effects)))
 
 
 @app.command
@@ -51,6 +60,8 @@ def simulate(
     feed_forward: float = 1.0,
     delay: str = "0 s",
     damping: float | None = None,
+    model: Path | None = None,
+    effects: Path | None = None,
     changes: Changes = (),
     open_report: Open = False,
 ) -> int:
@@ -78,6 +89,11 @@ def simulate(
         Dead time of the loop.
     damping
         Damping ratio of each elastic joint on its own, in place of the robot file's damping.
+    model
+        extended.toml of a diagnosis of this arm: the arm that the motion is simulated on; default:
+        the one that it was planned with.
+    effects
+        Python file of its user-defined effects.
     """
     from stiffopt.command.compensation import judge_existing_command
     from stiffopt.command.simulation import elastic_arm, simulate_motions
@@ -109,10 +125,12 @@ def simulate(
     servo = None if bandwidth is None else Servo(bandwidth, feed_forward, late)
     if (result / CYCLE_FILE).is_file():
         refuse_changes(changes, "a simulated cycle has the arm as modelled. Omit --set.")
+        if model is not None:
+            raise InputError("--model: a cycle is simulated on its own arm. Omit the option.")
         return _simulate_cycle(
             result, out or result, problem, servo=servo, band=settled, damping=damping
         )
-    stored = read_result(result, problem, changes)
+    stored = _stored_on_model(read_result(result, problem, changes, _with_model), model, effects)
     if changes and stored.command is None:
         raise InputError(
             f"--set {shortened(changes[0])}: uncertainties apply to a command, and {result} has no "
@@ -145,6 +163,20 @@ def simulate(
     print(f"Wrote {path}, {path.with_suffix('.csv').name} and {page.name}")
     show_report(folder, open_report, page.name)
     return 0
+
+
+def _stored_on_model(
+    stored: StoredResult, model: Path | None, effects: Path | None
+) -> StoredResult:
+    """Return a result whose problem has the arm of an extended model."""
+    if model is None:
+        return stored
+    if stored.model is not None:
+        raise InputError(
+            f"--model: the motion was planned with {stored.model}, and is simulated on that arm."
+            " Omit the option, or solve without a model."
+        )
+    return replace(stored, problem=_with_model(stored.problem, model, effects))
 
 
 def _simulate_cycle(result: Path, folder: Path, problem: Path | None, **settings: Any) -> int:
@@ -182,35 +214,41 @@ def _simulate_cycle(result: Path, folder: Path, problem: Path | None, **settings
 
 @app.command
 def view(
-    result: Path, *, problem: SolvedProblem = None, port: int = 8080, changes: NoChanges = ()
+    result: Path,
+    *,
+    problem: SolvedProblem = None,
+    out: Out | None = None,
+    show: Annotated[bool, Parameter(name="--open", help="Open the page in the browser.")] = True,
+    changes: NoChanges = (),
 ) -> int:
-    """Show a solved motion in the browser until Ctrl-C; needs the extra `view`.
+    """Show a solved motion in the browser: scene.html, which needs no network.
 
     Parameters
     ----------
     result
         Folder of a solve.
-    port
-        Local port of the page; if it is in use, the next one is taken.
+    out
+        Folder for the page; default: the folder of the solve.
     """
     from stiffopt.recipe.stored_result import read_result
-    from stiffopt.report.scene.live import LiveScene
     from stiffopt.report.scene.poses import stored_poses
+    from stiffopt.report.scene.still import write_scene_page
 
     refuse_changes(changes)
     stored = read_result(result, problem)
     own, *others = stored.motions()
-    ghost = next((each for each in others if each.name == "toppra"), None)
-    robot = stored.problem.robot
-    scene = LiveScene(
-        robot,
-        stored_poses(robot, own.time, own.position, stored.windup),
-        None if ghost is None else stored_poses(robot, ghost.time, ghost.position),
-        cell=stored.problem.cell,
-        port=port,
-    )
-    print(f"{result} is shown at {scene.address}. Stop with Ctrl-C.", flush=True)
-    scene.run()
+    robot, folder = stored.problem.robot, out or result
+    motions = {"planned": stored_poses(robot, own.time, own.position, stored.windup)}
+    motions |= {
+        each.name: stored_poses(robot, each.time, each.position)
+        for each in others
+        if each.name == "toppra"
+    }
+    with output_folder(folder, "view", of="solve") as stage:
+        title = stored.problem.title or robot.name
+        page = write_scene_page(title, robot, motions, stage / "scene.html", stored.problem.cell)
+    print(f"Wrote {folder / page.name}")
+    show_report(folder, show, page.name)
     return 0
 
 

@@ -9,9 +9,9 @@ above the nominal one.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,12 +20,8 @@ from stiffopt.command.command_search import (
     CommandOnArms,
     CommandSearch,
     ExistingCommand,
-    SimulationRequests,
 )
-from stiffopt.elastic.uncertain_arms import (
-    SimulationRequest,
-    simulate_uncertain_arms,
-)
+from stiffopt.elastic.uncertain_arms import SimulationRequests, answer_together
 from stiffopt.problem.motor_model import MotorLaw
 from stiffopt.result.compensation import COMMAND_FILE, CompensatedMotion, Compensation
 from stiffopt.result.store import export_times
@@ -47,7 +43,6 @@ _MAX_RIVAL_SLOWDOWN = 1.5
 _MIN_SLOWDOWN_STEP, _MAX_SLOWDOWN_STEP = 1.01, 1.1
 
 Progress = Callable[[str], object]
-Result = TypeVar("Result")
 
 
 def compensate(
@@ -56,6 +51,7 @@ def compensate(
     motions: Sequence[PlannedMotion],
     *,
     known: CommandOnArms | None = None,
+    rivals: Sequence[CommandOnArms] | None = None,
     progress: Progress | None = None,
 ) -> Compensation:
     """Return the command of the first motion, and the effect of compensation on all motions.
@@ -69,6 +65,8 @@ def compensate(
         The optimised one first.
     known : CommandOnArms, optional
         Of the first motion, where it is known already.
+    rivals : sequence of CommandOnArms, optional
+        Of the others, as of `rival_commands`.
     progress : callable, optional
         Called with the name of each motion before it is compensated.
 
@@ -79,11 +77,10 @@ def compensate(
     RobotError
         An uncertainty takes a joint's damping above critical.
     """
-    first, law = ([], None) if known is None else ([known], known.law)
-    others = motions[len(first) :]
-    found = [*first, *commands_on_arms(problem, arm, others, law, progress=progress)]
-    own = found[0]
-    found = [own, *(slow_until_led(problem, arm, each) for each in found[1:])]
+    own = known or commands_on_arms(problem, arm, motions[:1], progress=progress)[0]
+    if rivals is None:
+        rivals = rival_commands(problem, arm, motions[1:], own.law, progress=progress)
+    found = [own, *rivals]
     refusal, command = _explain_refusal(problem, own.excess), None
     if not refusal:
         command = assess(problem, own.motors, times=export_times(own.motors.duration))
@@ -107,6 +104,19 @@ def compensate(
         rival_plan=assess(problem, plan.rival.at(duration), times=export_times(duration)),
         rival_command=assess(problem, motors, times=export_times(motors.duration)),
     )
+
+
+def rival_commands(
+    problem: TrajectoryProblem,
+    arm: ElasticArm,
+    motions: Sequence[PlannedMotion],
+    law: MotorLaw | None = None,
+    *,
+    progress: Progress | None = None,
+) -> list[CommandOnArms]:
+    """Return the commands of rivals, each slowed until its command keeps the limits, if it does."""
+    found = commands_on_arms(problem, arm, motions, law, progress=progress)
+    return [slow_until_led(problem, arm, each) for each in found]
 
 
 def slow_until_led(
@@ -154,19 +164,17 @@ def judge_existing_command(
     """
     law = MotorLaw(problem.robot, problem.process_force)
     own, *others = motions
-    chosen = _answer_together(
-        [_start_request(CommandSearch(problem, arm, each, law).chosen_command()) for each in others]
+    chosen = answer_together(
+        [CommandSearch(problem, arm, each, law).chosen_command() for each in others]
     )
     problem = problem if uncertainty is None else replace(problem, uncertainty=uncertainty)
     arm = arm if damping is None else arm.damped(damping)
-    asking = [_start_request(CommandSearch(problem, arm, own, law, servo).judge_existing(made))]
+    asking = [CommandSearch(problem, arm, own, law, servo).judge_existing(made)]
     asking += [
-        _start_request(
-            CommandSearch(problem, arm, motion, law, servo=servo).judge_existing(command)
-        )
+        CommandSearch(problem, arm, motion, law, servo=servo).judge_existing(command)
         for motion, command in zip(others, chosen, strict=True)
     ]
-    found = _answer_together(asking)
+    found = answer_together(asking)
     return Compensation(
         motions=tuple(each.for_reports() for each in found),
         command=None,
@@ -194,12 +202,14 @@ def commands_on_arms(
     Parameters as of `compensate`; `law` is the problem's motor law, where it exists already.
     """
     law = law or MotorLaw(problem.robot, problem.process_force)
-    asking = []
-    for motion in motions:
-        if progress is not None:
-            progress(motion.name)
-        asking.append(_start_request(CommandSearch(problem, arm, motion, law).evaluate_command()))
-    return _answer_together(asking)
+
+    def asking() -> Iterator[SimulationRequests[CommandOnArms]]:
+        for motion in motions:
+            if progress is not None:
+                progress(motion.name)
+            yield CommandSearch(problem, arm, motion, law).evaluate_command()
+
+    return answer_together(asking())
 
 
 def compensate_motion(
@@ -208,30 +218,6 @@ def compensate_motion(
     """Return the effect of compensation on one motion, and the motors' command."""
     (found,) = commands_on_arms(problem, arm, [motion])
     return found.for_reports(), found.motors
-
-
-def _start_request(
-    asking: SimulationRequests[Result],
-) -> tuple[SimulationRequests[Result], SimulationRequest]:
-    """Advance a generator to its first simulation request."""
-    return asking, next(asking)
-
-
-def _answer_together(
-    begun: Sequence[tuple[SimulationRequests[Result], SimulationRequest]],
-) -> list[Result]:
-    """Return the results of several generators, simulating their requests of a round together."""
-    asked: dict[SimulationRequests[Result], SimulationRequest] = dict(begun)
-    answers: dict[SimulationRequests[Result], Result] = {}
-    while asked:
-        swings = simulate_uncertain_arms(list(asked.values()))
-        for asking, own in zip(list(asked), swings, strict=True):
-            try:
-                asked[asking] = asking.send(own)
-            except StopIteration as ended:
-                answers[asking] = ended.value
-                del asked[asking]
-    return [answers[asking] for asking, _ in begun]
 
 
 def _explain_refusal(problem: TrajectoryProblem, excess: tuple[Violation, ...]) -> str:

@@ -88,7 +88,7 @@ def solve_cycle(
         if not usable:
             return found
         if not simulate:
-            return run.judge_duty(found)
+            return run.with_verdict(found)
         solutions = run.with_commands(solutions)
         try:
             simulation, settled = simulate_cycle(cycle, solutions, rests)
@@ -100,7 +100,7 @@ def solve_cycle(
         rests = settled
         if changed <= _SAME_REST or cycle.time_is_minimised:
             break
-    return run.with_rivals(run.judge_duty(found))
+    return run.with_rivals(run.with_verdict(found))
 
 
 class _CycleRun:
@@ -350,8 +350,8 @@ class _CycleRun:
         value = combined(np.array([each.value for each in found]), lasted, self._combination)
         return replace(found[0], value=value, terms={})
 
-    def judge_duty(self, found: CycleSolution) -> CycleSolution:
-        """Result with its duty, judged by the limits of that and of the cycle's time."""
+    def with_verdict(self, found: CycleSolution) -> CycleSolution:
+        """Return the result with its duty, judged by the limits of that and of the cycle's time."""
         upper = self._cycle.duration[1]
         if found.duration > upper * (1.0 + 1e-9):
             found = replace(

@@ -98,7 +98,7 @@ def check_file(file: Path, result: Path, problem: Path | None = None) -> Checked
             file, "", f"is not the motion of {result}, although its header matches. Export the "
             "motion again."
         )  # fmt: skip
-    motion = stored.sampled(rate, whole_steps=FORMATS[kind].whole_steps)
+    motion = FORMATS[kind].sample(stored, rate)
     tightest = stored.judge(motion)
     payload = stored.problem.robot.payload
     return CheckedMotion(

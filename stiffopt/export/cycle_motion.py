@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,19 +36,12 @@ class StoredCycle(StoredMotion):
 
     Parameters
     ----------
-    legs : tuple of StoredMotion
     starts : tuple of float
         Of the legs [s].
-    events : tuple of MotionEvent
     """
 
     legs: tuple[StoredMotion, ...]
     starts: tuple[float, ...]
-    events: tuple[MotionEvent, ...]
-
-    def sampled(self, rate: float, *, whole_steps: bool = False) -> SampledMotion:
-        """Sample at a rate [Hz]; parameters as of `StoredMotion.sampled`."""
-        return replace(super().sampled(rate, whole_steps=whole_steps), events=self.events)
 
     def judge(self, motion: SampledMotion) -> Violation:
         """Return the tightest limit of the drives at the samples of all legs."""

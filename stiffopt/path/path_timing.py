@@ -53,7 +53,7 @@ _LEAST_ALLOWANCE = 0.4
 # Relative change of the duration below which the nodes are kept.
 _NODE_CHANGE_GAIN = 0.05
 # Limits that the programme keeps, and the power of the speed that each grows with.
-_LIMIT_ORDERS = {"velocity": 1, "tool_speed": 1, "acceleration": 2, "torque": 2, "jerk": 3}
+_DERIVATIVE_ORDERS = {"velocity": 1, "tool_speed": 1, "acceleration": 2, "torque": 2, "jerk": 3}
 # Largest x: the tangent of the jerk limit admits nothing above 3.
 _LARGEST_SCALE = 2.9
 # Share of the limits that the first timing uses, and its time of rise to full acceleration [s].
@@ -151,8 +151,9 @@ def _fastest_part(found: _PathTiming, path: JointPath) -> Trajectory:
 
 def _slowing(uses: Mapping[str, np.ndarray]) -> float:
     """Return the factor on the duration at which limits are kept that are used so far."""
-    factors = [float(used.max()) ** (1.0 / _LIMIT_ORDERS[name]) for name, used in uses.items()]
-    return float(max(1.0, *factors))
+    return max(
+        1.0, *(float(used.max()) ** (1.0 / _DERIVATIVE_ORDERS[name]) for name, used in uses.items())
+    )
 
 
 class _PathTiming:
@@ -226,7 +227,7 @@ class _PathTiming:
         Above 1 where the motion exceeds the limit between the stages of the programme.
         """
         piece, limits, share = self._pieces(law), self._limits, self._demands.share
-        found: dict[str, np.ndarray] = dict.fromkeys(_LIMIT_ORDERS, np.zeros(len(piece)))
+        found: dict[str, np.ndarray] = dict.fromkeys(_DERIVATIVE_ORDERS, np.zeros(len(piece)))
         for stage in _CHECKED_STAGES:
             own = law.at(stage)
             q, *rates = self._joint_motion(own, piece)

@@ -56,6 +56,14 @@ class Spread:
         """Quantile of the sampled peaks."""
         return float(np.quantile(self.draws, share))
 
+    @property
+    def bound(self) -> float:
+        """Bound of 95 % of the arms, with 99 % confidence: an order statistic (Wilks 1941) [m]."""
+        from scipy.stats import binom
+
+        rank = int(binom.ppf(0.99, len(self.draws), 0.95))
+        return float(np.sort(self.draws)[min(rank, len(self.draws) - 1)])
+
 
 @dataclass(frozen=True, kw_only=True)
 class Spreads:
@@ -271,6 +279,7 @@ def _spread_document(spread: Spread) -> dict[str, Any]:
     return {
         "nominal": spread.nominal,
         "worst": spread.worst,
+        "bound_95": spread.bound,
         "worst_case": spread.worst_case,
         "worst_arm": spread.worst_arm,
         "parts": {name: dict(vars(part)) for name, part in spread.parts.items()},

@@ -75,16 +75,12 @@ class LegResult:
 
     Parameters
     ----------
-    name : str
-    moves : tuple of int
     problem : TrajectoryProblem
         As it was solved.
-    solution : Solution
     start, arrival : float
         In the time of the cycle [s].
     dwell : float
         Rest after arrival [s].
-    until_settled : bool
     event : str
         Kind of the event at arrival, "" for none.
     mass_before, mass_after : float
@@ -157,7 +153,6 @@ class RivalCycle:
 
     Parameters
     ----------
-    name : str
     duration : float
         With the dwells of the optimised cycle [s].
     objective : float
@@ -177,8 +172,6 @@ class CycleSolution:
     ----------
     status : SolveStatus
         The worst of the legs.
-    message : str
-    title : str
     legs : tuple of LegResult
         In order, as far as solved.
     objective : ObjectiveValue or None

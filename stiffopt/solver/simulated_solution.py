@@ -58,11 +58,12 @@ def with_simulation(
     progress: ProgressCallback | None = None,
     motion: ResolvedMotion | None = None,
     command: CommandOnArms | None = None,
+    rivals: tuple[float, list[CommandOnArms]] | None = None,
 ) -> Solution:
     """Return the solution with its simulation and its command, or with a note on why there is none.
 
-    `motion` are the problem's poses where they are resolved already; `command` is one of the
-    solve, used where it belongs to this solution.
+    `motion` are the problem's poses where they are resolved already; `command` and `rivals` are of
+    the solve, used where they belong to this solution and its duration.
     """
     stopped, assessment = solution.status is SolveStatus.INTERRUPTED, solution.assessment
     if assessment is None or stopped or not problem.robot.yields:
@@ -97,14 +98,31 @@ def with_simulation(
         if command is not None and command.motion.motors is not solution.trajectory:
             command = None
         tell = _progress_callback(progress, solution)
+        others = None
+        if rivals is not None and np.isclose(rivals[0], assessment.duration):
+            others = rivals[1]
         compensation = until_interrupted(
-            lambda: compensate(problem, arm, motions, known=command, progress=tell), lambda: None
+            lambda: compensate(problem, arm, motions, known=command, rivals=others, progress=tell),
+            lambda: None,
         )
     except NotSimulatedError as error:
         return _add_note(solution, f"Not simulated on the elastic arm: {error}")
     if compensation is None:
         return _add_note(solution, _COMMAND_INTERRUPTED)
-    return with_path_notes(problem, replace(solution, compensation=compensation))
+    found = _judge_beside_rivals(problem, replace(solution, compensation=compensation))
+    return with_path_notes(problem, found)
+
+
+def _judge_beside_rivals(problem: TrajectoryProblem, solution: Solution) -> Solution:
+    """Return the solution; a motion of least tool error is not optimal where a rival wins."""
+    led = solution.compensation
+    aimed = any(each.kind.of_uncertain_arms for each in problem.objectives)
+    if not (aimed and led is not None and led.rival_wins and led.best_rival is not None):
+        return solution
+    message = f"{solution.message} But the command of the {led.best_rival.name} motion is better."
+    lower = solution.status is SolveStatus.OPTIMAL
+    status = SolveStatus.ACCEPTABLE if lower else solution.status
+    return replace(solution, status=status, message=message)
 
 
 def _explain_missing_command(problem: TrajectoryProblem, own: PlannedMotion) -> str:

@@ -95,6 +95,8 @@ class SolveRun:
     detour: Baseline | None = None
     strict: Baseline | None = None
     command: CommandOnArms | None = None
+    # Duration for which the rivals' commands were made [s], and those.
+    rivals: tuple[float, list[CommandOnArms]] | None = None
     begin: float = field(default_factory=time.perf_counter)
     build_s: float = 0.0
     solve_s: float = 0.0

@@ -12,7 +12,8 @@ from small_cycles import GRIP, write_cycle_file
 
 from stiffopt.cli import run
 from stiffopt.cycle.solve_cycle import solve_cycle
-from stiffopt.export.format import read_seal
+from stiffopt.export.cycle_motion import read_stored
+from stiffopt.export.format import FORMATS, read_seal
 from stiffopt.files import read_table
 from stiffopt.problem.cycle_files import load_cycle
 
@@ -69,6 +70,22 @@ def test_table_and_export_are_one_continuous_motion(folder, tmp_path, capsys):
     capsys.readouterr()
     assert run(["check", str(tmp_path / "csv" / "motor.csv"), "--result", str(folder)]) == 0
     assert "All limits are met" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_programs_of_points_stop_at_events(folder):
+    stored, form = read_stored(folder), FORMATS["staubli-val3"]
+    motion = form.sample(stored, 20.0)
+    steps = form.steps(motion)
+    at = [k for k, step in enumerate(steps) if step.event]
+    assert [steps[k].event.kind for k in at] == ["grip", "release"]
+    for k in at:
+        assert steps[k - 1].stop
+        pose = motion.position[steps[k - 1].sample]
+        np.testing.assert_allclose(pose, stored.curve(steps[k].event.time), atol=1e-9)
+    legs = json.loads((folder / "cycle.json").read_text())["legs"]
+    rests = sum(step.rest for step in steps)
+    assert rests == pytest.approx(sum(leg["dwell"] for leg in legs), abs=0.05 * len(legs))
 
 
 @pytest.mark.slow

@@ -127,7 +127,7 @@ class ReducerLoad(JointIntegral):
     prefixed = False
 
     def integrand(self, problem: TrajectoryProblem, model: StageModel, joint: int) -> Quantity:
-        """Load, smooth at rest."""
+        """Smooth at rest."""
         rating = life_rating(problem.robot, joint - 1)
         speed = model.link[1][joint - 1] / rating.speed
         torque = model.torques.spring[joint - 1] / rating.torque
@@ -135,7 +135,7 @@ class ReducerLoad(JointIntegral):
         return turning * (torque**2 + _SMOOTH_SHARE**2) ** (0.5 * rating.exponent)
 
     def certified_integrand(self, robot: Robot, motion: Assessment) -> np.ndarray:
-        """Load by the certificate's spring torques."""
+        """Return the integrand of the certificate's spring torques."""
         ratings = [life_rating(robot, j) for j in range(robot.n)]
         torque, speed, exponent = np.array([(r.torque, r.speed, r.exponent) for r in ratings]).T
         return np.asarray(

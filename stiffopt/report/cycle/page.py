@@ -164,11 +164,6 @@ def duty_text(solution: CycleSolution) -> str:
     return f"{text}."
 
 
-def _rounded_degrees(angles: np.ndarray) -> np.ndarray:
-    """Angles [deg] without the rounding of an inverse-kinematic solution about zero."""
-    return np.asarray(np.round(np.degrees(angles), 3) + 0.0)
-
-
 def posture_rows(solution: CycleSolution) -> list[list[str]]:
     """Rows of the table of postures."""
     return [
@@ -176,7 +171,7 @@ def posture_rows(solution: CycleSolution) -> list[list[str]]:
             posture.name,
             posture.branch or DASH,
             f"chosen of {posture.candidates}" if posture.chosen else "given",
-            ", ".join(f"{angle:.4g}" for angle in _rounded_degrees(posture.joints)),
+            ", ".join(f"{angle:.4g}" for angle in np.round(np.degrees(posture.joints), 3) + 0.0),
         ]
         for posture in solution.postures
     ]
