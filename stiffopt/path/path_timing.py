@@ -151,9 +151,8 @@ def _fastest_part(found: _PathTiming, path: JointPath) -> Trajectory:
 
 def _slowing(uses: Mapping[str, np.ndarray]) -> float:
     """Return the factor on the duration at which limits are kept that are used so far."""
-    return max(
-        1.0, *(float(used.max()) ** (1.0 / _DERIVATIVE_ORDERS[name]) for name, used in uses.items())
-    )
+    factors = [float(used.max()) ** (1.0 / _DERIVATIVE_ORDERS[name]) for name, used in uses.items()]
+    return float(max(1.0, *factors))
 
 
 class _PathTiming:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
@@ -37,11 +39,10 @@ def life_rating(robot: Robot, joint: int) -> LifeRating:
     chain = robot.chains[joint]
     for stage in () if chain is None else chain.stages:
         # Elements of other kinds, which this layer does not import, have no rating.
-        torque, speed, life, exponent = (
-            getattr(stage.element, name, None)
-            for name in ("rated_torque", "rated_speed", "rated_life", "life_exponent")
-        )
-        if None not in (torque, speed, life, exponent):
+        names = ("rated_torque", "rated_speed", "rated_life", "life_exponent")
+        rated = [getattr(stage.element, name, None) for name in names]
+        if None not in rated:
+            torque, speed, life, exponent = np.array(rated, dtype=float).tolist()
             return LifeRating(
                 torque=torque * stage.reduction,
                 speed=speed / stage.ratio,

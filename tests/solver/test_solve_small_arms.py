@@ -87,6 +87,8 @@ OBJECTIVES = {
     "compliance": 'objective = "mean_compliance"\njoints = [1, 2]',
     "torque": 'objective = "torque_squared"',
     "acceleration": 'objective = "acceleration_squared"\njoints = [2]',
+    "reducers": 'objective = "reducer_load"\njoints = [1]',
+    "work": 'objective = "drive_work"',
     "sum": 'objective = "torque_squared"\nweight = 2.0\n---\nobjective = "dynamic_deflection"',
 }
 
