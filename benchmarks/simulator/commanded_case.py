@@ -95,10 +95,12 @@ def write_commanded_case(spec: CommandedSpec, folder: Callable[[], Path]) -> dic
         world, about = _with_effect(spec, arm, world, commands[0], rng)
         truth |= about
     columns = [_log(arm, simulate(world, own)[0], own, rng) for own in commands]
-    truth |= {name: getattr(world, name).tolist() for name in ("kp", "kd", "armature")}
-    truth |= {name: getattr(world, name).tolist() for name in ("coulomb", "viscous", "delay")}
-    # A servo of the simulation holds its torque over a step: half of it later in the mean.
-    truth["delay"] = (world.delay + 0.5 * TIMESTEP).tolist()
+    truth |= {name: getattr(world, name).tolist() for name in ("kp", "kd", "coulomb", "viscous")}
+    # A step takes angles at its middle: torques begin half a step before their command, and rates
+    # are half a step old in a servo, new in a bearing.
+    late = 0.5 * TIMESTEP
+    truth["delay"] = (world.delay - late).tolist()
+    truth["armature"] = (world.armature + late * (world.viscous - world.kd)).tolist()
     truth |= {"gains_stated": spec.gains_stated, "mass_scale": world.scale.tolist()}
     text = json.dumps(truth, indent=1, sort_keys=True, default=float) + "\n"
     own = folder()

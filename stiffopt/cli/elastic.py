@@ -6,7 +6,7 @@ import os
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.recipe.stored_result import StoredResult
     from stiffopt.robot.robot import Robot
 
 
@@ -67,9 +68,10 @@ def simulate(
     """Simulate a solved motion and its baselines on the elastic arm.
 
     Writes simulation.json, simulation.csv (the optimised motion every 0.5 ms) and simulation.html
-    with a 3D view of the vibration. A command.csv of the solve is evaluated too: on the nominal
-    arm, at the bounds of the uncertainty and on arms sampled within them; --set changes entries of
-    [uncertainty], such as uncertainty.stiffness=0.3.
+    with a 3D view of the vibration; of a cycle, with its changes of payload, the first two. A
+    command.csv of the solve is evaluated too: on the nominal arm, at the bounds of the uncertainty
+    and on arms sampled within them; --set changes entries of [uncertainty], such as
+    uncertainty.stiffness=0.3.
 
     Parameters
     ----------
@@ -101,6 +103,7 @@ def simulate(
     from stiffopt.report.solve.simulation import write_simulation_report
     from stiffopt.report.solve.terminal import print_compensation, print_simulation
     from stiffopt.result.compensation import COMMAND_FILE
+    from stiffopt.result.cycle import CYCLE_FILE
     from stiffopt.result.store import write_simulation
     from stiffopt.units import to_si
 
@@ -120,14 +123,14 @@ def simulate(
                 "uncertainty of servos. Omit one of the two."
             )
     servo = None if bandwidth is None else Servo(bandwidth, feed_forward, late)
-    stored = read_result(result, problem, changes, _with_model)
-    if model is not None:
-        if stored.model is not None:
-            raise InputError(
-                f"--model: the motion in {result} was planned with {stored.model}, and is simulated"
-                " on that arm. Omit the option, or solve without a model."
-            )
-        stored = replace(stored, problem=_with_model(stored.problem, model, effects))
+    if (result / CYCLE_FILE).is_file():
+        refuse_changes(changes, "a simulated cycle has the arm as modelled. Omit --set.")
+        if model is not None:
+            raise InputError("--model: a cycle is simulated on its own arm. Omit the option.")
+        return _simulate_cycle(
+            result, out or result, problem, servo=servo, band=settled, damping=damping
+        )
+    stored = _stored_on_model(read_result(result, problem, changes, _with_model), model, effects)
     if changes and stored.command is None:
         raise InputError(
             f"--set {shortened(changes[0])}: uncertainties apply to a command, and {result} has no "
@@ -159,6 +162,53 @@ def simulate(
         print_compensation(replace(led, file=str(result / COMMAND_FILE)))
     print(f"Wrote {path}, {path.with_suffix('.csv').name} and {page.name}")
     show_report(folder, open_report, page.name)
+    return 0
+
+
+def _stored_on_model(
+    stored: StoredResult, model: Path | None, effects: Path | None
+) -> StoredResult:
+    """Return a result whose problem has the arm of an extended model."""
+    if model is None:
+        return stored
+    if stored.model is not None:
+        raise InputError(
+            f"--model: the motion was planned with {stored.model}, and is simulated on that arm."
+            " Omit the option, or solve without a model."
+        )
+    return replace(stored, problem=_with_model(stored.problem, model, effects))
+
+
+def _simulate_cycle(result: Path, folder: Path, problem: Path | None, **settings: Any) -> int:
+    """Simulate the commands of a solved cycle with other settings, and write what it found."""
+    import numpy as np
+
+    from stiffopt.cycle.cycle_simulation import simulate_motions
+    from stiffopt.export.cycle_motion import StoredCycle, read_stored
+    from stiffopt.export.motion import SplineMotion
+    from stiffopt.files import load_json
+    from stiffopt.problem.cycle_files import load_cycle
+    from stiffopt.recipe.stored_result import problem_file, read_changes
+    from stiffopt.report.cycle.page import print_simulated_cycle
+    from stiffopt.result.cycle import CYCLE_FILE, write_cycle_simulation
+
+    stored = read_stored(result, "motor", problem)
+    assert isinstance(stored, StoredCycle)
+    path = result / CYCLE_FILE
+    document = load_json(path)
+    changes = read_changes(path, document)
+    cycle = load_cycle(problem_file(path, document, problem), changes).cycle
+    commands = [SplineMotion(leg.curve) for leg in stored.legs]
+    plans = [SplineMotion(leg.curve if leg.link is None else leg.link) for leg in stored.legs]
+    # A command that leads the servo's lag ends after the plan's arrival.
+    for plan, leg in zip(plans, document["legs"], strict=True):
+        plan.duration = leg["arrival"] - leg["start"]
+    rests = np.array([leg["dwell"] for leg in document["legs"]])
+    found = simulate_motions(cycle, commands, plans, rests, **settings)
+    with output_folder(folder, "simulate", of="solve") as stage:
+        written = write_cycle_simulation(found, stage)
+    print_simulated_cycle(cycle, found)
+    print(f"Wrote {', '.join(str(folder / name) for name in written)}")
     return 0
 
 

@@ -42,7 +42,7 @@ def export(
     Parameters
     ----------
     result
-        Folder of a solve whose motion meets its limits, or of a diagnosis.
+        Folder of a solve or an improvement whose motion meets its limits, or of a diagnosis.
     rate
         Sampling rate [Hz]; default 500, for krl-rsi 250, for yaskawa-job and staubli-val3 20.
     pulses
@@ -61,6 +61,7 @@ def export(
     from stiffopt.export.cycle_motion import read_stored
     from stiffopt.export.format import FORMATS
     from stiffopt.export.model_format import MODEL_FORMATS
+    from stiffopt.improvement.improvement_files import IMPROVEMENT_FILE
     from stiffopt.result.store import RESULT_FILE
 
     refuse_changes(changes)
@@ -80,6 +81,7 @@ def export(
     elif to in FORMATS:
         form = FORMATS[to] if pulses is None else FORMATS[to].with_pulses(_read_numbers(pulses))
         texts, maker = form.export(read_stored(result, of, problem), rate), "solve"
+        maker = "improve" if (result / IMPROVEMENT_FILE).is_file() else maker
     else:
         names = [*FORMATS, *MODEL_FORMATS]
         raise InputError(f"--to {to}: unknown format. {nearest(to, names)}")

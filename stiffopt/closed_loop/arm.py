@@ -13,25 +13,31 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from stiffopt import native
 from stiffopt.actuator.law import ActuatorLaw
 from stiffopt.closed_loop.parameters import BODY_PARAMETERS, JOINT_PARAMETERS
 from stiffopt.dynamics.newton_euler import own_bodies, torque_of_bodies
+from stiffopt.interpreter.batched import batched
 from stiffopt.robot.body_tree import BodyTree
 
-# Speed at which dry friction reaches 76 % (tanh 1) [rad/s]: far below that of any motion.
-_DRY_FRICTION_WIDTH = 0.02
 # Rounding of the magnitude of the torque that load friction goes with [N m].
 _LOAD_WIDTH = 0.1
+# Inputs of a step that all lanes share: parameters.
+_SHARED_INPUTS = (2,)
 _STAGE_WEIGHT = 1.0 + 1.0 / np.sqrt(2.0)
 
 
 @dataclass(frozen=True, eq=False)
 class LoopSymbols:
-    """Symbols of one step: state (2 n,), command (n,), parameters (p,), step [s], next state."""
+    """Symbols of one step: state (2 n,), command (n,), parameters (p,), width, step, next state.
+
+    At the width, a speed [rad/s], dry friction reaches 76 % (tanh 1).
+    """
 
     state: ca.SX
     command: ca.SX
     parameters: ca.SX
+    width: ca.SX
     step: ca.SX
     next: ca.SX
 
@@ -63,18 +69,37 @@ class CommandedArm:
         self.tree, self.law, self.middle = tree, law, np.asarray(middle, dtype=float)
         self.added = added
         self.n = tree.n
-        self._functions: dict[bytes, ca.Function] = {}
+        self._steps: dict[bytes, tuple[ca.Function, ca.Function]] = {}
+        self._lanes: dict[tuple[bytes, int], ca.Function] = {}
 
     def step_function(self, free: np.ndarray) -> ca.Function:
         """Return one step with derivatives by some parameters (indices), and by the delay.
 
-        (state and sensitivities (2 n (1 + m),), command and its slope (2 n,), parameters, step) ->
-        the same state after the step. The last sensitivity is that by the delay.
+        (state and sensitivities (2 n (1 + m),), command and its slope (2 n,), parameters and width
+        of dry friction, step) -> the same state after the step. The last sensitivity is that by the
+        delay.
         """
+        return self._both_steps(free)[0]
+
+    def lanes(self, free: np.ndarray, count: int) -> tuple[int, ca.Function]:
+        """Return a number of lanes and `count` steps of all of them, side by side.
+
+        States, commands and steps of the lanes are columns, those of a step together; parameters
+        are the same in all lanes.
+        """
+        step, key = self._both_steps(free)[1], (free.tobytes(), count)
+        if key not in self._lanes:
+            self._lanes[key] = step.mapaccum(count)
+        return int(step.size2_in(0)), self._lanes[key]
+
+    def _both_steps(self, free: np.ndarray) -> tuple[ca.Function, ca.Function]:
+        """Return a step of one lane, and of as many as the compiled core has."""
         key = free.tobytes()
-        if key not in self._functions:
-            self._functions[key] = self._build_step(free)
-        return self._functions[key]
+        if key not in self._steps:
+            step, path = self._build_step(free), native.library()
+            several = None if path is None else batched(path, step, _SHARED_INPUTS)
+            self._steps[key] = step, several or step
+        return self._steps[key]
 
     def _build_step(self, free: np.ndarray) -> ca.Function:
         s = self._symbols()
@@ -90,10 +115,10 @@ class CommandedArm:
             [
                 ca.vertcat(s.state, ca.vec(sensitivity)),
                 ca.vertcat(s.command, slope),
-                s.parameters,
+                ca.vertcat(s.parameters, s.width),
                 s.step,
             ],
-            [ca.vertcat(s.next, ca.vec(after))],
+            [ca.densify(ca.vertcat(s.next, ca.vec(after)))],
         )
 
     def _symbols(self) -> LoopSymbols:
@@ -101,7 +126,7 @@ class CommandedArm:
         n = self.n
         count = (len(JOINT_PARAMETERS) + len(BODY_PARAMETERS)) * n + 1
         state, command = ca.SX.sym("x", 2 * n), ca.SX.sym("u", n)
-        parameters, h = ca.SX.sym("p", count), ca.SX.sym("h")
+        parameters, width, h = ca.SX.sym("p", count), ca.SX.sym("width"), ca.SX.sym("h")
         own = dict(
             zip(
                 JOINT_PARAMETERS,
@@ -127,7 +152,7 @@ class CommandedArm:
             """Return torque that accelerates, and the slope of all losses by the velocity."""
             drive = _clip(kp * (command - q), self.law.drive_max)
             torque = _clip(drive - kd * v, self.law.torque_max)
-            direction = ca.tanh(v / _DRY_FRICTION_WIDTH)
+            direction = ca.tanh(v / width)
             dry = (
                 own["coulomb"]
                 + own["friction_slope"] * (q - ca.DM(self.middle))
@@ -137,11 +162,11 @@ class CommandedArm:
             bias = torque_of_bodies(
                 self.tree, self.tree.gravity, q - own["zero"], v, ca.SX.zeros(n), *bodies
             )
-            slope = kd + own["viscous"] + dry / _DRY_FRICTION_WIDTH * (1.0 - direction**2)
+            slope = kd + own["viscous"] + dry / width * (1.0 - direction**2)
             if self.added is not None:
                 # Velocity and direction are one: both give the slope by which stages are stable.
                 speed = ca.SX.sym("v", n)
-                way = ca.tanh(speed / _DRY_FRICTION_WIDTH)
+                way = ca.tanh(speed / width)
                 more = self.added(q, speed, way, torque)
                 by_speed = ca.diag(ca.jacobian(more, speed))
                 more, by_speed = ca.substitute([more, by_speed], [speed], [v])
@@ -165,15 +190,20 @@ class CommandedArm:
         acceleration = _solve(_factorize(inertia(ahead_q)), balance(ahead_q, ahead_v)[0])
         second = stage(ahead_v - 2.0 * first[0], ca.mtimes(mass, acceleration - 2.0 * first[1]))
         after = state + h * (1.5 * ca.vertcat(*first) + 0.5 * ca.vertcat(*second))
-        return LoopSymbols(state, command, parameters, h, after)
+        return LoopSymbols(state, command, parameters, width, h, after)
 
     def _bodies(self, changes: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Return masses, first moments and inertias with changes (7 n,), body by body."""
         n = self.n
         each = ca.reshape(changes, len(BODY_PARAMETERS), n)
         mass, first, inertia = own_bodies(self.tree)
+        factor = 1.0 + each[0, :]
         about = ca.horzcat(*(ca.diag(each[4:, i]) for i in range(n)))
-        return mass + each[0, :].T, first + each[1:4, :], inertia + about
+        return (
+            mass * factor.T,
+            first * ca.repmat(factor, 3, 1) + each[1:4, :],
+            inertia * ca.kron(factor, ca.DM.ones(3, 3)) + about,
+        )
 
 
 def _clip(value: ca.SX, largest: np.ndarray) -> ca.SX:

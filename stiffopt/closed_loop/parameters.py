@@ -23,9 +23,10 @@ JOINT_PARAMETERS = {
 RATIO_UNITS = {"armature": "s^2", "viscous": "s", "coulomb": "rad"}
 # Those that decide how an arm follows, and that a fit begins with: the rest refines.
 LEADING_PARAMETERS = ("gain", "damping", "armature", "viscous", "coulomb", "offset")
-# Of each body: mass, first moment and inertia about its axis frame, as changes.
+# Of each body, as changes: mass, relative, with its moments in proportion; first moment and inertia
+# about its axis frame besides.
 BODY_PARAMETERS = ("mass", "mcx", "mcy", "mcz", "Ixx", "Iyy", "Izz")
-BODY_UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 3)
+BODY_UNITS = ("1", *("kg m",) * 3, *("kg m^2",) * 3)
 DELAY = "delay"
 # Not below zero.
 _BOUNDED_PARAMETERS = ("armature", "viscous", "coulomb", "load_friction", "drag", DELAY)

@@ -10,16 +10,19 @@ from scipy.optimize import lsq_linear
 
 from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.parameters import Parameters
-from stiffopt.closed_loop.simulation import CommandedRun, Simulated, simulate
+from stiffopt.closed_loop.simulation import CommandedRun, Stretch, simulate_stretches
 
-# Duration of a stretch between measured states [s]: many times the settling of a servo.
-_STRETCH_SECONDS = 5.0
+# Duration of a stretch that is judged, and of the motion before it that forgets the state that it
+# began with, several times the settling of a servo [s].
+_STRETCH_SECONDS, _LEAD_SECONDS = 2.0, 0.5
 # Iterations, the last but one at most; and the relative decrease below which they end.
 _MAX_ITERATIONS, _MIN_DECREASE = 12, 1e-3
 # Rounds in which noise is estimated anew from the residual.
 _NOISE_ROUNDS = 2
 # Duration of all runs that the leading parameters are fitted to, times joints [s].
 _LEADING_SECONDS = 40.0
+# Division of steps and of the width of dry friction by which the fit's dependence on them is told.
+_REFINEMENT_RATIO = 2.0
 # Longest lag over which residuals repeat one another [s].
 _MAX_REPETITION = 1.0
 
@@ -124,11 +127,31 @@ def _begin_runs(runs: Sequence[CommandedRun]) -> list[CommandedRun]:
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """Residuals (K, n) of all runs, nan where nothing was measured; derivatives (K, n, m); ends."""
+    """Residuals (K, n) of all runs, nan where nothing was measured, and derivatives (K, n, m)."""
 
     residual: np.ndarray
     slopes: np.ndarray
-    ends: np.ndarray
+
+
+def _divide(
+    runs: Sequence[CommandedRun], step: float
+) -> tuple[list[Stretch], list[int], np.ndarray]:
+    """Return stretches of runs, the rows that lead into each, and the judged rows until each run.
+
+    Every row is judged once, but those that lead into a run.
+    """
+    lead, rows = (round(seconds / step) for seconds in (_LEAD_SECONDS, _STRETCH_SECONDS))
+    stretches, leads, counts = [], [], []
+    for run in runs:
+        count = len(run.time)
+        own = min(lead, count // 4)
+        for first in range(own, count - 1, max(rows, 2)):
+            begin = first - own
+            end = min(first + max(rows, 2), count) - 1
+            stretches.append(Stretch(run, begin, end, run.velocity[begin]))
+            leads.append(own)
+        counts.append(count - own)
+    return stretches, leads, np.cumsum(counts)[:-1]
 
 
 class _Fit:
@@ -147,6 +170,7 @@ class _Fit:
         self.places = np.append(self._free, len(deviations) - 1)
         self._size = np.maximum(deviations[self.places], 1e-12)
         self._step = float(np.median(np.concatenate([np.diff(run.time) for run in runs])))
+        self._stretches, self._leads, self._ends = _divide(runs, self._step)
         self.evaluations = 0
 
     def polish(self, start: Parameters, say: Callable[[str], object]) -> Polished:
@@ -160,33 +184,28 @@ class _Fit:
             if last < _NOISE_ROUNDS - 1:
                 noise = self.noise(point)
         spread = np.zeros_like(start.values)
-        covariance = self.covariance(point, self.noise(point))
+        covariance = self.covariance(current, point, self.noise(point))
         spread[self.places] = np.sqrt(np.diag(covariance))
         residual = np.sqrt(np.nanmean(point.residual**2, axis=0))
         return Polished(current, spread, residual, self.evaluations, self.places, covariance)
 
-    def evaluate(self, parameters: Parameters) -> _Point:
+    def evaluate(self, parameters: Parameters, refinement: float = 1.0) -> _Point:
         """Simulate all runs by stretches."""
         self.evaluations += 1
-        rows = max(2, round(_STRETCH_SECONDS / self._step))
-        found: list[Simulated] = [
-            simulate(self._loop, run, parameters, self._free, stretch=rows) for run in self._runs
-        ]
-        residual = np.vstack(
-            [each.position - run.position for each, run in zip(found, self._runs, strict=True)]
-        )
-        return _Point(
-            residual,
-            np.concatenate([each.slopes for each in found]) * self._size,
-            np.cumsum([len(run.time) for run in self._runs]),
-        )
+        found = simulate_stretches(self._loop, self._stretches, parameters, self._free, refinement)
+        residual, slopes = [], []
+        for each, own, lead in zip(found, self._stretches, self._leads, strict=True):
+            measured = own.run.position[own.begin + lead : own.end + 1]
+            residual.append(each.position[lead:] - measured)
+            slopes.append(each.slopes[lead:])
+        return _Point(np.vstack(residual), np.concatenate(slopes) * self._size)
 
     def noise(self, point: _Point) -> np.ndarray:
         """Return the standard deviation (n,) that a residual has as if rows were independent."""
         most = max(1, round(_MAX_REPETITION / self._step))
         found = []
         for own in point.residual.T:
-            parts = [np.nan_to_num(part) for part in np.split(own, point.ends[:-1])]
+            parts = [np.nan_to_num(part) for part in np.split(own, self._ends)]
             square = sum(float(part @ part) for part in parts)
             repeated = 1.0
             for lag in range(1, most):
@@ -226,10 +245,18 @@ class _Fit:
                 break
         return parameters, point
 
-    def covariance(self, point: _Point, noise: np.ndarray) -> np.ndarray:
-        """Return the covariance (m, m) of the fitted parameters."""
-        hessian, _ = self._normal_equations(self._prior, point, noise)
-        return np.asarray(self._size[:, None] * np.linalg.inv(hessian) * self._size)
+    def covariance(self, parameters: Parameters, point: _Point, noise: np.ndarray) -> np.ndarray:
+        """Return the covariance (m, m) of the fitted parameters.
+
+        How sharply dry friction changes its direction is not known, and steps are finite: where
+        the fit would go with both halved, twice as far as it would go with neither, is a deviation.
+        """
+        finer = self.evaluate(parameters, _REFINEMENT_RATIO)
+        hessian, before = self._normal_equations(parameters, point, noise)
+        after = self._normal_equations(parameters, finer, noise)[1]
+        inverse = np.linalg.inv(hessian)
+        moved = _REFINEMENT_RATIO / (_REFINEMENT_RATIO - 1.0) * inverse @ (after - before)
+        return np.asarray(self._size[:, None] * (inverse + np.outer(moved, moved)) * self._size)
 
     def _cost(self, parameters: Parameters, point: _Point, noise: np.ndarray) -> float:
         away = self._distance(parameters)

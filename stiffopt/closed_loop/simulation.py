@@ -1,7 +1,8 @@
-"""Simulation of a recorded run from its commands, by stretches, with derivatives."""
+"""Simulation of recorded runs from their commands, several stretches at once, with derivatives."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,8 +11,12 @@ from stiffopt.actuator.law import mean_command
 from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.parameters import Parameters
 
-# Longest step of the integrator [s]: a thirtieth of the period of a 12 Hz motion.
-_MAX_STEP = 2.5e-3
+# Longest step of the integrator [s]: dry friction of light links turns within few of them.
+_MAX_STEP = 1e-3
+# Speed at which dry friction reaches 76 % (tanh 1) [rad/s]: far below that of any motion.
+_DRY_FRICTION_WIDTH = 0.005
+# Steps that one call simulates: their states and derivatives are kept until it ends.
+_CALL_STEPS = 128
 # Commands at the beginning of a run that bound its initial velocity [s], and steps in which this
 # settles while the position is held.
 _BEGINNING_SECONDS, _SETTLING_STEPS = 0.05, 200
@@ -45,6 +50,24 @@ class CommandedRun:
 
 
 @dataclass(frozen=True, eq=False)
+class Stretch:
+    """Rows of a run from `begin` to `end`, both included, that are simulated from one state.
+
+    Parameters
+    ----------
+    run : CommandedRun
+    begin, end : int
+    velocity : array (n,)
+        At the beginning [rad/s].
+    """
+
+    run: CommandedRun
+    begin: int
+    end: int
+    velocity: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class Simulated:
     """Simulated positions (K, n) [rad] and their derivatives (K, n, m) by free parameters."""
 
@@ -52,36 +75,102 @@ class Simulated:
     slopes: np.ndarray
 
 
-def simulate(
+def simulate(loop: CommandedArm, run: CommandedRun, parameters: Parameters) -> np.ndarray:
+    """Return positions (K, n) [rad], simulated from the commands and the first position."""
+    velocity = initial_velocity(loop, run, parameters)
+    whole = Stretch(run, 0, len(run.time) - 1, velocity)
+    return simulate_stretches(loop, [whole], parameters)[0].position
+
+
+def simulate_stretches(
     loop: CommandedArm,
-    run: CommandedRun,
+    stretches: Sequence[Stretch],
     parameters: Parameters,
     free: np.ndarray | None = None,
-    stretch: int | None = None,
-) -> Simulated:
-    """Simulate a run from its first measured position.
+    refinement: float = 1.0,
+) -> list[Simulated]:
+    """Simulate stretches side by side, each from its first measured position.
 
     Parameters
     ----------
     loop : CommandedArm
-    run : CommandedRun
+    stretches : sequence of Stretch
     parameters : Parameters
     free : array of int, optional
         Parameters to derive by, beside the delay; default none.
-    stretch : int, optional
-        Rows after which the simulation begins anew at the measured state, for fits: errors of a
-        long run do not add up. Default: one stretch that sees no position but the first.
+    refinement : float
+        Divides the width of dry friction and the longest step.
     """
     free = np.zeros(0, dtype=int) if free is None else free
-    count = len(run.time)
-    whole = Simulated(np.empty_like(run.position), np.zeros((*run.position.shape, len(free) + 1)))
-    for begin in range(0, count - 1, stretch or count):
-        end = min(begin + (stretch or count), count - 1)
-        velocity = run.velocity[begin] if stretch else initial_velocity(loop, run, parameters)
-        part = _simulate_stretch(loop, run, parameters, free, (begin, end), velocity)
-        rows = slice(begin, end + 1)
-        whole.position[rows], whole.slopes[rows] = part.position, part.slopes
-    return whole
+    lanes, _ = loop.lanes(free, 1)
+    found: list[Simulated] = []
+    for first in range(0, len(stretches), lanes):
+        found += _simulate_together(
+            loop, stretches[first : first + lanes], parameters, free, refinement
+        )
+    return found
+
+
+def _simulate_together(
+    loop: CommandedArm,
+    stretches: Sequence[Stretch],
+    parameters: Parameters,
+    free: np.ndarray,
+    refinement: float,
+) -> list[Simulated]:
+    """Simulate as many stretches as a call has lanes for."""
+    n, m = loop.n, len(free) + 1
+    lanes, function = loop.lanes(free, _CALL_STEPS)
+    drives = [_drive(own, parameters.delay, _MAX_STEP / refinement) for own in stretches]
+    calls = -(-max(len(drive.width) for drive in drives) // _CALL_STEPS)
+    # Steps of no width change nothing: they fill lanes up.
+    given = np.zeros((calls * _CALL_STEPS, lanes, 2 * n))
+    width = np.zeros((calls * _CALL_STEPS, lanes))
+    state = np.zeros((2 * n * (1 + m), lanes))
+    found = []
+    for lane, (own, drive) in enumerate(zip(stretches, drives, strict=True)):
+        given[: len(drive.width), lane], width[: len(drive.width), lane] = drive.given, drive.width
+        start = own.run.position[own.begin]
+        state[: 2 * n, lane] = *start, *own.velocity
+        rows = own.end - own.begin + 1
+        found.append(Simulated(np.tile(start, (rows, 1)), np.zeros((rows, n, m))))
+    given[:, len(stretches) :], width[:, len(stretches) :] = given[:, :1], width[:, :1]
+    state[:, len(stretches) :] = state[:, :1]
+    own_width = _DRY_FRICTION_WIDTH / refinement
+    values = np.tile(np.append(parameters.values, own_width)[:, None], (1, _CALL_STEPS))
+    for first in range(0, calls * _CALL_STEPS, _CALL_STEPS):
+        steps = slice(first, first + _CALL_STEPS)
+        states = np.asarray(
+            function(state, given[steps].reshape(-1, 2 * n).T, values, width[steps].reshape(1, -1))
+        ).reshape(len(state), _CALL_STEPS, lanes)
+        state = states[:, -1]
+        for lane, drive in enumerate(drives):
+            rows = np.flatnonzero((drive.ends > first) & (drive.ends <= first + _CALL_STEPS))
+            own = states[:, drive.ends[rows] - first - 1, lane].T
+            found[lane].position[rows + 1] = own[:, :n]
+            slopes = own[:, 2 * n :].reshape(-1, m, 2 * n)[:, :, :n]
+            found[lane].slopes[rows + 1] = slopes.transpose(0, 2, 1)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Drive:
+    """Commands and their rates (k, 2 n) at steps of some width (k,), and steps until each row."""
+
+    given: np.ndarray
+    width: np.ndarray
+    ends: np.ndarray
+
+
+def _drive(own: Stretch, delay: float, max_step: float) -> _Drive:
+    """Return the steps of a stretch: rows are divided evenly."""
+    run = own.run
+    time = run.time[own.begin : own.end + 1]
+    steps = np.maximum(np.ceil(np.diff(time) / max_step - 1e-9).astype(int), 1)
+    width = np.repeat(np.diff(time) / steps, steps)
+    grid = time[0] + np.concatenate([[0.0], np.cumsum(width)])
+    command, rate = mean_command(run.time, run.command, grid[:-1] - delay, grid[1:] - delay)
+    return _Drive(np.hstack([command, -rate]), width, np.cumsum(steps))
 
 
 def initial_velocity(loop: CommandedArm, run: CommandedRun, parameters: Parameters) -> np.ndarray:
@@ -96,35 +185,10 @@ def initial_velocity(loop: CommandedArm, run: CommandedRun, parameters: Paramete
     rate = (run.command[span] - run.command[0]) / (run.time[span] - run.time[0])
     step = loop.step_function(np.zeros(0, dtype=int))
     given = np.concatenate([run.command[0], np.zeros(loop.n)])
+    values = np.append(parameters.values, _DRY_FRICTION_WIDTH)
     velocity = np.zeros(loop.n)
     for _ in range(_SETTLING_STEPS):
         state = np.concatenate([run.position[0], velocity, np.zeros(2 * loop.n)])
-        after = np.asarray(step(state, given, parameters.values, _MAX_STEP))[:, 0]
+        after = np.asarray(step(state, given, values, _MAX_STEP))[:, 0]
         velocity = after[loop.n : 2 * loop.n]
     return np.clip(velocity, np.minimum(rate, 0.0), np.maximum(rate, 0.0))
-
-
-def _simulate_stretch(
-    loop: CommandedArm,
-    run: CommandedRun,
-    parameters: Parameters,
-    free: np.ndarray,
-    rows: tuple[int, int],
-    velocity: np.ndarray,
-) -> Simulated:
-    """Simulate from one row to another."""
-    n, m = loop.n, len(free) + 1
-    time = run.time[rows[0] : rows[1] + 1]
-    steps = np.maximum(np.ceil(np.diff(time) / _MAX_STEP - 1e-9).astype(int), 1)
-    width = np.repeat(np.diff(time) / steps, steps)
-    grid = time[0] + np.concatenate([[0.0], np.cumsum(width)])
-    delay = parameters.delay
-    command, rate = mean_command(run.time, run.command, grid[:-1] - delay, grid[1:] - delay)
-    start = np.concatenate([run.position[rows[0]], velocity, np.zeros(2 * n * m)])
-    function = loop.step_function(free).mapaccum(len(width))
-    given = np.hstack([command, -rate]).T
-    values = np.tile(parameters.values[:, None], (1, len(width)))
-    states = np.asarray(function(start, given, values, width[None]))
-    states = np.hstack([start[:, None], states])[:, np.concatenate([[0], np.cumsum(steps)])]
-    slopes = states[2 * n :].reshape(m, 2 * n, -1)[:, :n].transpose(2, 1, 0)
-    return Simulated(states[:n].T, slopes)

@@ -116,10 +116,10 @@ def rival_commands(
 ) -> list[CommandOnArms]:
     """Return the commands of rivals, each slowed until its command keeps the limits, if it does."""
     found = commands_on_arms(problem, arm, motions, law, progress=progress)
-    return [_slow_until_led(problem, arm, each) for each in found]
+    return [slow_until_led(problem, arm, each) for each in found]
 
 
-def _slow_until_led(
+def slow_until_led(
     problem: TrajectoryProblem, arm: ElasticArm, found: CommandOnArms
 ) -> CommandOnArms:
     """Return a rival at the duration at which its command keeps the limits, as far as it does."""

@@ -70,8 +70,9 @@ def build_findings(
         if selected.located.calibrated and parameters.min_deviations(index) < UNSTATED_DEVIATIONS:
             continue
         located, effect = selected.located, selected.located.effect
-        # A value that every joint has exists, whatever else acts there.
-        unknown = 0.0 if located.calibrated else gain.open_share
+        # Friction and rotors exist, whatever else acts there; an offset may be the mean of any law.
+        exists = located.calibrated and bool(effect.nominal)
+        unknown = 0.0 if exists else gain.open_share
         values = parameters.parameters(index, located.constants(constants))
         before = parameters.prior_deviations(index, located.constants(constants))
         reported = tuple(

@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from stiffopt.discovery.catalogue import CATALOGUE, changes_in, effects_of_runs
+from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.conclusions import build_findings, decide_verdict, describe_next_experiment
 from stiffopt.discovery.diagnosis import (
@@ -52,7 +53,6 @@ from stiffopt.discovery.position_fit import model_section
 from stiffopt.discovery.prediction_bands import choose_prediction_bands
 from stiffopt.discovery.progress import repeat_progress
 from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
-from stiffopt.discovery.sanity.doubt import Doubt
 from stiffopt.discovery.sanity.gate import judge_plausibility, leave_out_currents
 from stiffopt.discovery.sanity.position_errors import take_errors_as_commands
 from stiffopt.discovery.search.candidates import Scorer
@@ -238,8 +238,9 @@ def _run_diagnosis(
     )
     stopped = describe_stop(result)
     start = () if base is None else (base.extension,)
-    if settings.cutoff is None and not (stopped or runs[0].at_rest or training.robot.vibrates):
-        training = _with_prediction_bands(training, start, result, say)
+    # Bands that were asked for hold, and a stopped diagnosis takes no longer.
+    asked_band = settings.cutoff is not None or bool(stopped)
+    training = _with_prediction_bands(training, start, result, say, fixed=asked_band)
     settings = training.settings
     laws = skip_if_stopped(stopped, NO_LAWS, lambda: find_laws(result, say)) or LawSearch(
         result=result
@@ -252,13 +253,16 @@ def _run_diagnosis(
         return kept, explain_by_tool_force(result, left)
 
     selected, unexplained = finish_step(stopped, assessed)
+    half_band = cache(partial(half_band_comparison, training, result.comparison))
     selected, parameters = _estimate_parameters(
-        training, settings, start, result, selected, stopped, say
+        training, settings, start, result, selected, half_band, stopped, say
     )
     parameters = add_scale_deviation(parameters, selected)
     located = tuple(s.located for s in selected)
     again = skip_if_stopped(
-        stopped, NOT_PERTURBED, lambda: _perturb_findings(training, result, selected, say)
+        stopped,
+        NOT_PERTURBED,
+        lambda: _perturb_findings(training, result, selected, half_band, say),
     )
     if again is None:
         again = np.ones(len(selected))
@@ -343,7 +347,7 @@ def _run_diagnosis(
             assumptions=(
                 *stopped,
                 *opened.describe_unusable(),
-                *_describe_ignored_doubts(doubted),
+                *(f"Diagnosed despite a doubt: {doubt.evidence}" for doubt in doubted),
                 *(f"to be checked: {each}" for each in remarked),
                 *thin,
                 *derived,
@@ -373,6 +377,7 @@ def _estimate_parameters(
     start: tuple[Extension, ...],
     result: SearchResult,
     selected: tuple[Selected, ...],
+    half_band: Callable[[], Comparison | None],
     stopped: list[str],
     say: Say,
 ) -> tuple[tuple[Selected, ...], Estimate]:
@@ -393,7 +398,7 @@ def _estimate_parameters(
 
     def asked(estimated: Estimate) -> Estimate:
         say("fit the parameters again in half the band")
-        return add_band_deviation(training, comparison, estimated)
+        return add_band_deviation(comparison, half_band(), estimated)
 
     def doubted(found: Sequence[Selected]) -> tuple[tuple[Selected, ...], Estimate]:
         kept, first = skip_if_stopped(
@@ -406,10 +411,19 @@ def _estimate_parameters(
 
 
 def _with_prediction_bands(
-    training: Training, start: tuple[Extension, ...], result: SearchResult, say: Say
+    training: Training,
+    start: tuple[Extension, ...],
+    result: SearchResult,
+    say: Say,
+    *,
+    fixed: bool,
 ) -> Training:
-    """Return the training runs with the bands of predictions, unless those of a model hold."""
-    if training.settings.predict is not None:
+    """Return the training runs with the bands of predictions, unless these are fixed.
+
+    Those of a model hold, poses at rest have none, and vibration follows the band of the fit.
+    """
+    fixed |= training.settings.predict is not None or training.robot.vibrates
+    if fixed or training.recorded[0].at_rest:
         return training
     say("choose how fast a motion predictions follow")
     found = result.comparison.extension_of(result.fit)
@@ -427,15 +441,19 @@ def _with_prediction_bands(
 
 
 def _perturb_findings(
-    training: Training, result: SearchResult, selected: Sequence[Selected], say: Say
+    training: Training,
+    result: SearchResult,
+    selected: Sequence[Selected],
+    half_band: Callable[[], Comparison | None],
+    say: Say,
 ) -> np.ndarray:
     """Return the share of the perturbation ensemble in which each finding is named again."""
     if not selected:
         return np.ones(0)
     say("fit the findings again to perturbed runs and models")
     vibrates = training.runs[0].vibration is not None
-    half_band = None if vibrates else half_band_comparison(training, result.comparison)
-    return recurrence(result.comparison, selected, half_band, free_bodies=training.free_bodies)
+    other = None if vibrates else half_band()
+    return recurrence(result.comparison, selected, other, free_bodies=training.free_bodies)
 
 
 def _predict_held_out(
@@ -469,10 +487,6 @@ def _assess_left_open(
     if training.free_bodies:
         found = skip_if_stopped(stopped, NO_SUSPECTS, suspected)
     return found or finish_step(stopped, lambda: build_left_open(training, whole, (), before))
-
-
-def _describe_ignored_doubts(doubted: Sequence[Doubt]) -> list[str]:
-    return [f"Diagnosed despite a doubt: {doubt.evidence}" for doubt in doubted]
 
 
 def _load_user_effects(effects: Sequence[Effect] | str | os.PathLike[str]) -> tuple[Effect, ...]:

@@ -118,11 +118,6 @@ class Finding:
         return self.estimated.located
 
     @property
-    def placed(self) -> LocatedEffect:
-        """Older name of `located`."""
-        return self.located
-
-    @property
     def effect(self) -> Effect:
         """Entry of the catalogue."""
         return self.located.effect

@@ -35,7 +35,7 @@ _LOAD_FRICTION_DEVIATION, _ZERO_DEVIATION = 0.15, 0.03
 _GAIN_DEVIATION = 1.0
 # Deviation of a delay [s].
 _DELAY_DEVIATION = 5e-3
-# Inertia of bodies, relative: centres of mass and masses are better known.
+# Inertia of bodies besides their mass's, relative: centres of mass and masses are better known.
 _INERTIA_DEVIATION = 0.1
 # Motion of all training runs that a fit simulates at most, times joints [s]: more adds but time.
 _MAX_FIT_SECONDS = 120.0
@@ -139,9 +139,8 @@ def expected_deviations(
     assert of_mass is not None
     assert of_centre is not None
     for i, body in enumerate(robot.tree.bodies):
-        moment = body.mass * (of_centre + of_mass * float(np.linalg.norm(body.centre)))
         about = _INERTIA_DEVIATION * float(np.trace(body.inertia)) / 3.0
-        each = [of_mass * body.mass, *[moment] * 3, *[about] * 3]
+        each = [of_mass, *[body.mass * of_centre] * 3, *[about] * 3]
         first = found.bodies.start + i * len(BODY_PARAMETERS)
         size[first : first + len(BODY_PARAMETERS)] = each
     # Without stated viscous friction nothing told the delay apart from it.

@@ -153,7 +153,7 @@ def simulate_run(recordings: RecordingSet, model: ClosedLoopModel, run: Recorded
     """Simulate a run from its commands and its first position with both models."""
     own, order = commanded_run(recordings, run), recordings.order
     before, after = (
-        simulate(loop, own, parameters).position
+        simulate(loop, own, parameters)
         for loop, parameters in (
             (model.nominal_loop, model.nominal),
             (model.loop, model.fitted),

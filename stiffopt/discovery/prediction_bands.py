@@ -58,7 +58,8 @@ def _torque_errors(training: Training, extensions: Sequence[Extension], band: fl
             if channel.kind == "torque":
                 square[channel.joint] += channel.after
                 count[channel.joint] += channel.samples
-    return np.divide(square, count, out=np.full(n, np.nan), where=count > 0)
+    mean = np.divide(square, count, out=np.full(n, np.nan), where=count > 0)
+    return np.asarray(mean)
 
 
 def _select_widest_adequate(tried: Sequence[float], errors: np.ndarray) -> float:

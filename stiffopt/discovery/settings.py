@@ -47,17 +47,7 @@ EXTENDED_MODEL_TOLERANCE = Tolerance(
 )
 # No tolerance where the model's own residual is known and counts as noise: any change of a value
 # is then an effect to report, not a nuisance.
-ZERO_TOLERANCE = Tolerance(
-    mass=0.0,
-    rotor_inertia=0.0,
-    coulomb=0.0,
-    viscous=0.0,
-    stiffness=0.0,
-    joint_damping=0.0,
-    torque_constant=0.0,
-    com=0.0,
-    encoder_zero=0.0,
-)
+ZERO_TOLERANCE = Tolerance(**dict.fromkeys(vars(DEFAULT_TOLERANCE), 0.0))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -261,7 +261,8 @@ class JointSignals(MotionSignals):
         """Return signals of which some are known; all others are `rest`."""
         before = (f"previous_{name}" for name in ("position", "velocity", "acceleration"))
         names = ("time", "session_time", *before, *JOINT_SIGNAL_NAMES)
-        return cls(constants=constants, dt=1.0, **(dict.fromkeys(names, rest) | known))
+        values: dict[str, Any] = dict.fromkeys(names, rest)
+        return cls(constants=constants, dt=1.0, **(values | known))
 
     @property
     def nominal_friction(self) -> Quantity:

@@ -111,7 +111,7 @@ class Training:
             start=self.start,
             least=self.least,
             suspects=self.suspects,
-            columns=self._columns.restarted(),
+            columns=self._columns.with_bodies(None),
         )
 
 

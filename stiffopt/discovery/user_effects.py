@@ -71,7 +71,8 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
                 f"the name {effect.name!r} is taken by {taken[effect.name]}; choose another.",
             )
         taken[effect.name] = where
-        _require_sound(path, where, effect)
+        for fault in find_faults(effect):
+            raise InputFileError(path, where, f"effect {effect.name!r} cannot be used: {fault}")
     return tuple(effect for _, effect in found)
 
 
@@ -147,11 +148,6 @@ def _effects_of_name(module: ModuleType, path: Path, name: str, value: Any) -> S
             path, name, f"it returns a {type(made).__name__}, no Effect. {_FILE_HINT}"
         )
     return [made]
-
-
-def _require_sound(path: Path, where: str, effect: Effect) -> None:
-    for fault in find_faults(effect):
-        raise InputFileError(path, where, f"effect {effect.name!r} cannot be used: {fault}")
 
 
 TERM_PARTS = ("drive_torque", "link_torque", "deflection", "reading", "previous_torque")

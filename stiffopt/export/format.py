@@ -178,8 +178,8 @@ class PointFormat(ExportFormat):
         change = np.abs(np.diff(motion.position, axis=0))
         step = np.diff(motion.time)
         share = np.max(change / motion.velocity_max, axis=1) / step
-        # Change of a joint [rad] between samples below which it rests: rounding of files.
-        moves = np.append(np.max(change, axis=1) > 1e-9, False)
+        # Smaller steps [rad] than a pulse are a rest.
+        moves = np.append(np.max(change, axis=1) > 1e-5, False)
         found: list[PointStep] = []
         rest = 0.0
         for k in range(1, len(motion.time)):

@@ -18,7 +18,6 @@ from stiffopt.discovery.extended.value_changes import (
     torque_gains,
     value_changes,
 )
-from stiffopt.discovery.signals import PARAMETERS_PER_BODY
 from stiffopt.discovery.store import MODEL_FILE
 from stiffopt.errors import InputFileError
 from stiffopt.folders import check_result
@@ -26,8 +25,8 @@ from stiffopt.problem.registry import Registry
 from stiffopt.recording.recording_set import load_recordings
 from stiffopt.robot.robot import Robot
 
-# Places of BODY_PARAMETERS in `Body.inertial_parameters`: mass, first moments, moments of inertia.
-_FITTED_BODY_PARAMETERS = (0, 1, 2, 3, 4, 6, 9)
+# Places of BODY_PARAMETERS but the mass in `Body.inertial_parameters`.
+_BESIDES_MASS = (1, 2, 3, 4, 6, 9)
 # Parameters of a closed loop that robot files have no field for.
 _UNREPRESENTED_PARAMETERS = ("load_friction", "friction_slope", "drag", "offset")
 
@@ -133,8 +132,8 @@ def _with_closed_loop(
         found.nominal, coulomb=own["coulomb"], viscous=own["viscous"], rotor_inertia=own["armature"]
     )
     for j, body in enumerate(found.nominal.tree.bodies):
-        change = np.zeros(PARAMETERS_PER_BODY)
-        change[list(_FITTED_BODY_PARAMETERS)] = [own[name][j] for name in BODY_PARAMETERS]
+        change = own["mass"][j] * body.inertial_parameters
+        change[list(_BESIDES_MASS)] += [own[name][j] for name in BODY_PARAMETERS[1:]]
         if change.any():
             robot = robot.with_inertial_parameters(j + 1, body.inertial_parameters + change)
     return replace(

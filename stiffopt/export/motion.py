@@ -199,6 +199,18 @@ class StoredMotion:
                 )
 
 
+class SplineMotion:
+    """Curve as a `JointMotion`."""
+
+    def __init__(self, curve: Any) -> None:
+        self._curve, self.times = curve, np.asarray(curve.x)
+        self.duration = float(self.times[-1])
+
+    def __call__(self, t: np.ndarray, order: int = 0) -> np.ndarray:
+        """Evaluate the position or a derivative at times (K,)."""
+        return np.asarray(self._curve.derivative(order)(t) if order else self._curve(t))
+
+
 def read_motion(
     folder: Path,
     which: Which = "motor",

@@ -32,7 +32,7 @@ from stiffopt.path.time_law import (
     count_steps,
     time_scaled,
 )
-from stiffopt.problem.limits.velocity_by_position import velocity_at
+from stiffopt.problem.limits.joint_curve import curve_at
 from stiffopt.result.trajectory import Trajectory, join_motions
 
 if TYPE_CHECKING:
@@ -238,7 +238,9 @@ class _PathTiming:
                     "velocity": np.abs(rates[0]) / self._velocity(q),
                     "acceleration": np.abs(rates[1]) / limits.acceleration,
                     "jerk": np.abs(rates[2]) / limits.jerk,
-                    "torque": sign * moving / (share("torque") * limits.torque - sign * hold),
+                    "torque": sign
+                    * moving
+                    / (share("torque") * self._torque(rates[0]) - sign * hold),
                     "tool_speed": (tool / self._tool_speed(piece))[:, None],
                 }
             for name, ratio in ratios.items():
@@ -327,14 +329,14 @@ class _PathTiming:
         def bound_both(
             name: str, limit: np.ndarray, x: np.ndarray, x1: np.ndarray, fixed: np.ndarray
         ) -> None:
-            """Add |x X + x1 X' + fixed| <= limit, of finite limits."""
-            for k in np.flatnonzero(np.isfinite(limit)):
-                allowed = share(name) * limit[k]
+            """Add |x X + x1 X' + fixed| <= limit (K, n), of finite limits."""
+            for k in np.flatnonzero(np.isfinite(limit).all(axis=0)):
+                allowed = share(name) * limit[:, k]
                 for sign in (1.0, -1.0):
                     columns.append(tuple(sign * each[:, k] / allowed for each in (x, x1, zero)))
                     bounds.append(allowance(name) * (1.0 - sign * fixed[:, k] / allowed))
 
-        bound_both("acceleration", limits.acceleration, ddq, 0.5 * dq, zero)
+        bound_both("acceleration", limits.acceleration + zero, ddq, 0.5 * dq, zero)
         # J / sqrt(x) >= J (3/2 - x/2).
         for k in np.flatnonzero(np.isfinite(limits.jerk)):
             allowed = share("jerk") * limits.jerk[k] * allowance("jerk")
@@ -346,7 +348,9 @@ class _PathTiming:
         pushing, moving, hold, tool = self._torques(law, p0, dq, ddq)
         # sqrt(x) <= (1 + x) / 2, exact where the sequence ends.
         viscous = 0.5 * self._robot.viscous * dq
-        bound_both("torque", limits.torque, moving - viscous, 0.5 * pushing, hold + viscous)
+        # The curve of the torque over speed at the present one: exact where the sequence ends.
+        torque = self._torque(dq)
+        bound_both("torque", torque, moving - viscous, 0.5 * pushing, hold + viscous)
         with np.errstate(divide="ignore"):
             joints = (share("velocity") * self._velocity(p0) / np.abs(dq)).min(axis=1)
             ceilings = [
@@ -366,7 +370,13 @@ class _PathTiming:
     def _velocity(self, q: np.ndarray) -> np.ndarray:
         allowed = np.broadcast_to(self._limits.velocity, q.shape)
         if self._limits.velocity_map is not None:
-            allowed = np.minimum(allowed, velocity_at(self._limits.velocity_map, q))
+            allowed = np.minimum(allowed, curve_at(self._limits.velocity_map, q))
+        return allowed
+
+    def _torque(self, dq: np.ndarray) -> np.ndarray:
+        allowed = np.broadcast_to(self._limits.torque, dq.shape)
+        if self._limits.torque_map is not None:
+            allowed = np.minimum(allowed, curve_at(self._limits.torque_map, np.abs(dq)))
         return allowed
 
     def _tool_speed(self, piece: np.ndarray) -> np.ndarray:

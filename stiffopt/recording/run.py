@@ -185,3 +185,11 @@ def encoder_velocity(run: RecordedRun) -> np.ndarray:
     before, after = np.maximum(rows - width, 0), np.minimum(rows + width, len(rows) - 1)
     span = (run.time[after] - run.time[before])[:, None]
     return np.asarray((run.position[after] - run.position[before]) / span)
+
+
+def command_interval(run: RecordedRun, joints: np.ndarray | slice = slice(None)) -> float:
+    """Return the median time between changes of the commands of some joints [s]; nan without."""
+    assert run.command is not None
+    moved = np.nan_to_num(np.diff(run.command[:, joints], axis=0)) != 0.0
+    times = run.time[1:][moved.any(axis=1)]
+    return float(np.median(np.diff(times))) if len(times) > 2 else float("nan")

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from stiffopt.connection.reducer import Reducer
-
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
@@ -38,15 +36,17 @@ def life_rating(robot: Robot, joint: int) -> LifeRating:
     """Return the rating of the reducer of a joint; the drive's limits without one."""
     chain = robot.chains[joint]
     for stage in () if chain is None else chain.stages:
-        own = stage.element
-        if not isinstance(own, Reducer) or own.rated_torque is None or own.rated_speed is None:
-            continue
-        if own.rated_life is not None and own.life_exponent is not None:
+        # Elements of other kinds, which this layer does not import, have no rating.
+        torque, speed, life, exponent = (
+            getattr(stage.element, name, None)
+            for name in ("rated_torque", "rated_speed", "rated_life", "life_exponent")
+        )
+        if None not in (torque, speed, life, exponent):
             return LifeRating(
-                torque=own.rated_torque * stage.reduction,
-                speed=own.rated_speed / stage.ratio,
-                life=own.rated_life,
-                exponent=own.life_exponent,
+                torque=torque * stage.reduction,
+                speed=speed / stage.ratio,
+                life=life,
+                exponent=exponent,
             )
     return LifeRating(
         torque=float(robot.torque_max[joint]),

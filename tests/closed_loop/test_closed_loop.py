@@ -13,7 +13,12 @@ from stiffopt.actuator.law import ActuatorLaw
 from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.parameters import Parameters, zero_parameters
 from stiffopt.closed_loop.polish import polish
-from stiffopt.closed_loop.simulation import CommandedRun, simulate
+from stiffopt.closed_loop.simulation import (
+    CommandedRun,
+    Stretch,
+    simulate,
+    simulate_stretches,
+)
 from stiffopt.robot.files import load_robot
 
 
@@ -51,23 +56,41 @@ def true_parameters() -> Parameters:
 
 def test_simulation_follows_another_integrator(loop: CommandedArm) -> None:
     run = recorded(5)
-    found = simulate(loop, run, true_parameters())
-    error = found.position - run.position
+    error = simulate(loop, run, true_parameters()) - run.position
     # Noise is 0.02 mrad; dry friction is smooth here and sharp there.
     assert float(np.sqrt(np.mean(error**2))) < 1e-3
     assert float(np.ptp(run.position)) > 1.0
 
 
+def test_stretches_side_by_side_are_those_alone(loop: CommandedArm) -> None:
+    runs, free = [recorded(5, 1.5), recorded(6, 0.7)], np.array([0, 2])
+    rows = [(0, 90), (37, len(runs[1].time) - 1), (100, 101)]
+    cut = [
+        Stretch(run, first, last, run.velocity[first])
+        for run, (first, last) in zip((*runs, runs[0]), rows, strict=True)
+    ]
+    together = simulate_stretches(loop, cut, true_parameters(), free)
+    for own, found in zip(cut, together, strict=True):
+        (alone,) = simulate_stretches(loop, [own], true_parameters(), free)
+        assert len(found.position) == own.end - own.begin + 1
+        np.testing.assert_array_equal(found.position, alone.position)
+        np.testing.assert_array_equal(found.slopes, alone.slopes)
+
+
 def test_derivatives_are_those_of_differences(loop: CommandedArm) -> None:
     run, start = recorded(6, 1.5), true_parameters()
+    # Between the edges of steps, at which means of commands have a corner.
+    start.values[-1] += 0.3e-3
     free = np.arange(len(start.values) - 1)
-    slopes = simulate(loop, run, start, free).slopes[:, 0]
+    whole = [Stretch(run, 0, len(run.time) - 1, run.velocity[0])]
+    slopes = simulate_stretches(loop, whole, start, free)[0].slopes[:, 0]
     for k in (*(start.place(name).start for name in ("gain", "viscous", "coulomb", "zero")), -1):
         moved = []
         for sign in (1.0, -1.0):
             values = start.values.copy()
             values[k] += sign * 1e-6
-            moved.append(simulate(loop, run, replace(start, values=values)).position[:, 0])
+            own = replace(start, values=values)
+            moved.append(simulate_stretches(loop, whole, own)[0].position[:, 0])
         numeric = (moved[0] - moved[1]) / 2e-6
         np.testing.assert_allclose(slopes[:, k], numeric, atol=1e-4 * np.abs(numeric).max())
 

@@ -21,8 +21,12 @@ from servo_sets import (
 )
 
 from stiffopt.cli import run as run_command
+from stiffopt.closed_loop.simulation import CommandedRun, simulate
+from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.diagnose import diagnose
+from stiffopt.discovery.experiment.commands import motion_commands
 from stiffopt.discovery.identifiable import effect_checks
+from stiffopt.discovery.loop_fit import build_loop, nominal_parameters
 from stiffopt.discovery.position_fit import fit_positions, model_section, simulate_run
 from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
 from stiffopt.discovery.sanity.command_doubts import doubt_commands
@@ -32,6 +36,7 @@ from stiffopt.discovery.training import open_training_runs
 from stiffopt.recording.joint_facts import joint_facts
 from stiffopt.recording.recording_set import RecordingSet, load_recordings
 from stiffopt.report.diagnosis.positions import value_section
+from stiffopt.result.trajectory import Trajectory
 
 GO2 = Path("../shared/recordings/go2_leg_fl")
 Columns = dict[str, np.ndarray]
@@ -314,3 +319,24 @@ role = "test"
     assert "position_friction" in {each.effect.name for each in found.findings}
     assert found.closed_loop is not None
     np.testing.assert_allclose(found.closed_loop.values["coulomb"][2], 0.9, atol=0.3)
+
+
+def test_commands_of_an_experiment_move_the_arm_along_it(tmp_path: Path) -> None:
+    actuator = f"kp = [{KP}]\nkd = [0.0]\ndelay = {DELAY}"
+    folder = write_servo_set(tmp_path / "set", actuator=actuator, runs=2)
+    state_drive(folder)
+    found = load_recordings(folder)
+    runs = open_training_runs(found)
+    knots = np.linspace(0.0, 4.0, 9)
+    rate = np.array([0.0, 6.0, -9.0, 4.0, -1.0, 5.0, -6.0, 1.0, 0.0])
+    start = np.array([-0.2])
+    motion = Trajectory.piecewise_linear_acceleration(knots, rate[:, None], start, np.zeros(1))
+    sent = motion_commands(RobotModel(found), runs, motion)
+    assert sent is not None
+    np.testing.assert_allclose(np.diff(sent.time), 0.02)
+    wanted = motion(sent.time)
+    own = CommandedRun("experiment", sent.time, sent.position, wanted, motion(sent.time, 1))
+    loop = build_loop(found, [own], found.robot.tree)
+    reached = simulate(loop, own, nominal_parameters(found, found.robot))
+    assert np.ptp(wanted) > 0.5
+    assert np.abs(reached - wanted).max() < 0.02 < 0.1 * np.abs(sent.position - wanted).max()

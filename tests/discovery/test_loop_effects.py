@@ -51,7 +51,7 @@ def simulated(recordings: RecordingSet, *found: EstimatedEffect) -> np.ndarray:
     for place, zero in zeros.items():
         values.values[values.place("zero")][place] = zero
     quiet = replace(run, command=np.full_like(run.command, 0.8))
-    return simulate(loop, quiet, values).position[:, 0]
+    return simulate(loop, quiet, values)[:, 0]
 
 
 def found(name: str, amplitudes: tuple[float, ...], shapes: tuple[float, ...]) -> EstimatedEffect:

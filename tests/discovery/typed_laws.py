@@ -50,11 +50,11 @@ def _operators(dt: float) -> dict[str, Callable]:
             y.append(p * y[-1] + (1.0 - p) * now)
         return np.array(y)
 
-    def sprung(x, f, z):
+    def second_order(x, f, z, over):
         o = math.tan(math.pi * f * dt)
         x, y = [x[0], x[0], *x], [x[0], x[0]]
         for k in range(2, len(x)):
-            right = (o**2 + 2 * z * o) * x[k] + 2 * o**2 * x[k - 1] + (o**2 - 2 * z * o) * x[k - 2]
+            right = (o**2 + over * o) * x[k] + 2 * o**2 * x[k - 1] + (o**2 - over * o) * x[k - 2]
             before = 2 * (o**2 - 1) * y[k - 1] + (1 - 2 * z * o + o**2) * y[k - 2]
             y.append((right - before) / (1 + 2 * z * o + o**2))
         return np.array(y[2:])
@@ -65,7 +65,12 @@ def _operators(dt: float) -> dict[str, Callable]:
             y.append(min(max(y[-1], now - r), now + r))
         return np.asarray(x) - np.array(y)
 
-    return {"lag": lag, "sprung": sprung, "stop": stop}
+    return {
+        "lag": lag,
+        "sprung": lambda x, f, z: second_order(x, f, z, 2 * z),
+        "mode": lambda x, f, z: second_order(x, f, z, 0.0),
+        "stop": stop,
+    }
 
 
 def typed_torque(equation: str, numbers: Sequence[str], meanings: Sequence[str], signals):

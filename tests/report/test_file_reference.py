@@ -24,6 +24,8 @@ PURE = {
     ("RangeSection", "upper"),
     ("FrontSection", "lower"),
     ("FrontSection", "upper"),
+    # A matrix of N/m, N and N m/rad.
+    ("BeamSection", "stiffness"),
     ("OwnBelt", "teeth_in_mesh_max"),
     ("OwnSurface", "fractal_dimension"),
 }

@@ -55,6 +55,7 @@ ELASTIC = {
     "encoder_offset",
     "encoder_zero_change",
     "softening_by_heat",
+    "loose_encoder",
 }
 OUTER = {
     "gravity_spring",
@@ -68,6 +69,7 @@ OUTER = {
     "leaning_cover",
     "three_joint_hose",
     "magnet_pair",
+    "loose_weight",
 }
 # Balance -> joints (from 1) where something shows; the rest has to stay silent.
 OTHERS: dict[str, dict[str, set[int]]] = {

@@ -8,9 +8,11 @@ from ruckig import InputParameter, Ruckig
 from ruckig import Trajectory as RuckigTrajectory
 
 from stiffopt.baseline.toppra_motion import toppra_baseline
+from stiffopt.certificate.rigid_body import rigid_body_history
 from stiffopt.path.path_timing import PathDemands, fastest_timing
 from stiffopt.path.timed_path import timed_motion
 from stiffopt.problem.limit import Limits
+from stiffopt.problem.limits.joint_curve import curve_at
 from stiffopt.problem.objective import Objective
 from stiffopt.problem.trajectory import Target, TrajectoryProblem
 from stiffopt.result.joint_path import JointPath
@@ -111,3 +113,20 @@ def test_speed_of_the_path_and_of_the_tool_are_kept_where_asked():
     slow_part = law(time)[:, 0] < path.knots[1]
     assert max(np.array(speed)[slow_part]) <= 0.3 * 1.005
     assert max(speed) == pytest.approx(0.6, rel=1e-2)
+
+
+def test_torque_of_the_drives_falls_with_their_speed():
+    arm = load_robot("ur10")
+    own, path = Limits.of(arm), JointPath.through(WAYPOINTS)
+    speeds = np.stack([np.zeros(6), own.velocity])
+    torques = np.stack([own.torque, 0.45 * own.torque])
+    free = {**own.values, "jerk": FREE, "acceleration": FREE}
+    limits = Limits({**free, "torque_map": (speeds, torques)})
+    law = fastest_timing(arm, limits, path, PathDemands(eased=False))
+    motion, time = path.follow(law), np.linspace(0.0, law.duration, 4001)
+    torque = rigid_body_history(arm, *(motion(time, k) for k in range(3))).link_torque
+    torque = torque + arm.rotor_inertia * motion(time, 2)
+    used = np.abs(torque) / curve_at((speeds, torques), np.abs(motion(time, 1)))
+    assert 0.97 < used.max() < 1.005
+    plain = fastest_timing(arm, Limits(free), path, PathDemands(eased=False))
+    assert law.duration > plain.duration

@@ -16,7 +16,6 @@ from stiffopt.discovery.effect import (
 )
 from stiffopt.discovery.signals import JointConstants, RobotConstants, RobotSignals
 from stiffopt.robot.robot import Robot
-from stiffopt.symbolic import Quantity
 
 # Typical tilt [rad]: between a base that is not level and one on a slanted plate.
 _TYPICAL_TILT = 0.05
@@ -37,15 +36,9 @@ def base_tilt_term(signals: RobotSignals, amplitudes: Values, shapes: Values) ->
     axes = tilt_axes(gravity)
     size = 1.0 + 0.25 * sum(shape * shape for shape in shapes)
     along = 0.5 * sum(a * s for a, s in zip(amplitudes, shapes, strict=True))
-    torque: Quantity = 0.0
-    for k in range(3):
-        across = sum(
-            amplitude * float(np.cross(axis, gravity)[k])
-            for amplitude, axis in zip(amplitudes, axes, strict=True)
-        )
-        change = -(across + along * float(gravity[k])) / size
-        torque = torque + change * signals.weight[..., k]
-    return Term(link_torque=torque)
+    turned = sum(a * axis for a, axis in zip(amplitudes, axes, strict=True))
+    change = -(np.cross(turned, gravity) + along * gravity) / size
+    return Term(link_torque=signals.weight @ change)
 
 
 def tilt_axes(gravity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -6,7 +6,6 @@ import numpy as np
 
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term, Values
 from stiffopt.discovery.signals import JointConstants, RobotSignals
-from stiffopt.symbolic import Quantity
 
 # Typical share of the other torque; and joints of an arm that are tried.
 _TYPICAL_SHARE, _MAX_JOINTS = 0.05, 12
@@ -17,15 +16,11 @@ def crosstalk_term(signals: RobotSignals, amplitudes: Values, shapes: Values) ->
 
     Between whole numbers the weights of both joints fade smoothly.
     """
-    drive = np.asarray(signals.drive_torque)
-    into = np.eye(drive.shape[1])[signals.link]
-    torque: Quantity = 0.0
-    for joint in range(drive.shape[1]):
-        away = np.fmin(np.abs(shapes[0] - (joint + 1.0)), 1.0)
-        weight = 0.5 * (1.0 + np.cos(np.pi * away))
-        if joint != signals.link:
-            torque = torque + amplitudes[0] * weight * np.outer(drive[:, joint], into)
-    return Term(drive_torque=torque)
+    drive, own = np.asarray(signals.drive_torque), signals.link
+    joints = np.arange(1, drive.shape[1] + 1)
+    weights = 0.5 * (1.0 + np.cos(np.pi * np.fmin(np.abs(shapes[0] - joints), 1.0)))
+    weights[own] = 0.0
+    return Term(drive_torque=amplitudes[0] * np.outer(drive @ weights, joints == own + 1))
 
 
 def _other_joints(constants: JointConstants) -> tuple[float, ...]:

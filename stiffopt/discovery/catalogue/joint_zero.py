@@ -12,8 +12,6 @@ from stiffopt.symbolic import Quantity
 _TYPICAL_ZERO, _MAX_ZERO = 0.1, np.pi
 # Angles about which a search begins [rad]; a secant converges from the next of them.
 _INITIAL_ZEROS = (0.0, 1.5, -1.5, 3.0)
-# Regularises sin(x)/x at zero [rad].
-_TINY_ANGLE = 1e-9
 
 
 def joint_zero_term(signals: RobotSignals, amplitudes: Values, shapes: Values) -> Term:
@@ -26,17 +24,12 @@ def joint_zero_term(signals: RobotSignals, amplitudes: Values, shapes: Values) -
     torque: Quantity = 0.0
     for order in (1, 2):
         half = 0.5 * order * about
-        sine = order * _sine_ratio(order * about)
+        sine = order * np.sinc(order * about / np.pi)
         # (cos x - 1)/x = -sin(x/2) sin(x/2)/(x/2)
-        cosine = -order * np.sin(half) * _sine_ratio(half)
+        cosine = -order * np.sin(half) * np.sinc(half / np.pi)
         for k, ratio in enumerate((sine, cosine), start=2 * order - 2):
             torque = torque + amplitudes[0] * ratio * signals.zero_harmonics[..., first + k]
     return Term(link_torque=torque)
-
-
-def _sine_ratio(angle: Quantity) -> Quantity:
-    shifted = angle + _TINY_ANGLE
-    return np.sin(shifted) / shifted
 
 
 def _turns(constants: JointConstants) -> bool:

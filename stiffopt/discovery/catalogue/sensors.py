@@ -41,10 +41,6 @@ def saturation_term(signals: JointSignals, amplitudes: Values, shapes: Values) -
     return Term(drive_torque=amplitudes[0] * rounding * beyond)
 
 
-# Usual zero error of a torque over the rated torque, which bounds it.
-_TYPICAL_OFFSET_SHARE = 0.03
-
-
 def _start_limits(constants: JointConstants) -> tuple[float, ...]:
     friction = dry_friction(constants) + viscous_friction(constants) * constants.fastest
     asked = min(1.0, (constants.largest_torque + friction) / constants.torque_max)
@@ -85,9 +81,10 @@ TORQUE_OFFSET = Effect(
         Amplitude(
             "off",
             "N m",
-            lambda constants: _TYPICAL_OFFSET_SHARE * constants.torque_rated,
-            -1.0 / _TYPICAL_OFFSET_SHARE,
-            1.0 / _TYPICAL_OFFSET_SHARE,
+            # Up to nearly half of the rated torque.
+            lambda constants: 0.03 * constants.torque_rated,
+            -15.0,
+            15.0,
             CHANGED_SCALE_RATIO,
         ),
     ),

@@ -28,7 +28,7 @@ def shift_slope(
         Factor on the shift at every instant: 1, or the time [s].
     """
     shift = shift if abs(shift) >= _SHORTEST_SHIFT else _SHORTEST_SHIFT
-    return (shift_samples(values, shift / dt * growth) - values) / shift
+    return np.asarray((shift_samples(values, shift / dt * growth) - values) / shift)
 
 
 def delay_term(signals: RobotSignals, amplitudes: Values, shapes: Values) -> Term:

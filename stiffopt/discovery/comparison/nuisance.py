@@ -291,16 +291,13 @@ def _columns_of_spring(
     """Yield the columns of one spring with its elastic deflection and torque (K,)."""
     j = constants.joint - 1
     own = ValueName("stiffness", j)
-    asked = [name for name in (own, *_knee_names(j)) if selected(name)]
+    knees = (ValueName(kind, j) for kind in ("T1", "rounding T1", "T2", "rounding T2"))
+    asked = [name for name in (own, *knees) if selected(name)]
     if not asked or not constants.elastic or not np.any(spring):
         return
     if asked[0] == own:
         yield JointColumn(own, sd, "deflection", elastic)
     yield from _knee_columns(constants, spring, asked)
-
-
-def _knee_names(j: int) -> list[ValueName]:
-    return [ValueName(kind, j) for kind in ("T1", "rounding T1", "T2", "rounding T2")]
 
 
 def _knee_columns(

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.experiment.commands import SentCommands, motion_commands
 from stiffopt.discovery.experiment.motion import (
     DRAWS_PER_JOINT,
     MotionLimits,
@@ -52,6 +53,8 @@ class ExperimentPlan:
         Predicted on the motion [sigma].
     reference : float
         On the training run that separates them best, scaled to the motion's duration [sigma].
+    commands : SentCommands, optional
+        That move the arm so, where it follows commands.
     """
 
     joints: tuple[str, ...]
@@ -61,25 +64,34 @@ class ExperimentPlan:
     separation: float
     reference: float
     reference_run: str
+    commands: SentCommands | None = None
 
     @property
     def sentence(self) -> str:
         """Instruction with the predicted separation."""
+        what = f"Record {EXPERIMENT_FILE}"
+        if self.commands is not None:
+            every = 1e3 * float(self.commands.time[1] - self.commands.time[0])
+            what = f"Send cmd1.. of {EXPERIMENT_FILE}, one row every {every:.3g} ms, and record"
         return (
-            f"Record {EXPERIMENT_FILE} ({self.motion.duration:.1f} s): it is predicted to separate"
+            f"{what} ({self.motion.duration:.1f} s): it is predicted to separate"
             f" {self.first.label} from {self.second.label} by {self.separation:.1f} sigma, where"
             f" another run like {self.reference_run} would by {self.reference:.1f}. It keeps the"
             f" arm's limits, but is not checked for collisions. {self.first.effect.separate}"
         )
 
     def csv(self) -> str:
-        """Return columns t, q1.., qd1.. in SI at 100 Hz."""
-        times = np.append(
-            np.arange(0.0, self.motion.duration, 1.0 / _EXPORT_RATE), self.motion.duration
-        )
-        n = len(self.joints)
-        names = ["t", *(f"q{j + 1}" for j in range(n)), *(f"qd{j + 1}" for j in range(n))]
-        table = np.column_stack([times, self.motion(times), self.motion(times, 1)])
+        """Return columns t, q1.., qd1.. in SI at 100 Hz; cmd1.. and q1.. whenever one is sent."""
+        joints = range(1, len(self.joints) + 1)
+        if self.commands is not None:
+            times, heads = self.commands.time, ("cmd", "q")
+            columns = [self.commands.position, self.motion(times)]
+        else:
+            times, heads = np.arange(0.0, self.motion.duration, 1.0 / _EXPORT_RATE), ("q", "qd")
+            times = np.append(times, self.motion.duration)
+            columns = [self.motion(times), self.motion(times, 1)]
+        names = ["t", *(f"{head}{j}" for head in heads for j in joints)]
+        table = np.column_stack([times, *columns])
         stream = io.StringIO()
         np.savetxt(stream, table, fmt="%.9g", delimiter=",", header=",".join(names), comments="")
         return stream.getvalue()
@@ -154,6 +166,7 @@ def plan_experiment(
         separation=value,
         reference=reference,
         reference_run=name,
+        commands=motion_commands(training.robot, training.recorded, best),
     )
 
 

@@ -108,7 +108,7 @@ def half_band_comparison(training: Training, comparison: Comparison) -> Comparis
 
 
 def add_band_deviation(
-    training: Training, comparison: Comparison, parameters: Estimate
+    comparison: Comparison, other: Comparison | None, parameters: Estimate
 ) -> Estimate:
     """Add the difference to a fit in half the band as one standard deviation.
 
@@ -118,15 +118,13 @@ def add_band_deviation(
 
     Parameters
     ----------
-    training : Training
     comparison : Comparison
         With the noise estimated beside the effects.
+    other : Comparison or None
+        In half the band.
     parameters : Estimate
     """
-    if not parameters.effects:
-        return parameters
-    other = half_band_comparison(training, comparison)
-    if other is None:
+    if other is None or not parameters.effects:
         return parameters
     located = [each.located for each in parameters.effects]
     first, last = len(parameters.nuisance), len(parameters.values)
@@ -138,7 +136,7 @@ def add_band_deviation(
     else:
         away = other.fit(located).amplitudes() - parameters.values[first:]
     own = np.diag(parameters.covariance)[first:last]
-    bounds = np.concatenate([e.located.bounds(training.constants) for e in parameters.effects])
+    bounds = np.concatenate([e.located.bounds(comparison.constants) for e in parameters.effects])
     range_ = np.minimum(bounds[:, 1] - bounds[:, 0], _MAX_AMPLITUDE_RANGE)
     return parameters.doubted(np.where(own > _UNDETERMINED_SHARE, range_ / np.sqrt(12.0), away))
 

@@ -386,7 +386,7 @@ class _State:
         """Return log odds of laws among one another, on the scale of rivals of the catalogue."""
         width, n = _evidence_width(ranked), self.comparison.robot.n
         prices = [PARAMETER_LOG_PRICE * e.law.parameter_count - e.law.log_prior(n) for e in ranked]
-        return np.array([e.evidence / width for e in ranked]) - np.array(prices)
+        return np.asarray(np.array([e.evidence for e in ranked]) / width - prices)
 
     def answer(self, result: SearchResult) -> SearchResult:
         """Return the result with the law, and without effects that it makes superfluous."""

@@ -80,7 +80,7 @@ class Form:
     @cached_property
     def _functions(self) -> tuple[Callable[..., Any], ...]:
         names = ", ".join(["x", "dt", *(s.name for s in self.shapes)])
-        space = {"np": np, "lag": operators.lag, "sprung": operators.sprung, "stop": operators.stop}
+        space = {"np": np, **{name: getattr(operators, name) for name in operators.OPERATOR_NAMES}}
         # The formulas are the constants below: one text is equation, code and function.
         return tuple(eval(f"lambda {names}: {each}", space) for each in self.formulas)
 
@@ -351,6 +351,17 @@ FORMS = {
             unscreened=True,
             has_memory=True,
             resembles="something loose: a pendulum, a hose or a liquid",
+        ),
+        Form(
+            name="mode",
+            formulas=("mode(x, f, z, dt)",),
+            words="with the {x}, as it deflects a hidden mass on a spring",
+            symmetry="odd",
+            shapes=MODE_SHAPES,
+            in_signal=True,
+            unscreened=True,
+            has_memory=True,
+            resembles="a part that bends and rings: a bracket, a cover or a liquid",
         ),
         Form(
             name="loose",

@@ -129,8 +129,9 @@ class Law:
 
     @property
     def is_play(self) -> bool:
-        """True where that deflection is a function of the load alone, as a spring or play is."""
-        return self.yields and len(self._load_factors) == len(self.factors) and not self.lags
+        """True where that deflection bends with the load alone, as a spring with play does."""
+        alone = self.yields and len(self._load_factors) == len(self.factors) and not self.lags
+        return alone and any(f.form != "linear" for f in self.factors)
 
     @property
     def structure(self) -> tuple[object, ...]:

@@ -14,6 +14,9 @@ from scipy.linalg import get_lapack_funcs
 
 from stiffopt.symbolic import Quantity
 
+# Operators that formulas of laws may name.
+OPERATOR_NAMES = ("lag", "sprung", "mode", "stop")
+
 
 def lag(x: Quantity, T: Quantity, dt: float) -> Quantity:
     """Return the first-order lag y of a signal, T dy/dt = x - y [unit of x]."""
@@ -27,9 +30,24 @@ def sprung(x: Quantity, f: Quantity, z: Quantity, dt: float) -> Quantity:
     With w = 2 pi f the transfer function is (2 z w s + w^2) / (s^2 + 2 z w s + w^2), here by the
     bilinear transform with exact frequency [unit of x].
     """
+    return _filter_by_mode(x, f, z, dt, by_damper=True)
+
+
+def mode(x: Quantity, f: Quantity, z: Quantity, dt: float) -> Quantity:
+    """Return the mode y of a hidden mass that x pushes against a spring and a damper.
+
+    As `sprung`, with the transfer function w^2 / (s^2 + 2 z w s + w^2) [unit of x].
+    """
+    return _filter_by_mode(x, f, z, dt, by_damper=False)
+
+
+def _filter_by_mode(
+    x: Quantity, f: Quantity, z: Quantity, dt: float, *, by_damper: bool
+) -> Quantity:
     over = np.tan(np.pi * f * dt)  # half step of the angular frequency, prewarped
     damped, square = 2.0 * z * over, over * over
-    b0, b1, b2 = damped + square, 2.0 * square, square - damped
+    through = damped if by_damper else 0.0 * damped
+    b0, b1, b2 = through + square, 2.0 * square, square - through
     a0, a1, a2 = 1.0 + damped + square, 2.0 * square - 2.0, 1.0 - damped + square
     numerator, denominator = [b0 / a0, b1 / a0, b2 / a0], [a1 / a0, a2 / a0]
     return _filter_linear(numerator, [1.0, *denominator], x)

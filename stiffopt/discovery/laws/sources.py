@@ -82,7 +82,7 @@ SOURCE_KINDS = {
         symbol="a_{}",
         unit="rad/s^2",
         words="acceleration of joint {}",
-        forms=("linear", "magnitude", "saturating", "sprung", "loose"),
+        forms=("linear", "magnitude", "saturating", "sprung", "mode", "loose"),
     ),
     "load": SourceKind(
         attribute="spring_torque",
@@ -91,7 +91,7 @@ SOURCE_KINDS = {
         words="load of joint {}",
         forms=(
             *_SIGNED_FORMS,
-            *("hinge_above", "hinge_below", "lag", "stop", "play", "sprung", "loose"),
+            *("hinge_above", "hinge_below", "lag", "stop", "sprung", "mode", "loose"),
         ),
     ),
     "windup": SourceKind(

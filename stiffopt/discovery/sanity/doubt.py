@@ -30,9 +30,9 @@ class Doubt:
     """
 
     kind: str
-    joints: tuple[int, ...]
+    joints: tuple[int, ...] = ()
     evidence: str
-    line: str
+    line: str = ""
 
     def __str__(self) -> str:
         ending = f" If so, write {self.line}." if self.line else ""

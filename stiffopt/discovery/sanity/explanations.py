@@ -118,7 +118,8 @@ class Explanations:
         if self.robot.recordings.signals.currents:
             return shares
         for j in np.flatnonzero(shares > _MIN_FAILURE_SHARE).tolist():
-            torque, additions = self.samples.torque[:, j], self._allowed_additions(j)
+            torque = self.samples.torque[:, j]
+            additions = allowed_additions(self.robot, self.motion, j)
             shares[j] = self.torque_fit.residual_share(self.motion, torque, j, additions)
         return shares
 
@@ -379,9 +380,6 @@ class Explanations:
         return np.array(
             [self.torque_fit.residual_share(motion, torque[:, j], j) for j in range(self.n)]
         )
-
-    def _allowed_additions(self, joint: int) -> Additions:
-        return allowed_additions(self.robot, self.motion, joint)
 
     def _fails_where_it_moves(self, reading: Reading, left: np.ndarray) -> np.ndarray:
         """Return joints (n,) with a failing stated reading at instants moving in the other one.

@@ -197,10 +197,8 @@ def _doubt_masses(recordings: RecordingSet) -> Doubt:
     """Doubt a robot without masses: weight and inertia would hide all other effects."""
     return Doubt(
         kind="masses",
-        joints=(),
         evidence="No link of the robot has a mass: its URDF has no <inertial>. Add masses, if only"
         " rough ones: all other effects are judged beside the weight.",
-        line="",
     )
 
 
@@ -209,11 +207,9 @@ def _doubt_currents(recordings: RecordingSet) -> Iterator[Doubt]:
     if len(recordings.signals.current_joints) == sum(map(bool, recordings.signals.torque)) > 0:
         yield Doubt(
             kind="torque unit",
-            joints=(),
             evidence="The torques are stated as currents in A. Give N m per A at each joint (the"
             " motor's torque constant times the gear ratio) as torque in [signals.scale]; an"
             " estimate from the weight of the nominal model, if possible, is listed as well.",
-            line="",
         )
 
 
@@ -225,7 +221,6 @@ def _remark_currents(joints: Sequence[int]) -> Doubt:
         evidence=f"The torque of {format_joints(joints)} is stated as a current in A, and the"
         " weight does not tell its N m per A: it is left out of a diagnosis. Give the motor's"
         " torque constant times the gear ratio as torque in [signals.scale] to include it.",
-        line="",
     )
 
 
@@ -252,7 +247,6 @@ def _doubt_set_points(recordings: RecordingSet) -> Iterator[Doubt]:
     if told:
         yield Doubt(
             kind="set points",
-            joints=(),
             evidence=f"The positions are set points by their names ({', '.join(told[:3])}"
             f"{', ...' if len(told) > 3 else ''}): they differ from the motion by the controller's"
             " errors, which would be taken for physics. Record measured positions.",
@@ -267,10 +261,8 @@ def _doubt_references(recordings: RecordingSet) -> Iterator[Doubt]:
     if told:
         yield Doubt(
             kind="set points",
-            joints=(),
             evidence=f"The names of the positions mention a reference ({', '.join(told[:3])}"
             f"{', ...' if len(told) > 3 else ''}): are they measured, or set points?",
-            line="",
         )
 
 
@@ -282,7 +274,6 @@ def _doubt_extended_range(odd: OddRun) -> Doubt:
         evidence=f"{odd.run.name} moves faster or further than the other runs and does not fit the"
         f" model there, in the torque of {which}. If it is the same arm with the same load, the"
         " model lacks an effect that shows only there.",
-        line="",
     )
 
 
@@ -305,7 +296,6 @@ def _doubt_odd_runs(recordings: RecordingSet, odd: Sequence[OddRun]) -> Iterator
             f" this one with a load or a contact. The residual of the nominal model, with separate"
             f" friction, is {shares} of the torque's variance. Remove its [[runs]] section, or make"
             " a separate set for that load.",
-            line="",
         )
 
 

@@ -53,7 +53,6 @@ def doubt_position_limits(recordings: RecordingSet, runs: Sequence[RecordedRun])
         evidence="Positions lie beyond the limits of the robot's own file: "
         + _describe_reach(recordings, reach, lower, upper, out)
         + " Check their zero, sign and unit, or correct the limits.",
-        line="",
     )
 
 

@@ -85,7 +85,6 @@ def doubt_repeated_torques(runs: Sequence[RecordedRun]) -> Iterator[Doubt]:
             kind="repeated run" if copied else "commanded torque",
             joints=tuple(j + 1 for j in equal),
             evidence=evidence,
-            line="",
         )
         return
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,6 +26,7 @@ from stiffopt.report.diagnosis.regimes import (
 from stiffopt.report.diagnosis.words import channel_words
 
 if TYPE_CHECKING:
+    from stiffopt.discovery.comparison.prepared_run import PreparedRun
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
 
 # Definitions of what an equation of a law may contain, for samples x_0, x_1, ... every dt seconds.
@@ -38,6 +40,10 @@ _OPERATOR_DEFINITIONS = {
     " constant before the first sample, (1 + 2 * z * o + o**2) * y_k + 2 * (o**2 - 1) * y_(k-1) +"
     " (1 - 2 * z * o + o**2) * y_(k-2) = (o**2 + 2 * z * o) * x_k + 2 * o**2 * x_(k-1) +"
     " (o**2 - 2 * z * o) * x_(k-2)",
+    "mode": "mode(x, f, z) is the deflection y of a mass on a spring and damper of frequency f and"
+    " damping ratio z, over that under a constant x: with o = tan(pi * f * dt) and x, y constant"
+    " before the first sample, (1 + 2 * z * o + o**2) * y_k + 2 * (o**2 - 1) * y_(k-1) +"
+    " (1 - 2 * z * o + o**2) * y_(k-2) = o**2 * (x_k + 2 * x_(k-1) + x_(k-2))",
     "stop": "stop(x, r) follows x and slides where it would leave -r to r: it is x_k - y_k with"
     " y_0 = x_0 and y_k = min(max(y_(k-1), x_k - r), x_k + r)",
 }
@@ -128,6 +134,10 @@ def _describe_share(diagnosis: Diagnosis, finding: Finding) -> str:
     return ""
 
 
+def _signal_of(source: LawSource, run: PreparedRun) -> np.ndarray:
+    return np.asarray(source.value(run.signals))
+
+
 def law_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding) -> Figure | None:
     """Plot the residual without a law over each of its signals, with the law through it."""
     law = law_of(finding.effect)
@@ -145,7 +155,7 @@ def law_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding) -
         figure = Figure(figsize=(WIDTH, 3.2))
         grid = figure.subplots(1, len(sources), sharey=True, squeeze=False)[0]
         for axes, source in zip(grid, dict.fromkeys(sources), strict=False):
-            values = sampled(lambda run, source=source: np.asarray(source.value(run.signals)))
+            values = sampled(partial(_signal_of, source))
             label = f"{source.words} [{source.own.unit}]" if source.own.unit else source.words
             regime = Regime(source.symbol, label, values[rows.chosen])
             noise = factor * float(np.median(rows.noise))

@@ -138,7 +138,7 @@ def _point_at_pose(tree: BodyTree, joint: int, point: np.ndarray, q: np.ndarray)
     """Return a point of a joint's body, or of the base, in the base frame."""
     if joint == 0:
         return point
-    return frame_positions(tree, LinkFrame(joint, point, np.eye(3)), q[None])[0]
+    return np.asarray(frame_positions(tree, LinkFrame(joint, point, np.eye(3)), q[None])[0])
 
 
 def _fit_view(
