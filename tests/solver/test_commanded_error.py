@@ -26,8 +26,11 @@ from stiffopt.problem.resolve import resolve
 from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.status import SolveStatus
+from stiffopt.result.tool_error import LedError
 from stiffopt.solver.ipopt import RawSolution
 from stiffopt.solver.programme import solve_stage
+from stiffopt.solver.ringing import RingingBesideRivals
+from stiffopt.solver.simulated_solution import _judge_beside_rivals
 from stiffopt.solver.solve import solve
 from stiffopt.solver.stage_plan import SolveStage
 
@@ -156,3 +159,35 @@ def test_correction_that_stalls_near_its_start_is_acceptable(objective, status):
     stage = SolveStage(4, Smoothing(1.0))
     found = solve_stage(run, made, stage, raw.x, None, "correction", enough=1.1)
     assert found.status == status
+
+
+@pytest.mark.parametrize(
+    ("flight", "after", "weight"),
+    [(0.7, 1.2, 2.25), (1.1, 0.4, 0.25), (1.1, 0.1, 0.2), (0.9, 0.9, None), (1.1, 0.9, None)],
+)
+def test_weight_of_the_ringing_follows_the_phase_that_is_worse_than_the_rival(
+    monkeypatch, flight, after, weight
+):
+    oracle = RingingBesideRivals.__new__(RingingBesideRivals)
+    one = SimpleNamespace(worst=1.0)
+    oracle._best = SimpleNamespace(flight=one, after=one)
+    monkeypatch.setattr(oracle, "_solve", lambda last, robust: 1.0 + robust, raising=False)
+    led = LedError(in_flight=flight, after_arrival=after, shares={})
+    last = SimpleNamespace(
+        assessment=SimpleNamespace(led=led),
+        raw=SimpleNamespace(converged=True),
+        smoothing=SimpleNamespace(robust=0.0),
+    )
+    proposal = oracle.propose(last, 0)
+    assert (None if proposal is None else proposal.solve()) == (weight and pytest.approx(weight))
+
+
+@pytest.mark.parametrize(("wins", "status"), [(True, "acceptable"), (False, "optimal")])
+def test_motion_is_not_optimal_where_the_command_of_a_rival_wins(problem, solution, wins, status):
+    judged = SimpleNamespace(rival_wins=wins, best_rival=SimpleNamespace(name="quintic"))
+    found = _judge_beside_rivals(problem, replace(solution, compensation=judged))
+    assert found.status.value == status
+    assert found.message.endswith("the command of the quintic motion is better.") == wins
+    other = replace(problem, objectives=(Objective(name="tool_deviation"),))
+    plain = replace(solution, compensation=judged)
+    assert _judge_beside_rivals(other, plain).status is SolveStatus.OPTIMAL

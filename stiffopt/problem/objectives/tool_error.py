@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _WORST_OVER_ROOT = 1.5
 # Weight of the squared ringing over the typical error. How large the true error after arrival is
 # beside this ringing differs by a factor of ten among arms: `solver.ringing` changes the weight.
-_RINGING_WEIGHT = 300.0
+_RINGING_WEIGHT = 600.0
 
 
 class CommandedToolError(ObjectiveKind):
