@@ -1,35 +1,48 @@
 """Time of a working cycle against the same moves optimised one by one, and against S-curves.
 
-    python -m benchmarks.cycle_time [FILE ...]
+    python -m benchmarks.cycle_time [--lead] [FILE ...]
 
 All have the same poses, postures, payloads, dwells and limits, the deflection among them. Moves one
-by one and S-curves stop at every pose. The last two columns leave out the limit of the deflection,
-as motors that lead by the wind-up take it away: of the optimised cycle and of the S-curves.
+by one and S-curves stop at every pose. The last two columns leave out the limit of the deflection:
+of the optimised cycle and of the S-curves.
+
+With `--lead` motors lead the links by the wind-up in both, within the limits of the motors, and the
+error is that of the commands, simulated on the same uncertain arms: its largest value in flight and
+after arrival over all moves. The S-curves (ruckig) are as fast as their commands keep the limits.
 """
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from stiffopt.baseline.rivals import fair_rivals
+from stiffopt.command.compensation import commands_on_arms, slow_until_led
+from stiffopt.command.simulation import PlannedMotion, elastic_arm
 from stiffopt.cycle.solve_cycle import solve_cycle
 from stiffopt.problem.cycle import Cycle
 from stiffopt.problem.cycle_files import load_cycle
 from stiffopt.problem.limit import Limits
 from stiffopt.problem.resolve import resolve
+from stiffopt.result.compensation import CompensatedMotion
 
 PROBLEMS = Path(__file__).resolve().parents[1] / "problems"
 FILES = ("er3a_cycle.toml", "ur10_cycle.toml")
 
 
+def stopping_changes(path: Path) -> list[str]:
+    """Changes of the file by which the arm stops at the end of every move."""
+    moves = sum(len(leg.moves) for leg in load_cycle(path).cycle.legs)
+    return [f"move[{k}].stop=true" for k in range(1, moves + 1)]
+
+
 def one_by_one(path: Path) -> Cycle:
     """The cycle with a stop at the end of every move."""
-    moves = sum(len(leg.moves) for leg in load_cycle(path).cycle.legs)
-    return load_cycle(path, [f"move[{k}].stop=true" for k in range(1, moves + 1)]).cycle
+    return load_cycle(path, stopping_changes(path)).cycle
 
 
 def without_deflection(cycle: Cycle) -> Cycle:
@@ -55,8 +68,64 @@ def s_curve_time(cycle: Cycle) -> float:
     return total
 
 
+Errors = tuple[float, float]
+
+
+def _largest(found: Iterable[CompensatedMotion]) -> Errors:
+    """Largest errors on the worst arm, in flight and after arrival [m]."""
+    led = [each.compensated for each in found]
+    return max(each.flight.worst for each in led), max(each.after.worst for each in led)
+
+
+def led_s_curves(cycle: Cycle) -> tuple[float, Errors]:
+    """Time [s] and errors of S-curves whose motors lead, with a stop at every pose."""
+    total, found = cycle.rest, []
+    for leg in cycle.legs:
+        problem = leg.problem
+        rivals = fair_rivals(problem, resolve(problem), problem.duration[0])
+        rival, motion = next(each for each in rivals if each[0].name == "S-curve")
+        arm = elastic_arm(problem, motion.position[0])
+        planned = PlannedMotion.of_rival(rival.smoothed, motion, True)
+        (own,) = commands_on_arms(problem, arm, [planned])
+        own = slow_until_led(problem, arm, own)
+        total += np.inf if own.excess else own.motion.time[-1]
+        found.append(own.for_reports())
+    return total, _largest(found)
+
+
+def led_cycle(cycle: Cycle) -> tuple[float, Errors, str]:
+    """Time [s] and errors of the optimised cycle whose motors lead, and its status."""
+    found = solve_cycle(cycle)
+    led = [leg.solution.compensation for leg in found.legs]
+    if any(each is None or each.refusal for each in led):
+        return np.inf, (np.inf, np.inf), str(found.status)
+    return found.duration, _largest(each.optimised for each in led), str(found.status)
+
+
+def print_led(paths: list[Path]) -> None:
+    """Print the table of cycles whose motors lead."""
+    print(
+        "| cycle | optimised [s] | in flight, after [mm] | S-curves [s] | in flight, after [mm] |"
+    )
+    print("|---|---|---|---|---|")
+    for path in paths:
+        cycles = [
+            without_deflection(load_cycle(path, ["uncertainty.draws=50", *stops]).cycle)
+            for stops in ((), stopping_changes(path))
+        ]
+        curve_time, curve_errors = led_s_curves(cycles[1])
+        time, errors, status = led_cycle(cycles[0])
+        told = [f"{1e3 * a:.3f}, {1e3 * b:.3f}" for a, b in (errors, curve_errors)]
+        print(f"| {path.stem} | {time:.3f} ({status}) | {told[0]} | {curve_time:.3f} | {told[1]} |",
+              flush=True)  # fmt: skip
+
+
 def main() -> None:
-    paths = [Path(name) for name in sys.argv[1:]] or [PROBLEMS / name for name in FILES]
+    """Print the tables of the files named on the command line."""
+    named = [name for name in sys.argv[1:] if name != "--lead"]
+    paths = [Path(name) for name in named] or [PROBLEMS / name for name in FILES]
+    if "--lead" in sys.argv:
+        return print_led(paths)
     head = ("cycle", "optimised [s]", "one by one [s]", "S-curves [s]", "optimised", "S-curves")
     print(f"| {' | '.join(head)} |")
     print("|---|---|---|---|---|---|")

@@ -33,15 +33,16 @@ _ANGLE_UNITS = (
 )
 
 
-def number_and_unit(value: float | str) -> tuple[float, str | None]:
-    """Split a value of a file into number and unit: "" for a bare number, None for other texts.
+def number_and_unit(value: object) -> tuple[float, str | None]:
+    """Split a value of a file into number and unit: "" for a bare number, None for other values.
 
     >>> number_and_unit("0.4 s"), number_and_unit(2), number_and_unit("fast")
     ((0.4, 's'), (2.0, ''), (nan, None))
     """
-    if not isinstance(value, str):
+    if isinstance(value, int | float) and not isinstance(value, bool):
         return float(value), ""
-    match = _NUMBER_AND_UNIT.match(value) if len(value) <= MAX_NUMBER_LENGTH else None
+    short = isinstance(value, str) and len(value) <= MAX_NUMBER_LENGTH
+    match = _NUMBER_AND_UNIT.match(str(value)) if short else None
     return (float(match[1]), match[2]) if match else (math.nan, None)
 
 
@@ -92,7 +93,11 @@ _FACTORS_WITHOUT_PINT = {
     "speed": {"m/s": 1.0, "mm/s": 1e-3},
     "acceleration": {"m/s^2": 1.0},
     "jerk": {"m/s^3": 1.0},
-    "angular velocity": {"rad/s": 1.0, "deg/s": math.pi / 180.0},
+    "angular velocity": {
+        "rad/s": 1.0,
+        "deg/s": math.pi / 180.0,
+        "rpm": math.pi / 30.0,
+    },
     "angular acceleration": {"rad/s^2": 1.0, "deg/s^2": math.pi / 180.0},
     "angular jerk": {"rad/s^3": 1.0, "deg/s^3": math.pi / 180.0},
     "stiffness": {"N*m/rad": 1.0, "Nm/rad": 1.0, "N*m/arcmin": 10800.0 / math.pi},

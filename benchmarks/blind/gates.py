@@ -72,7 +72,7 @@ def _entry_without(**limits: float) -> Callable[..., bool]:
     return test
 
 
-def _all(_: Any, comparison: Any, effects: Sequence[Any], **__: Any) -> list[Any]:
+def _all(_: Any, comparison: Any, effects: Sequence[Any], *__: Any) -> list[Any]:
     return list(effects)
 
 
@@ -122,7 +122,6 @@ def _third(*given: Any) -> Any:
 
 
 _E = f"{_SEARCH}.joint_fit"
-_CONFIRMED = tuple(f"{each}:confirm_effects" for each in (_E, f"{_SEARCH}.model_changes"))
 _PREDICTIVE = tuple(f"{each}:select_predictive" for each in (_E, f"{_SEARCH}.model_changes"))
 _PASSES = tuple(f"{each}:passes_thresholds" for each in _ENTRY)
 _DIAGNOSE, _CONCLUSIONS = "stiffopt.discovery.diagnose", "stiffopt.discovery.conclusions"
@@ -137,13 +136,9 @@ GATES = tuple(
         ("general", "entry: more general forms", (f"{_SEARCH}.candidates:Scorer._beats_general_forms",), _always(True), None),
         ("distinctive", "entry: distinctive amplitudes", (f"{_SEARCH}.candidates:_has_own_amplitude",), _always(True), None),
         ("pruned", "pruning", (f"{_SEARCH}.search:prune_effects",), _all, None),
-        ("confirmed", "jackknife over stretches", _CONFIRMED, _all, None),
-        ("local", "exemption of brief effects", (f"{_E}:_is_locally_supported",), _always(False), None),
-        ("held_out", "share in folds left out, tolerances stated", (f"{_E}:left_out_gains",), _gains_with(share=1.0), lambda found, *_: min((each.share for each in found), default=1.0) < 0.01),
         ("nominal", "exemption by nominal values", (f"{_E}:_is_supported_by_nominal",), _always(False), None),
-        ("predictive", "prediction of folds left out, tolerances not stated", _PREDICTIVE, _all, None),
-        ("cancelling", "effects that cancel others", (f"{_SEARCH}.cross_validation:drop_cancelling",), _all, None),
-        ("single_fold", "shapes of one fold", (f"{_SEARCH}.cross_validation:_drop_single_fold_shapes",), _all, None),
+        ("predictive", "gain in folds left out", _PREDICTIVE, _all, None),
+        ("cancelling", "effects that cancel others", (f"{_SEARCH}.left_out_gain:drop_cancelling",), _all, None),
         ("exchanged", "exchange for likelier rivals", (f"{_SEARCH}.search:exchange_rivals",), _ranked_only, _exchanged),
         ("twins", "twins compared by fit", (f"{_SEARCH}.rivals:_evidence_lead",), lambda _, c, own: c.evidence - own.evidence, None),
         ("outside_values", "values beyond tolerance claimed", (f"{_SEARCH}.search:claim_outside_values",), lambda _, start, current, ranked, *__: (current, ranked), lambda found, start, current, ranked, *_: found[1] is not ranked),

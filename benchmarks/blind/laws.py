@@ -146,8 +146,9 @@ def score(store: Store, name: str, of: str = "") -> Scored | None:
 
 
 def _plain(symbol: str) -> str:
-    """The signal of a symbol: the direction of a joint is a matter of its speed."""
-    return re.sub(r"sg\((\w+)\)", r"\1", symbol)
+    """The signal of a symbol: direction and nominal friction of a joint are a matter of its speed,
+    its nominal wind-up of its load."""
+    return re.sub(r"sg\((\w+)\)", r"\1", symbol).replace("F_", "w_").replace("D_", "T_")
 
 
 def _function_errors(store: Store, name: str, true: dict[str, Any]) -> dict[str, float]:

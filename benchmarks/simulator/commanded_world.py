@@ -19,8 +19,8 @@ TIMESTEP = 5e-4  # [s]
 MASS_TOLERANCE, GAIN_TOLERANCE, FRICTION_TOLERANCE = 0.02, 0.03, 0.1
 # Standard deviations within which nominal values lie.
 _MAX_DEVIATIONS = 2.0
-# Largest share of the motion by which an arm misses it: a servo that chatters in a wide gap does not
-# move its link at all, and nobody diagnoses such a recording.
+# Largest share of the motion by which an arm misses it: a servo that chatters in a wide gap does
+# not move its link at all, and nobody diagnoses such a recording.
 _MAX_SHARE_AWAY = 0.5
 # Teeth of a gear with backlash: their stiffness lets the lighter side ring at this angular
 # frequency [rad/s], with this share of critical damping.

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from .effects import Outcome, effect, sign, spread
-from .world import IDENTIFIED_AT, State, World
+from .world import IDENTIFIED_AT, Signals, State, World
 
 
 def _outcome(world: World, signals: list[str], **law: float) -> Outcome:
@@ -99,6 +99,54 @@ def trapped_liquid(world: World, joint: int, severity: float, rng: np.random.Gen
 
     world.link_loads.append(load)
     return _outcome(world, [f"w_{joint + 1}"], size=size, memory=memory)
+
+
+@effect("law", outside=True, drawn=False)
+def loose_weight(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
+    """A weight within the link on a spring that stiffens: it rings after every start and stop."""
+    size = 1.5 * severity * spread(rng) * world.rotor_inertia[joint]
+    pull = (2.0 * np.pi * rng.uniform(1.2, 5.0)) ** 2
+    drag = 2.0 * rng.uniform(0.03, 0.2) * np.sqrt(pull)
+    stiffens = 4.0  # [1/rad^2]
+    place: list[np.ndarray] = []
+    speed = np.zeros(world.runs)
+
+    def load(state: State, torque: np.ndarray) -> None:
+        if state.step == 0.0:  # at rest it hangs along
+            return
+        here = state.link[:, joint]
+        if not place:
+            place.append(here.copy())
+        bent = here - place[0]
+        push = pull * bent * (1.0 + stiffens * bent**2) + drag * (
+            state.link_velocity[:, joint] - speed
+        )
+        torque[:, joint] -= size * push
+        speed[...] += state.step * push
+        place[0] += state.step * speed
+
+    world.link_loads.append(load)
+    return _outcome(world, [f"a_{joint + 1}"], size=size, pull=pull, drag=drag)
+
+
+@effect("law", outside=True, drawn=False)
+def loose_encoder(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
+    """The encoder of the link stands on a bracket that shakes with the link's acceleration."""
+    pull = (2.0 * np.pi * rng.uniform(1.5, 5.0)) ** 2
+    drag = 2.0 * rng.uniform(0.05, 0.2) * np.sqrt(pull)
+    size = 0.02 * severity * spread(rng)
+
+    def read(signals: Signals) -> None:
+        angle = signals.link[:, :, joint]
+        pushed = np.gradient(np.gradient(angle, signals.step, axis=1), signals.step, axis=1)
+        bent, rate = np.zeros((2, len(angle)))
+        for k in range(angle.shape[1]):
+            rate = rate - signals.step * (pull * bent + drag * rate + pushed[:, k])
+            bent = bent + signals.step * rate
+            angle[:, k] += size * bent
+
+    world.sensors.append(read)
+    return _outcome(world, [f"a_{joint + 1}"], size=size, pull=pull, drag=drag)
 
 
 class _WarmSpring:

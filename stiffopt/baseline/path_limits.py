@@ -16,7 +16,7 @@ import numpy as np
 
 from stiffopt.certificate.rigid_body import link_torques, rigid_body_history
 from stiffopt.errors import format_factor, is_factor
-from stiffopt.problem.limits.velocity_by_position import velocity_at
+from stiffopt.problem.limits.joint_curve import curve_at
 from stiffopt.result.joint_path import JointPath
 
 if TYPE_CHECKING:
@@ -139,7 +139,7 @@ def _squared_speed_max(
 ) -> np.ndarray:
     velocity = np.broadcast_to(limits.velocity, q.shape)
     if limits.velocity_map is not None:
-        velocity = np.minimum(velocity, velocity_at(limits.velocity_map, q))
+        velocity = np.minimum(velocity, curve_at(limits.velocity_map, q))
     with np.errstate(divide="ignore"):
         ratios = [velocity / np.abs(dq), (limits.tool_speed / tool_speed)[:, None]]
     fastest = np.min(np.hstack(ratios), axis=1)

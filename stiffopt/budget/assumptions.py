@@ -13,7 +13,7 @@ def list_assumptions(model: ErrorModel, *, solved: bool) -> tuple[str, ...]:
         "Errors are small: their effects on the tool are linear and add up.",
         "Sources are independent and normally distributed; tolerances and uncertainties are 95 % "
         "bounds. Geometric tolerances are those of [tolerances], with typical defaults.",
-        "Links are rigid; output bearings yield as the robot file states."
+        "Output bearings and links yield where the robot file says so, and are rigid elsewhere."
         if model.robot.tilts
         else "Bearings and links are rigid: joints yield about their axes only.",
         "Springs carry the torque of the motion without vibration: `stiffopt simulate` adds it.",

@@ -1,4 +1,4 @@
-"""Errors of the tool by the joints: wind-up, output bearings, payload, hysteresis and servo.
+"""Errors of the tool by the joints: wind-up, bearings and links, payload, hysteresis and servo.
 
 Quasi-static: every spring carries the load of the motion, without vibration.
 """
@@ -12,12 +12,12 @@ import numpy as np
 from stiffopt.budget.sources import ErrorSource, KnownError, States, ToolJacobians
 from stiffopt.elastic.simulate import TYPICAL_HALF_LOOP
 from stiffopt.elastic.springs import joint_springs
-from stiffopt.elastic.uncertainty import Uncertainty
+from stiffopt.elastic.uncertainty import UNIFORM_MEAN_SQUARE, Uncertainty
 from stiffopt.robot.bearing_deflection import bearing_deflections, correcting_joints
 from stiffopt.robot.robot import Robot
 
-# Bounds of an uncertainty are 95 % bounds of a normal distribution.
-BOUND_IN_STANDARD_DEVIATIONS = 2.0
+# Standard deviation of a parameter that lies evenly between its bounds, over the bound.
+_DEVIATION_OVER_BOUND = np.sqrt(UNIFORM_MEAN_SQUARE)
 # Standard deviation of a uniform distribution over its width.
 _UNIFORM_DEVIATION = 1.0 / np.sqrt(12.0)
 
@@ -47,7 +47,7 @@ def elastic_errors(
     windup = _windups(robot, tool, states, force)
     if not compensated:
         yield KnownError(group="torsion", effect=-tool.moved(windup))
-    shares = uncertainty.shares(robot.n) / BOUND_IN_STANDARD_DEVIATIONS
+    shares = _DEVIATION_OVER_BOUND * uncertainty.shares(robot.n)
     for j in np.flatnonzero(np.any(windup != 0.0, axis=0) & (shares > 0.0)):
         yield ErrorSource(
             name=f"stiffness of {robot.joint_names[j]}",
@@ -59,13 +59,15 @@ def elastic_errors(
         whole = tilt.sum(axis=1)
         led = correcting_joints(robot, states.position, whole) if compensated else 0.0 * windup
         yield KnownError(group="tilt", effect=whole + tool.moved(led))
-    share = uncertainty.bearing_stiffness / BOUND_IN_STANDARD_DEVIATIONS
+    share = _DEVIATION_OVER_BOUND * uncertainty.bearing_stiffness
     for j in np.flatnonzero(np.any(tilt != 0.0, axis=(0, 2)) & (share > 0.0)):
         yield ErrorSource(
-            name=f"bearing of {robot.joint_names[j]}", group="tilt", effect=share * tilt[:, j]
+            name=f"{_name_mounts(robot, j)} of {robot.joint_names[j]}",
+            group="tilt",
+            effect=share * tilt[:, j],
         )
     if robot.payload is not None and uncertainty.payload > 0.0:
-        heavier = robot.with_payload_times(1.0 + uncertainty.payload / BOUND_IN_STANDARD_DEVIATIONS)
+        heavier = robot.with_payload_times(1.0 + _DEVIATION_OVER_BOUND * uncertainty.payload)
         added = _windups(heavier, tool, states, force) - windup
         tilted = _bearing_deflections(heavier, states, force) - tilt
         yield ErrorSource(
@@ -98,6 +100,13 @@ def _half_loops(robot: Robot) -> np.ndarray:
     if robot.hysteresis is not None and np.any(robot.hysteresis):
         return np.asarray(springs * robot.hysteresis)
     return np.asarray(TYPICAL_HALF_LOOP * (springs & ~robot.prismatic))
+
+
+def _name_mounts(robot: Robot, joint: int) -> str:
+    """Name the elastic parts behind a joint (from 0)."""
+    bearing = bool(robot.bearings) and robot.bearings[joint] is not None
+    link = bool(robot.links) and robot.links[joint] is not None
+    return "bearing and link" if bearing and link else "link" if link else "bearing"
 
 
 def _bearing_deflections(robot: Robot, states: States, force: np.ndarray) -> np.ndarray:

@@ -19,7 +19,6 @@ from stiffopt.formatting import listed
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.solution import Solution
-    from stiffopt.result.tool_error import PropagatedError
     from stiffopt.robot.robot import Robot
     from stiffopt.robot.tolerances import Tolerances
 
@@ -43,38 +42,22 @@ def geometry_floor(robot: Robot, tolerances: Tolerances, position: np.ndarray) -
     return float(np.max(found.bound(POSITION)))
 
 
-def error_shares(error: PropagatedError) -> dict[str, float]:
-    """Shares of the sources in the mean square error where it is largest in flight.
-
-    Stiffness of the joints and of the bearings are one source each.
-    """
-    worst = int(np.argmax(error.bound[error.time <= error.duration]))
-    found: dict[str, float] = {}
-    for name, own in error.shares.items():
-        kind = name.partition(" of ")[0]
-        square = float(np.mean(np.sum(own[:, worst] ** 2, axis=1)))
-        found[kind] = found.get(kind, 0.0) + square
-    whole = sum(found.values())
-    return {kind: square / whole for kind, square in found.items()} if whole else {}
-
-
 def error_floor_note(problem: TrajectoryProblem, tolerances: Tolerances, solution: Solution) -> str:
     """Describe what bounds the error of a commanded motion; "" where there is no command."""
     motion, led = solution.assessment, solution.compensation
-    if motion is None or motion.propagated is None or led is None or led.command is None:
+    if motion is None or motion.led is None or led is None or led.command is None:
         return ""
     chosen = np.linspace(0, len(motion.time) - 1, _INSTANT_COUNT).round().astype(int)
     floor = geometry_floor(problem.robot, tolerances, motion.position[chosen])
-    shares = error_shares(motion.propagated)
     named = listed(
         [
             f"{kind} {100.0 * share:.0f} %"
-            for kind, share in sorted(shares.items(), key=lambda each: -each[1])
+            for kind, share in sorted(motion.led.shares.items(), key=lambda each: -each[1])
             if share >= _MIN_NAMED_SHARE
         ]
     )
     return (
-        f"The bound of the tool error in flight, {1e3 * motion.propagated.in_flight:.3g} mm, comes "
+        f"The worst tool error in flight, {1e3 * motion.led.in_flight:.3g} mm, comes "
         f"from {named}. Tolerances of the geometry add up to {1e3 * floor:.3g} mm (95 %), which "
         "no plan or command changes: `stiffopt budget` names the measurement that narrows them."
     )

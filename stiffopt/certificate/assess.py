@@ -20,7 +20,7 @@ from stiffopt.certificate.rigid_body import (
 )
 from stiffopt.certificate.violations import find_drive_violations, find_violations
 from stiffopt.elastic.arm import ElasticArm
-from stiffopt.elastic.error_propagation import propagate_error
+from stiffopt.elastic.led_error import led_error
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
 from stiffopt.errors import NotSimulatedError
@@ -116,10 +116,10 @@ def assess(
         if values is not None
         for j, value in enumerate(values, start=1)
     }
-    swing = propagated = None
+    swing = led = None
     if whole and problem.judges_uncertain_arms:
         with suppress(NotSimulatedError):
-            propagated = propagate_error(
+            led = led_error(
                 ElasticArm(robot, position[0], problem.process_force),
                 motion if link is None else link,
                 problem.uncertainty,
@@ -129,9 +129,7 @@ def assess(
         arm = ElasticArm(robot, position[0], problem.process_force)
         command = MotorMotion(times, position, velocity)
         swing = simulate(arm, command, band=problem.active_limits.settling_band)
-    return find_violations(
-        problem, replace(assessment, integrals=named, simulated=swing, propagated=propagated)
-    )
+    return find_violations(problem, replace(assessment, integrals=named, simulated=swing, led=led))
 
 
 def drive_violations(

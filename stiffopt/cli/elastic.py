@@ -6,7 +6,7 @@ import os
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
@@ -37,7 +37,15 @@ if TYPE_CHECKING:
 
     import numpy as np
 
+    from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.robot.robot import Robot
+
+
+def _with_model(problem: TrajectoryProblem, model: Path, effects: Path | None) -> TrajectoryProblem:
+    """Return the problem with the robot of an extended model."""
+    from stiffopt.discovery.extended.planning import extended_problem, planner_model, read_model
+
+    return extended_problem(problem, planner_model(problem.robot, read_model(model, effects)))
 
 
 @app.command
@@ -51,15 +59,18 @@ def simulate(
     feed_forward: float = 1.0,
     delay: str = "0 s",
     damping: float | None = None,
+    model: Path | None = None,
+    effects: Path | None = None,
     changes: Changes = (),
     open_report: Open = False,
 ) -> int:
     """Simulate a solved motion and its baselines on the elastic arm.
 
     Writes simulation.json, simulation.csv (the optimised motion every 0.5 ms) and simulation.html
-    with a 3D view of the vibration. A command.csv of the solve is evaluated too: on the nominal
-    arm, at the bounds of the uncertainty and on arms sampled within them; --set changes entries of
-    [uncertainty], such as uncertainty.stiffness=0.3.
+    with a 3D view of the vibration; of a cycle, with its changes of payload, the first two. A
+    command.csv of the solve is evaluated too: on the nominal arm, at the bounds of the uncertainty
+    and on arms sampled within them; --set changes entries of [uncertainty], such as
+    uncertainty.stiffness=0.3.
 
     Parameters
     ----------
@@ -77,6 +88,11 @@ def simulate(
         Dead time of the loop.
     damping
         Damping ratio of each elastic joint on its own, in place of the robot file's damping.
+    model
+        extended.toml of a diagnosis of this arm: the arm that the motion is simulated on; default:
+        the one that it was planned with.
+    effects
+        Python file of its user-defined effects.
     """
     from stiffopt.command.compensation import judge_existing_command
     from stiffopt.command.simulation import elastic_arm, simulate_motions
@@ -86,6 +102,7 @@ def simulate(
     from stiffopt.report.solve.simulation import write_simulation_report
     from stiffopt.report.solve.terminal import print_compensation, print_simulation
     from stiffopt.result.compensation import COMMAND_FILE
+    from stiffopt.result.cycle import CYCLE_FILE
     from stiffopt.result.store import write_simulation
     from stiffopt.units import to_si
 
@@ -105,7 +122,21 @@ def simulate(
                 "uncertainty of servos. Omit one of the two."
             )
     servo = None if bandwidth is None else Servo(bandwidth, feed_forward, late)
-    stored = read_result(result, problem, changes)
+    if (result / CYCLE_FILE).is_file():
+        if model is not None:
+            raise InputError("--model: a cycle is simulated on the arm as modelled. Omit the option.")
+        refuse_changes(changes, "a simulated cycle has the arm as modelled. Omit --set.")
+        return _simulate_cycle(
+            result, out or result, problem, servo=servo, band=settled, damping=damping
+        )
+    stored = read_result(result, problem, changes, _with_model)
+    if model is not None:
+        if stored.model is not None:
+            raise InputError(
+                f"--model: the motion in {result} was planned with {stored.model}, and is simulated"
+                " on that arm. Omit the option, or solve without a model."
+            )
+        stored = replace(stored, problem=_with_model(stored.problem, model, effects))
     if changes and stored.command is None:
         raise InputError(
             f"--set {shortened(changes[0])}: uncertainties apply to a command, and {result} has no "
@@ -140,37 +171,76 @@ def simulate(
     return 0
 
 
+def _simulate_cycle(result: Path, folder: Path, problem: Path | None, **settings: Any) -> int:
+    """Simulate the commands of a solved cycle with other settings, and write what it found."""
+    import numpy as np
+
+    from stiffopt.cycle.cycle_simulation import simulate_motions
+    from stiffopt.export.cycle_motion import StoredCycle, read_stored
+    from stiffopt.export.motion import SplineMotion
+    from stiffopt.files import load_json
+    from stiffopt.problem.cycle_files import load_cycle
+    from stiffopt.recipe.stored_result import problem_file, read_changes
+    from stiffopt.report.cycle.page import print_simulated_cycle
+    from stiffopt.result.cycle import CYCLE_FILE, write_cycle_simulation
+
+    stored = read_stored(result, "motor", problem)
+    assert isinstance(stored, StoredCycle)
+    path = result / CYCLE_FILE
+    document = load_json(path)
+    changes = read_changes(path, document)
+    cycle = load_cycle(problem_file(path, document, problem), changes).cycle
+    commands = [SplineMotion(leg.curve) for leg in stored.legs]
+    plans = [SplineMotion(leg.curve if leg.link is None else leg.link) for leg in stored.legs]
+    # A command that leads the servo's lag ends after the plan's arrival.
+    for plan, leg in zip(plans, document["legs"], strict=True):
+        plan.duration = leg["arrival"] - leg["start"]
+    rests = np.array([leg["dwell"] for leg in document["legs"]])
+    found = simulate_motions(cycle, commands, plans, rests, **settings)
+    with output_folder(folder, "simulate", of="solve") as stage:
+        written = write_cycle_simulation(found, stage)
+    print_simulated_cycle(cycle, found)
+    print(f"Wrote {', '.join(str(folder / name) for name in written)}")
+    return 0
+
+
 @app.command
 def view(
-    result: Path, *, problem: SolvedProblem = None, port: int = 8080, changes: NoChanges = ()
+    result: Path,
+    *,
+    problem: SolvedProblem = None,
+    out: Out | None = None,
+    show: Annotated[bool, Parameter(name="--open", help="Open the page in the browser.")] = True,
+    changes: NoChanges = (),
 ) -> int:
-    """Show a solved motion in the browser until Ctrl-C; needs the extra `view`.
+    """Show a solved motion in the browser: scene.html, which needs no network.
 
     Parameters
     ----------
     result
         Folder of a solve.
-    port
-        Local port of the page; if it is in use, the next one is taken.
+    out
+        Folder for the page; default: the folder of the solve.
     """
     from stiffopt.recipe.stored_result import read_result
-    from stiffopt.report.scene.live import LiveScene
     from stiffopt.report.scene.poses import stored_poses
+    from stiffopt.report.scene.still import write_scene_page
 
     refuse_changes(changes)
     stored = read_result(result, problem)
     own, *others = stored.motions()
-    ghost = next((each for each in others if each.name == "toppra"), None)
-    robot = stored.problem.robot
-    scene = LiveScene(
-        robot,
-        stored_poses(robot, own.time, own.position, stored.windup),
-        None if ghost is None else stored_poses(robot, ghost.time, ghost.position),
-        cell=stored.problem.cell,
-        port=port,
-    )
-    print(f"{result} is shown at {scene.address}. Stop with Ctrl-C.", flush=True)
-    scene.run()
+    robot, folder = stored.problem.robot, out or result
+    motions = {"planned": stored_poses(robot, own.time, own.position, stored.windup)}
+    motions |= {
+        each.name: stored_poses(robot, each.time, each.position)
+        for each in others
+        if each.name == "toppra"
+    }
+    with output_folder(folder, "view", of="solve") as stage:
+        title = stored.problem.title or robot.name
+        page = write_scene_page(title, robot, motions, stage / "scene.html", stored.problem.cell)
+    print(f"Wrote {folder / page.name}")
+    show_report(folder, show, page.name)
     return 0
 
 

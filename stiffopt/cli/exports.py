@@ -21,11 +21,12 @@ def export(
     to: Annotated[
         str,
         Parameter(
-            help="Format: ros2, csv, urscript, krl-rsi, abb-egm or fanuc-stream of a solve; urdf, "
-            "mjcf or usd of a diagnosis."
+            help="Format: ros2, csv, urscript, krl-rsi, abb-egm, fanuc-stream, yaskawa-job or "
+            "staubli-val3 of a solve; urdf, mjcf or usd of a diagnosis."
         ),
     ],
     rate: float | None = None,
+    pulses: str | None = None,
     of: Literal["motor", "link"] = "motor",
     problem: Path | None = None,
     recordings: Path | None = None,
@@ -41,9 +42,11 @@ def export(
     Parameters
     ----------
     result
-        Folder of a solve whose motion meets its limits, or of a diagnosis.
+        Folder of a solve or an improvement whose motion meets its limits, or of a diagnosis.
     rate
-        Sampling rate [Hz]; default 500, for krl-rsi 250.
+        Sampling rate [Hz]; default 500, for krl-rsi 250, for yaskawa-job and staubli-val3 20.
+    pulses
+        Pulses per degree of axes S to T for yaskawa-job, such as 1341.4,1907.7,1593,1023,980,455.
     of
         Motion of the motors (command.csv where there is one) or of the links.
     problem
@@ -58,6 +61,7 @@ def export(
     from stiffopt.export.cycle_motion import read_stored
     from stiffopt.export.format import FORMATS
     from stiffopt.export.model_format import MODEL_FORMATS
+    from stiffopt.improvement.improvement_files import IMPROVEMENT_FILE
     from stiffopt.result.store import RESULT_FILE
 
     refuse_changes(changes)
@@ -75,7 +79,9 @@ def export(
         texts: Mapping[str, str | bytes]
         texts, maker = _extended_robot_files(result, to, recordings, effects), "diagnose"
     elif to in FORMATS:
-        texts, maker = FORMATS[to].export(read_stored(result, of, problem), rate), "solve"
+        form = FORMATS[to] if pulses is None else FORMATS[to].with_pulses(_read_numbers(pulses))
+        texts, maker = form.export(read_stored(result, of, problem), rate), "solve"
+        maker = "improve" if (result / IMPROVEMENT_FILE).is_file() else maker
     else:
         names = [*FORMATS, *MODEL_FORMATS]
         raise InputError(f"--to {to}: unknown format. {nearest(to, names)}")
@@ -120,6 +126,16 @@ def check(
     )
     print(f"All limits are met; the tightest is {found.tightest}.")
     return 0
+
+
+def _read_numbers(text: str) -> list[float]:
+    """Read the numbers of --pulses."""
+    try:
+        return [float(each) for each in text.split(",")]
+    except ValueError as error:
+        raise InputError(
+            f"--pulses {text}: numbers separated by commas are needed, one for each axis."
+        ) from error
 
 
 def _extended_robot_files(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from stiffopt.cli.base import Changes, Open, Out, app, default_folder, show_report
@@ -59,6 +60,17 @@ def improve(
             "improve needs the arm of the motion: give either --robot (a shipped name, robot file "
             "or URDF) or --problem (a problem file with payload, tool and limits)."
         )
+    folder = out or default_folder(f"{motion.stem}-improved", changes)
+    given_arm = Path(str(robot if problem is None else problem))
+    origin = {
+        "title": motion.stem,
+        "robot" if problem is None else "problem": Path(
+            os.path.relpath(given_arm, folder)
+        ).as_posix()
+        if given_arm.is_file()
+        else str(given_arm),
+        "changes": list(changes),
+    }
     if problem is not None:
         settings = load_problem(problem, changes).problem
         arm = settings.robot
@@ -66,13 +78,12 @@ def improve(
         settings, arm = None, load_robot(str(robot), changes=changes)
     read = read_timed_motion(motion, arm, rate)
     given = GivenMotion(read.time, read.position, read.velocity)
-    folder = out or default_folder(f"{motion.stem}-improved", changes)
     maybe = (COMMAND_FILE, TRAJECTORY_FILE)
     with output_folder(folder, "improve", maybe=maybe) as stage:
         found = improve_motion(arm, given, retime=retime, settings=settings)
         with defer_while_writing():
             write_improvement_report(motion.stem, found, stage, read.reasons)
-            write_improvement(found, stage)
+            write_improvement(found, stage, origin)
     print_improvement(found, folder)
     show_report(folder, open_report)
     return 0 if found.kept else 3

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,14 +17,14 @@ from stiffopt.elastic.bearing_lead import LedPlan, bearing_lead
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import REST, simulate
 from stiffopt.elastic.smooth_motion import smooth_motion
-from stiffopt.elastic.uncertain_arms import Member, SimulationRequest, UncertainArms
-from stiffopt.elastic.uncertainty import (
-    Departure,
-    corners,
-    departure_at_bounds,
-    draw_departures,
-    one_at_a_time,
+from stiffopt.elastic.uncertain_arms import (
+    Member,
+    SimulationRequest,
+    SimulationRequests,
+    UncertainArms,
 )
+from stiffopt.elastic.uncertainty import Departure, ParameterBox
+from stiffopt.elastic.worst_arms import worst_levels
 from stiffopt.problem.formulation import law_smoothing
 from stiffopt.problem.motor_model import ROBUST_LEAD_SHARE, MotorLaw
 from stiffopt.result.compensation import CompensatedMotion, PartPeaks, Spread, Spreads
@@ -46,11 +46,6 @@ _WINDUP_SHARES = (1.0, 1.0 + ROBUST_LEAD_SHARE, 1.06, 1.09)
 _SERVO_LEAD_SHARES = (0.5,)
 # Samples at which candidates are judged; the chosen one is judged on the certificate's grid.
 _TRIAL_SAMPLES = 1001
-
-Result = TypeVar("Result")
-# Generator that requests simulations on its way to a result: the requests of several generators are
-# simulated together, which costs little more than one alone.
-SimulationRequests = Generator[SimulationRequest, ToolError, Result]
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,43 +181,21 @@ class CommandSearch:
         self._servo = self._worst = servo or problem.servo
         if servo is None:
             self._worst = problem.uncertainty.worst_servo(problem.servo)
-        self._servo_varies = self._worst != self._servo
         self._many = UncertainArms(arm, self._plan, self._servo, self._worst)
-        self._carries = arm.robot.payload is not None
         self._loads: dict[tuple[JointMotion, int], np.ndarray] = {}
         self._nominal = Departure.none(arm.robot.n)
-        self._corners = corners(
-            problem.uncertainty, arm.robot.n, self._carries, servo=self._servo_varies
-        )
+        self._box = ParameterBox(problem.uncertainty, arm.robot, servo=self._worst != self._servo)
 
     def evaluate_command(self) -> SimulationRequests[CommandOnArms]:
         """Choose the command and judge it on all arms."""
-        chosen, signs = yield from self._choose_lead()
-        return (yield from self._judge_on_all_arms(chosen, signs))
-
-    def chosen_command(self) -> SimulationRequests[ExistingCommand]:
-        """Choose the command without judging it."""
-        chosen, _ = yield from self._choose_lead()
-        return chosen
+        chosen = yield from self.chosen_command()
+        return (yield from self.judge_existing(chosen))
 
     def judge_existing(self, made: ExistingCommand) -> SimulationRequests[CommandOnArms]:
-        """Judge an existing command on all arms."""
-        single = self._request_single_departures(MotorMotion.of(made.motors))
-        signs = self._worst_sign_departures(*(yield from single))
-        return (yield from self._judge_on_all_arms(made, signs))
-
-    def _judge_on_all_arms(
-        self, made: ExistingCommand, signs: list[Departure]
-    ) -> SimulationRequests[CommandOnArms]:
-        """Simulate a command on the arm as modelled, at its bounds and as drawn."""
+        """Simulate a command on the arm as modelled, on the worst arms and as drawn."""
         follows, command = self._follows, MotorMotion.of(made.motors)
-        drawn = draw_departures(
-            self._problem.uncertainty,
-            self._arm.robot.n,
-            self._carries,
-            servo=self._servo_varies,
-        )
-        arms = [self._nominal, *self._corners, *signs, *drawn]
+        worst, drawn = (yield from self._worst_arms(command)), self._box.drawn()
+        arms = [self._nominal, *worst, *drawn]
         members = [
             Member(command=own, departure=each) for own in (follows, command) for each in arms
         ]
@@ -242,14 +215,11 @@ class CommandSearch:
             law=self._law,
         )
 
-    def _choose_lead(self) -> SimulationRequests[tuple[ExistingCommand, list[Departure]]]:
-        """Return the command of the least worst case, and the worst signs of stiffness."""
+    def chosen_command(self) -> SimulationRequests[ExistingCommand]:
+        """Choose the command of the least worst case."""
         tried = self._candidates_within_limits(self._candidate_leads())
         commands = [MotorMotion.of(each.motors) for each in tried]
-        signs = self._worst_sign_departures(
-            *(yield from self._request_single_departures(commands[0]))
-        )
-        arms = [*self._corners, *signs]
+        arms = yield from self._worst_arms(commands[0])
         members = [Member(command=own, departure=arm) for own in commands for arm in arms]
         errors = yield SimulationRequest(self._many, members)
         flight, after = (
@@ -258,7 +228,7 @@ class CommandSearch:
         )
         best = [tried[k] for k in np.argsort(flight + after, kind="stable")]
         # The trial grid may miss excesses shorter than its step, such as the jerk at an end.
-        chosen = next(
+        return next(
             (
                 each
                 for each in best
@@ -266,7 +236,11 @@ class CommandSearch:
             ),
             best[0],
         )
-        return chosen, signs
+
+    def _worst_arms(self, command: MotorMotion) -> SimulationRequests[list[Departure]]:
+        """Return the corners with joints alike, and the worst arms of a command."""
+        worst = yield from worst_levels(self._many, command, self._box)
+        return [self._box.departure(each) for each in (*self._box.alike_corners(), *worst)]
 
     def _candidates_within_limits(self, leads: list[_Lead]) -> list[ExistingCommand]:
         """Return commands that keep the plan's limits on the trial grid.
@@ -327,41 +301,6 @@ class CommandSearch:
         added = force_lead(self._problem.robot, lead.link, force)
         motors = led_against_force(lead.motors, added, force)
         return replace(lead, link=replace(lead.link, force=force), motors=motors)
-
-    def _request_single_departures(
-        self, command: MotorMotion
-    ) -> SimulationRequests[tuple[ToolError, int]]:
-        """Simulate the nominal arm and those with one softer joint each; return their number."""
-        single = one_at_a_time(self._problem.uncertainty, self._arm.robot.n)
-        arms = [self._nominal, *single]
-        members = [Member(command=command, departure=arm) for arm in arms]
-        return (yield SimulationRequest(self._many, members)), len(arms)
-
-    def _worst_sign_departures(self, errors: ToolError, count: int) -> list[Departure]:
-        """Return arms with signs of the joints' stiffness for which errors add up, to first order.
-
-        The first member is the nominal arm, those up to `count` have one softer joint each.
-        """
-        unsure = self._problem.uncertainty
-        found: list[Departure] = []
-        share = errors.position[1:count] - errors.position[0]
-        joints = np.flatnonzero(unsure.shares(self._arm.robot.n))
-        for chosen in (errors.flight, ~errors.flight):
-            own = share[:, chosen]
-            # Along each joint's own error, signs are chosen so that all projections add.
-            along = np.sign(np.einsum("jkx,ikx->ijk", own, own))
-            sums = np.linalg.norm(np.einsum("ijk,jkx->ikx", along, own), axis=2)
-            if not sums.size:
-                continue
-            i, k = np.unravel_index(int(np.argmax(sums)), sums.shape)
-            signs = np.zeros(self._arm.robot.n)
-            signs[joints] = -along[i, :, k]
-            payload = float(self._carries)
-            found += [
-                departure_at_bounds(unsure, side * signs, -1.0, payload, float(self._servo_varies))
-                for side in (-1.0, 1.0)
-            ]
-        return found
 
     def _keeps_plan_limits(self, motors: JointMotion) -> bool:
         """Return True where no limit that the plan keeps is exceeded, on the trial grid."""

@@ -9,9 +9,9 @@ above the nominal one.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,12 +20,8 @@ from stiffopt.command.command_search import (
     CommandOnArms,
     CommandSearch,
     ExistingCommand,
-    SimulationRequests,
 )
-from stiffopt.elastic.uncertain_arms import (
-    SimulationRequest,
-    simulate_uncertain_arms,
-)
+from stiffopt.elastic.uncertain_arms import SimulationRequests, answer_together
 from stiffopt.problem.motor_model import MotorLaw
 from stiffopt.result.compensation import COMMAND_FILE, CompensatedMotion, Compensation
 from stiffopt.result.store import export_times
@@ -47,7 +43,6 @@ _MAX_RIVAL_SLOWDOWN = 1.5
 _MIN_SLOWDOWN_STEP, _MAX_SLOWDOWN_STEP = 1.01, 1.1
 
 Progress = Callable[[str], object]
-Result = TypeVar("Result")
 
 
 def compensate(
@@ -83,7 +78,7 @@ def compensate(
     others = motions[len(first) :]
     found = [*first, *commands_on_arms(problem, arm, others, law, progress=progress)]
     own = found[0]
-    found = [own, *(_slow_until_led(problem, arm, each) for each in found[1:])]
+    found = [own, *(slow_until_led(problem, arm, each) for each in found[1:])]
     refusal, command = _explain_refusal(problem, own.excess), None
     if not refusal:
         command = assess(problem, own.motors, times=export_times(own.motors.duration))
@@ -109,7 +104,7 @@ def compensate(
     )
 
 
-def _slow_until_led(
+def slow_until_led(
     problem: TrajectoryProblem, arm: ElasticArm, found: CommandOnArms
 ) -> CommandOnArms:
     """Return a rival at the duration at which its command keeps the limits, as far as it does."""
@@ -154,19 +149,17 @@ def judge_existing_command(
     """
     law = MotorLaw(problem.robot, problem.process_force)
     own, *others = motions
-    chosen = _answer_together(
-        [_start_request(CommandSearch(problem, arm, each, law).chosen_command()) for each in others]
+    chosen = answer_together(
+        [CommandSearch(problem, arm, each, law).chosen_command() for each in others]
     )
     problem = problem if uncertainty is None else replace(problem, uncertainty=uncertainty)
     arm = arm if damping is None else arm.damped(damping)
-    asking = [_start_request(CommandSearch(problem, arm, own, law, servo).judge_existing(made))]
+    asking = [CommandSearch(problem, arm, own, law, servo).judge_existing(made)]
     asking += [
-        _start_request(
-            CommandSearch(problem, arm, motion, law, servo=servo).judge_existing(command)
-        )
+        CommandSearch(problem, arm, motion, law, servo=servo).judge_existing(command)
         for motion, command in zip(others, chosen, strict=True)
     ]
-    found = _answer_together(asking)
+    found = answer_together(asking)
     return Compensation(
         motions=tuple(each.for_reports() for each in found),
         command=None,
@@ -194,12 +187,14 @@ def commands_on_arms(
     Parameters as of `compensate`; `law` is the problem's motor law, where it exists already.
     """
     law = law or MotorLaw(problem.robot, problem.process_force)
-    asking = []
-    for motion in motions:
-        if progress is not None:
-            progress(motion.name)
-        asking.append(_start_request(CommandSearch(problem, arm, motion, law).evaluate_command()))
-    return _answer_together(asking)
+
+    def asking() -> Iterator[SimulationRequests[CommandOnArms]]:
+        for motion in motions:
+            if progress is not None:
+                progress(motion.name)
+            yield CommandSearch(problem, arm, motion, law).evaluate_command()
+
+    return answer_together(asking())
 
 
 def compensate_motion(
@@ -208,30 +203,6 @@ def compensate_motion(
     """Return the effect of compensation on one motion, and the motors' command."""
     (found,) = commands_on_arms(problem, arm, [motion])
     return found.for_reports(), found.motors
-
-
-def _start_request(
-    asking: SimulationRequests[Result],
-) -> tuple[SimulationRequests[Result], SimulationRequest]:
-    """Advance a generator to its first simulation request."""
-    return asking, next(asking)
-
-
-def _answer_together(
-    begun: Sequence[tuple[SimulationRequests[Result], SimulationRequest]],
-) -> list[Result]:
-    """Return the results of several generators, simulating their requests of a round together."""
-    asked: dict[SimulationRequests[Result], SimulationRequest] = dict(begun)
-    answers: dict[SimulationRequests[Result], Result] = {}
-    while asked:
-        swings = simulate_uncertain_arms(list(asked.values()))
-        for asking, own in zip(list(asked), swings, strict=True):
-            try:
-                asked[asking] = asking.send(own)
-            except StopIteration as ended:
-                answers[asking] = ended.value
-                del asked[asking]
-    return [answers[asking] for asking, _ in begun]
 
 
 def _explain_refusal(problem: TrajectoryProblem, excess: tuple[Violation, ...]) -> str:
@@ -245,6 +216,8 @@ def _explain_refusal(problem: TrajectoryProblem, excess: tuple[Violation, ...]) 
         if all(name != o.name for o in problem.objectives)
     ]
     other = f"Minimise {' or '.join(others)}, which plan{'s' * (len(others) == 1)} the links"
+    if any(each.name == "duration" for each in problem.objectives):
+        other = "State [uncertainty], for which the links of a fastest motion are planned"
     return (
         f"No command.csv: for the links to follow this motion, the motors would exceed {named}. "
         f"{other} within the motors' limits, allow a longer duration, or plan with lower {limits}."

@@ -160,22 +160,30 @@ def _forced_deflection(motion: Assessment) -> PeakRms:
     return PeakRms(float(np.sqrt(square.max())), float(np.sqrt(mean)))
 
 
-def rival_motions(
+def rivals_of(
     problem: TrajectoryProblem, motion: ResolvedMotion, duration: float
-) -> list[PlannedMotion]:
+) -> tuple[tuple[FairRival, Assessment], ...]:
     """Return the rivals that keep every limit, of the optimised duration [s] or slowed.
 
     Where the duration is minimised they are as fast as their limits allow.
     """
     if problem.path_force is not None:
         # Their forces would be those of other places of the path.
-        return []
+        return ()
     shortest, longest = problem.duration
     # A fixed duration is that of the other comparisons, to the last digit.
     stated = shortest == longest or any(each.name == "duration" for each in problem.objectives)
+    return fair_rivals(problem, motion, shortest if stated else duration)
+
+
+def rival_motions(
+    problem: TrajectoryProblem, motion: ResolvedMotion, duration: float
+) -> list[PlannedMotion]:
+    """Return the motions of `rivals_of`."""
+    longest = problem.duration[1] * _DURATION_SLACK
     return [
-        PlannedMotion.of_rival(rival, assessment, assessment.duration <= longest * _DURATION_SLACK)
-        for rival, assessment in fair_rivals(problem, motion, shortest if stated else duration)
+        PlannedMotion.of_rival(rival, assessment, assessment.duration <= longest)
+        for rival, assessment in rivals_of(problem, motion, duration)
     ]
 
 

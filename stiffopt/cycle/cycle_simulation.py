@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.connection.reducer import Reducer
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
 from stiffopt.problem.cycle import Cycle
 from stiffopt.problem.rest_poses import gravity_torque
 from stiffopt.result.cycle import CycleSimulation, CycleSolution, JoinedMotion, LegError
-from stiffopt.result.duty import Duty, DutyHistory, LifeRating, duty_of
+from stiffopt.result.duty import Duty, DutyHistory, duty_of
+from stiffopt.result.life_rating import life_rating
 from stiffopt.result.solution import Solution
 
 if TYPE_CHECKING:
+    from stiffopt.elastic.servo import Servo
     from stiffopt.problem.trajectory import Target, TrajectoryProblem
     from stiffopt.result.simulation import SimulatedMotion
     from stiffopt.result.trajectory import JointMotion
@@ -40,28 +42,23 @@ def simulate_cycle(
     paths = [each.assessment.position for each in solutions if each.assessment is not None]
     if not robot.yields or not robot.tool_yields(np.concatenate(paths)):
         return None, rests
+    motions = leg_motions(solutions)
     settling = np.array([leg.stop.until_settled for leg in cycle.legs])
     if settling.any():
-        long = np.where(settling, _MAX_REST, rests)
-        trial, arrivals = _simulate(cycle, solutions, long)
-        found = _leg_errors(cycle, trial, arrivals, long)
+        trial = simulate_motions(cycle, *motions, np.where(settling, _MAX_REST, rests))
         settled = [
-            _MAX_REST if each.settling_time is None else each.settling_time for each in found
+            _MAX_REST if each.settling_time is None else each.settling_time for each in trial.legs
         ]
         whole = np.ceil(np.array(settled) / _REST_STEP) * _REST_STEP
         rests = np.where(settling, whole, rests)
-    simulated, arrivals = _simulate(cycle, solutions, rests)
-    errors = _leg_errors(cycle, simulated, arrivals, rests)
+    found = simulate_motions(cycle, *motions, rests)
     notes = [
         f"After {leg.name} the tool does not stay within the band of "
-        f"{1e6 * simulated.band:.3g} um within {_MAX_REST:g} s."
-        for leg, error in zip(cycle.legs, errors, strict=True)
+        f"{1e6 * found.simulated.band:.3g} um within {_MAX_REST:g} s."
+        for leg, error in zip(cycle.legs, found.legs, strict=True)
         if leg.stop.until_settled and error.settling_time is None
     ]
-    return (
-        CycleSimulation(simulated=simulated, legs=tuple(errors), notes=(*notes, *simulated.notes)),
-        rests,
-    )
+    return replace(found, notes=(*notes, *found.notes)), rests
 
 
 def leg_motions(solutions: Sequence[Solution]) -> tuple[list[JointMotion], list[JointMotion]]:
@@ -79,11 +76,28 @@ def leg_motions(solutions: Sequence[Solution]) -> tuple[list[JointMotion], list[
     return commands, plans
 
 
-def _simulate(
-    cycle: Cycle, solutions: Sequence[Solution], rests: np.ndarray
-) -> tuple[SimulatedMotion, np.ndarray]:
-    """Simulation of the whole cycle, and the arrivals (L,) [s]."""
-    commands, plans = leg_motions(solutions)
+def simulate_motions(
+    cycle: Cycle,
+    commands: Sequence[JointMotion],
+    plans: Sequence[JointMotion],
+    rests: np.ndarray,
+    *,
+    servo: Servo | None = None,
+    band: float | None = None,
+    damping: float | None = None,
+) -> CycleSimulation:
+    """Simulation of motor commands of all legs, measured from the planned motions of the links.
+
+    Parameters
+    ----------
+    rests : array (L,) [s]
+    servo : Servo, optional
+        Default that of the problem, whose known dead time the commands are sent ahead.
+    band : float, optional
+        Settling band [m]; default that of the problem.
+    damping : float, optional
+        Of every elastic joint on its own, as a share of critical.
+    """
     lasted = np.array([plan.duration for plan in plans])
     arrivals = np.cumsum(lasted + rests) - rests
     end = float(arrivals[-1] + rests[-1])
@@ -95,8 +109,8 @@ def _simulate(
         ElasticArm(leg.problem.robot, _stop_pose(leg.problem.start), leg.problem.process_force)
         for leg in cycle.legs
     ]
+    arms[0] = arms[0] if damping is None else arms[0].damped(damping)
     arms = [_with_same_damping(arms[0], each) for each in arms]
-    servo = cycle.first.servo
     changes = [
         (float(time), arm)
         for time, arm, before in zip(arrivals[:-1], arms[1:], arms[:-1], strict=True)
@@ -105,16 +119,18 @@ def _simulate(
     last = _after_last_event(cycle, arms[-1])
     if last is not None:
         changes.append((float(arrivals[-1]), last))
+    own = cycle.first.servo
     simulated = simulate(
         arms[0],
         command,
-        servo=servo,
-        ahead=servo.dead_time,
-        band=cycle.first.active_limits.settling_band,
+        servo=servo or own,
+        ahead=own.dead_time,
+        band=cycle.first.active_limits.settling_band if band is None else band,
         plan=plan,
         changes=changes,
     )
-    return simulated, arrivals
+    errors = _leg_errors(cycle, simulated, arrivals, rests)
+    return CycleSimulation(simulated=simulated, legs=tuple(errors), notes=simulated.notes)
 
 
 def _stop_pose(target: Target) -> np.ndarray:
@@ -207,25 +223,5 @@ def cycle_duty(cycle: Cycle, found: CycleSolution) -> Duty:
                 )
             )
     robot = cycle.first.robot
-    ratings = [_life_rating(robot, j) for j in range(robot.n)]
+    ratings = [life_rating(robot, j) for j in range(robot.n)]
     return duty_of(histories, robot.joint_names, robot.torque_max, ratings)
-
-
-def _life_rating(robot: Robot, joint: int) -> LifeRating | None:
-    """Rated life of the reducer of a joint, at the joint's output; None where it is not known."""
-    chain = robot.chains[joint]
-    for stage in () if chain is None else chain.stages:
-        own = stage.element
-        if not isinstance(own, Reducer) or None in (own.rated_torque, own.rated_speed):
-            continue
-        if own.rated_life is None or own.life_exponent is None:
-            continue
-        assert own.rated_torque is not None
-        assert own.rated_speed is not None
-        return LifeRating(
-            torque=own.rated_torque * stage.reduction,
-            speed=own.rated_speed / stage.ratio,
-            life=own.rated_life,
-            exponent=own.life_exponent,
-        )
-    return None

@@ -1,7 +1,7 @@
 """Solve a cycle: every leg, and the split of the cycle's time between the legs.
 
 Where the time of the cycle is minimised under limits, its optimum is that of every leg. Where it is
-given, the split of least objective is found by `TimeSplit`.
+given, the split of least objective is found by `TimeSplit`; limits of the duty by `DutyWeights`.
 """
 
 from __future__ import annotations
@@ -16,15 +16,18 @@ import numpy as np
 from stiffopt.baseline.rivals import fair_rivals
 from stiffopt.certificate.objective_value import objective_value
 from stiffopt.cycle.cycle_simulation import cycle_duty, simulate_cycle
+from stiffopt.cycle.duty_weights import DutyWeights
 from stiffopt.cycle.time_split import Combination, ShortestDuration, TimeSplit, combined
 from stiffopt.errors import NotSimulatedError
 from stiffopt.problem.bounds import shortest_duration
 from stiffopt.problem.branches import quintic_durations
 from stiffopt.problem.cycle import MIN_LEG_TIME, Cycle, Leg
+from stiffopt.problem.objective import Objective
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import Target, TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.cycle import CycleSolution, LegResult, RivalCycle
+from stiffopt.result.duty import DutyUse
 from stiffopt.result.solution import ObjectiveValue, Solution
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver.simulated_solution import with_simulation
@@ -40,6 +43,10 @@ _FIRST_DURATION_FACTOR = 1.5
 # Rounds in which rests until the tool has settled are found by simulation, and their change at
 # which they are kept [s].
 _MAX_REST_ROUNDS, _SAME_REST = 4, 2e-3
+# Solves of a cycle until the limits of its duty are just kept.
+_MAX_DUTY_ROUNDS = 10
+# Loss of the objective by limits of the duty below which their weights are not searched further.
+_FREE_DUTY_LOSS = 5e-4
 # Statuses from best to worst; the cycle has the worst of its legs.
 _STATUS_RANKS = (
     SolveStatus.OPTIMAL,
@@ -75,11 +82,13 @@ def solve_cycle(
     run = _CycleRun(cycle, progress, guesses)
     rests = np.array([leg.stop.dwell for leg in cycle.legs])
     for _ in range(_MAX_REST_ROUNDS if simulate else 1):
-        solutions = run.solve_legs(float(rests.sum()))
+        solutions = run.solve_within_duty(rests)
         found = run.result(solutions, rests)
         usable = all(each.status.usable for each in solutions) and len(solutions) == len(cycle.legs)
-        if not (simulate and usable):
+        if not usable:
             return found
+        if not simulate:
+            return run.with_verdict(found)
         solutions = run.with_commands(solutions)
         try:
             simulation, settled = simulate_cycle(cycle, solutions, rests)
@@ -91,7 +100,7 @@ def solve_cycle(
         rests = settled
         if changed <= _SAME_REST or cycle.time_is_minimised:
             break
-    return run.with_rivals_and_duty(found)
+    return run.with_rivals(run.with_verdict(found))
 
 
 class _CycleRun:
@@ -106,6 +115,35 @@ class _CycleRun:
         self._splits: list[tuple[float, ...]] = []
         self._durations = np.array([each.duration for each in guesses]) if guesses else None
         self._infeasible = ""
+        self._duty_terms: tuple[Objective, ...] = ()
+
+    def solve_within_duty(self, rests: np.ndarray) -> list[Solution]:
+        """Solutions of all legs that keep the limits of the duty, where the objective is a sum."""
+        cycle, limits = self._cycle, self._cycle.duty_limits
+        sums = cycle.error_limit is None and (cycle.time_is_minimised or self._combination == "sum")
+        solutions, count = self.solve_legs(float(rests.sum())), len(cycle.legs)
+        weights: DutyWeights | None = None
+        best, kept = np.inf, dict(self._solved)
+        for _ in range(_MAX_DUTY_ROUNDS if sums else 0):
+            if len(solutions) < count or not all(each.status.usable for each in solutions):
+                break
+            found = self.result(solutions, rests)
+            assert found.objective is not None
+            value, uses = found.objective.value, limits.uses(cycle_duty(cycle, found))
+            weights = weights or DutyWeights(scale=abs(value))
+            if value < best and all(use.share <= 1.0 for use in uses):
+                best, kept = value, dict(self._solved)
+            if weights.kept(uses) or best <= (1.0 + _FREE_DUTY_LOSS) * weights.scale:
+                break
+            weights.learn(uses, _duty_integrals(uses, solutions))
+            self._duty_terms = weights.objectives()
+            self._guesses = [s.assessment for s in solutions if s.assessment is not None]
+            self._solved = {}
+            solutions = self.solve_legs(float(rests.sum()))
+        if len(kept) < count:
+            return solutions
+        self._solved = kept
+        return [kept[k][1] for k in range(count)]
 
     def solve_legs(self, rest: float) -> list[Solution]:
         """Solutions of all legs, up to the first that failed where nothing can help it."""
@@ -219,7 +257,13 @@ class _CycleRun:
                 guess = self._guess(k)
                 if known is not None and known.status.usable and known.assessment is not None:
                     guess = known.assessment
-                known = solve(leg.problem, progress=self._leg_progress(k), guess=guess, throw=False)
+                stated, terms = leg.problem, self._duty_terms
+                asked = (
+                    replace(stated, objectives=(*stated.objectives, *terms)) if terms else stated
+                )
+                known = solve(asked, progress=self._leg_progress(k), guess=guess, throw=False)
+                if terms and known.assessment is not None:
+                    known = replace(known, objective=objective_value(stated, known.assessment))
                 self._solved[k] = (duration, known)
             found.append(known)
             if known.status is SolveStatus.INTERRUPTED:
@@ -306,8 +350,8 @@ class _CycleRun:
         value = combined(np.array([each.value for each in found]), lasted, self._combination)
         return replace(found[0], value=value, terms={})
 
-    def with_rivals_and_duty(self, found: CycleSolution) -> CycleSolution:
-        """Result with rivals and duty, judged by the cycle's upper bound of time."""
+    def with_verdict(self, found: CycleSolution) -> CycleSolution:
+        """Return the result with its duty, judged by the limits of that and of the cycle's time."""
         upper = self._cycle.duration[1]
         if found.duration > upper * (1.0 + 1e-9):
             found = replace(
@@ -317,24 +361,24 @@ class _CycleRun:
                 f"of {upper:.4g} s. Allow more time, or relax limits.",
             )
         duty = cycle_duty(self._cycle, found)
-        over = self._cycle.duty_limits.excesses(duty)
+        over = [use.text for use in self._cycle.duty_limits.uses(duty) if use.share > 1.0]
         if over and found.status.usable:
             found = replace(
                 found,
                 status=SolveStatus.CERTIFICATE_FAILED,
                 message=f"Every limit of the legs holds, but {'; '.join(over)}. Give longer dwells "
-                "or more time: the duty is no limit of the optimisation.",
+                "or more time.",
             )
-        return replace(found, rivals=self._rivals(found), duty=duty)
+        return replace(found, duty=duty)
 
-    def _rivals(self, found: CycleSolution) -> tuple[RivalCycle, ...]:
-        """Cycles of baselines that stop at every pose and keep every limit.
+    def with_rivals(self, found: CycleSolution) -> CycleSolution:
+        """Result with cycles of baselines that stop at every pose and keep every limit.
 
         None beside an error limit. Where the time of the legs is given, each move has its share of
         that of its leg.
         """
         if self._cycle.error_limit is not None:
-            return ()
+            return found
         times: dict[str, list[float]] = {}
         values: dict[str, list[float]] = {}
         moves = [each for leg in found.legs for each in _single_moves(leg)]
@@ -344,7 +388,7 @@ class _CycleRun:
                 times.setdefault(rival.name, []).append(motion.duration)
                 values.setdefault(rival.name, []).append(objective_value(problem, motion).value)
         rest = sum(leg.dwell for leg in found.legs)
-        return tuple(
+        rivals = tuple(
             RivalCycle(
                 name=name,
                 duration=sum(own) + rest,
@@ -355,6 +399,22 @@ class _CycleRun:
             for name, own in times.items()
             if len(own) == len(moves)
         )
+        return replace(found, rivals=rivals)
+
+
+def _duty_integrals(
+    uses: Sequence[DutyUse], solutions: Sequence[Solution]
+) -> dict[tuple[str, int], float]:
+    """Return the integrals over all legs that the limits of a duty bound."""
+    found: dict[tuple[str, int], float] = {}
+    for use in uses:
+        term = Objective(name=use.objective, joints=(use.joint,) if use.joint else ())
+        found[use.objective, use.joint] = sum(
+            term.kind.certified_value(term, each.assessment)
+            for each in solutions
+            if each.assessment is not None
+        )
+    return found
 
 
 def _single_moves(leg: LegResult) -> list[tuple[TrajectoryProblem, float]]:

@@ -35,8 +35,6 @@ class Statement:
 
     Parameters
     ----------
-    finding : Finding
-    place : str
     sentence : str
         Place and missing physics with values and standard deviations.
     certainty : str
@@ -270,8 +268,6 @@ def fill(
 
     Parameters
     ----------
-    text : str
-    named : mapping of str to Parameter
     words : mapping of str to str, optional
         Further placeholders.
     signed : bool

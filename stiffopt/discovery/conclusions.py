@@ -18,7 +18,7 @@ from stiffopt.discovery.diagnosis import (
     build_rivals,
 )
 from stiffopt.discovery.experiment.design import ExperimentPlan
-from stiffopt.discovery.judging.explained_shares import MismatchShare, variance_explained
+from stiffopt.discovery.judging.explained_shares import MismatchShare
 from stiffopt.discovery.judging.unexplained import ChannelVerdict, Unexplained, channel_name
 from stiffopt.discovery.laws.law import LAW_FAMILY
 from stiffopt.discovery.search.left_out_gain import left_out_gains
@@ -28,7 +28,6 @@ from stiffopt.discovery.search.uncertainty import (
     null_probability,
 )
 from stiffopt.discovery.thresholds import (
-    KNOWN_CAUSE_ODDS,
     OPEN_RATIO,
     OPEN_SHARE,
     UNSTATED_DEVIATIONS,
@@ -59,25 +58,21 @@ def build_findings(
     ----------
     comparison : Comparison
         With the noise estimated beside the effects.
-    kept : sequence of Selected
     parameters : Estimate
         Joint estimate of the same effects.
-    training : Training
     again : array (e,)
         Share of the perturbation ensemble in which each is named again.
     """
     constants, n = training.constants, training.robot.n
-    shares = variance_explained(
-        comparison, tuple(s.located for s in kept), tuple(s.channel for s in kept)
-    )
     gains = left_out_gains(comparison, tuple(s.located for s in kept))
     findings = []
-    for index, (selected, share) in enumerate(zip(kept, shares, strict=True)):
+    for index, (selected, gain) in enumerate(zip(kept, gains, strict=True)):
         if selected.located.calibrated and parameters.min_deviations(index) < UNSTATED_DEVIATIONS:
             continue
         located, effect = selected.located, selected.located.effect
-        odds = KNOWN_CAUSE_ODDS if located.calibrated else 1.0
-        unknown = odds * gains[index].open_share
+        # Friction and rotors exist, whatever else acts there; an offset may be the mean of any law.
+        exists = located.calibrated and bool(effect.nominal)
+        unknown = 0.0 if exists else gain.open_share
         values = parameters.parameters(index, located.constants(constants))
         before = parameters.prior_deviations(index, located.constants(constants))
         reported = tuple(
@@ -98,8 +93,7 @@ def build_findings(
         # any effect of its family.
         alike = sum(each.family == effect.family for each in CATALOGUE)
         places = n * alike if effect.only_in and located.joint is not None else 1
-        sure = gains[index].support if located.run is None else 1.0
-        sure *= float(again[index])
+        sure = gain.support * float(again[index])
         misfit = 1.0 - (1.0 - max(unknown, _null_share(chance, places))) * sure
         findings.append(
             Finding(
@@ -111,7 +105,7 @@ def build_findings(
                 parameters=reported,
                 where=effect.signature,
                 channel=channel_name(selected.channel, n),
-                variance_explained=share,
+                variance_explained=gain.explained,
             )
         )
     return tuple(findings)
@@ -210,12 +204,7 @@ _REPEAT_INSTRUCTIONS = {
 
 
 def describe_next_recording(unexplained: Unexplained) -> str:
-    """Describe the recording that would show most about the unexplained residual.
-
-    Parameters
-    ----------
-    unexplained : Unexplained
-    """
+    """Describe the recording that would show most about the unexplained residual."""
     kind, _, joint = unexplained.channels[0].rpartition("_")
     words = "torque" if kind == "torque" else "link encoder"
     repeats = []

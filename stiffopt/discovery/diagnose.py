@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from stiffopt.discovery.catalogue import CATALOGUE, changes_in, effects_of_runs
+from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.conclusions import build_findings, decide_verdict, describe_next_experiment
 from stiffopt.discovery.diagnosis import (
@@ -38,7 +39,7 @@ from stiffopt.discovery.judging.ensemble import recurrence
 from stiffopt.discovery.judging.episodes import (
     training_tracks,
 )
-from stiffopt.discovery.judging.explained_shares import split_extension, variance_explained
+from stiffopt.discovery.judging.explained_shares import split_extension
 from stiffopt.discovery.judging.friction_refit import refit_friction
 from stiffopt.discovery.judging.held_out import HeldOutRuns
 from stiffopt.discovery.judging.left_open import add_left_open_deviation, build_left_open
@@ -49,10 +50,10 @@ from stiffopt.discovery.judging.tool_force import explain_by_tool_force
 from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings, judge_channels
 from stiffopt.discovery.law_search.find import LawSearch, find_laws, located_tables
 from stiffopt.discovery.position_fit import model_section
+from stiffopt.discovery.prediction_bands import choose_prediction_bands
 from stiffopt.discovery.progress import repeat_progress
 from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
-from stiffopt.discovery.sanity.doubt import Doubt
-from stiffopt.discovery.sanity.gate import judge_plausibility
+from stiffopt.discovery.sanity.gate import judge_plausibility, leave_out_currents
 from stiffopt.discovery.sanity.position_errors import take_errors_as_commands
 from stiffopt.discovery.search.candidates import Scorer
 from stiffopt.discovery.search.rivals import Selected
@@ -223,6 +224,7 @@ def _run_diagnosis(
     doubted, remarked = judge_plausibility(
         recordings, runs, despite_doubts=despite_doubts, remarks=base is None
     )
+    recordings, runs = leave_out_currents(recordings, runs)
     training = prepare_training(recordings, settings, base, say, runs)
     facts = joint_facts(recordings, training.recorded)
     checks = effect_checks(recordings, facts, len(training.recorded), catalogue)
@@ -234,8 +236,12 @@ def _run_diagnosis(
     training, result, touched = search_training_runs(
         recordings, training, sought, settings, base, say
     )
-    settings = training.settings
     stopped = describe_stop(result)
+    start = () if base is None else (base.extension,)
+    # Bands that were asked for hold, and a stopped diagnosis takes no longer.
+    asked_band = settings.cutoff is not None or bool(stopped)
+    training = _with_prediction_bands(training, start, result, say, fixed=asked_band)
+    settings = training.settings
     laws = skip_if_stopped(stopped, NO_LAWS, lambda: find_laws(result, say)) or LawSearch(
         result=result
     )
@@ -247,14 +253,16 @@ def _run_diagnosis(
         return kept, explain_by_tool_force(result, left)
 
     selected, unexplained = finish_step(stopped, assessed)
-    start = () if base is None else (base.extension,)
+    half_band = cache(partial(half_band_comparison, training, result.comparison))
     selected, parameters = _estimate_parameters(
-        training, settings, start, result, selected, stopped, say
+        training, settings, start, result, selected, half_band, stopped, say
     )
     parameters = add_scale_deviation(parameters, selected)
     located = tuple(s.located for s in selected)
     again = skip_if_stopped(
-        stopped, NOT_PERTURBED, lambda: _perturb_findings(training, result, selected, say)
+        stopped,
+        NOT_PERTURBED,
+        lambda: _perturb_findings(training, result, selected, half_band, say),
     )
     if again is None:
         again = np.ones(len(selected))
@@ -339,7 +347,7 @@ def _run_diagnosis(
             assumptions=(
                 *stopped,
                 *opened.describe_unusable(),
-                *_describe_ignored_doubts(doubted),
+                *(f"Diagnosed despite a doubt: {doubt.evidence}" for doubt in doubted),
                 *(f"to be checked: {each}" for each in remarked),
                 *thin,
                 *derived,
@@ -369,6 +377,7 @@ def _estimate_parameters(
     start: tuple[Extension, ...],
     result: SearchResult,
     selected: tuple[Selected, ...],
+    half_band: Callable[[], Comparison | None],
     stopped: list[str],
     say: Say,
 ) -> tuple[tuple[Selected, ...], Estimate]:
@@ -389,7 +398,7 @@ def _estimate_parameters(
 
     def asked(estimated: Estimate) -> Estimate:
         say("fit the parameters again in half the band")
-        return add_band_deviation(training, comparison, estimated)
+        return add_band_deviation(comparison, half_band(), estimated)
 
     def doubted(found: Sequence[Selected]) -> tuple[tuple[Selected, ...], Estimate]:
         kept, first = skip_if_stopped(
@@ -398,25 +407,53 @@ def _estimate_parameters(
         estimated = skip_if_stopped(stopped, BAND_NOT_VARIED, lambda: asked(first)) or first
         return kept, add_left_open_deviation(training, estimated)
 
-    def explained(found: Sequence[Selected]) -> Sequence[float]:
-        located, channels = zip(*((s.located, s.channel) for s in found), strict=True)
-        return variance_explained(comparison, located, channels)
+    return drop_insignificant(selected, doubted)
 
-    # Changes since an extended model are judged against its open residual, not the noise.
-    asked_for = None if comparison.after_model else explained
-    return drop_insignificant(selected, doubted, asked_for)
+
+def _with_prediction_bands(
+    training: Training,
+    start: tuple[Extension, ...],
+    result: SearchResult,
+    say: Say,
+    *,
+    fixed: bool,
+) -> Training:
+    """Return the training runs with the bands of predictions, unless these are fixed.
+
+    Those of a model hold, poses at rest have none, and vibration follows the band of the fit.
+    """
+    fixed |= training.settings.predict is not None or training.robot.vibrates
+    if fixed or training.recorded[0].at_rest:
+        return training
+    say("choose how fast a motion predictions follow")
+    found = result.comparison.extension_of(result.fit)
+    bands = choose_prediction_bands(training, (*start, found))
+    each = ", ".join(f"{j}: {band:g}" for j, band in enumerate(bands, start=1))
+    note = (
+        f"Predicted torques follow the motion up to (joint {each}) Hz, as the fitted model predicts"
+        " the training runs best."
+    )
+    return replace(
+        training,
+        settings=replace(training.settings, predict=bands),
+        assumptions=(*training.assumptions, note),
+    )
 
 
 def _perturb_findings(
-    training: Training, result: SearchResult, selected: Sequence[Selected], say: Say
+    training: Training,
+    result: SearchResult,
+    selected: Sequence[Selected],
+    half_band: Callable[[], Comparison | None],
+    say: Say,
 ) -> np.ndarray:
     """Return the share of the perturbation ensemble in which each finding is named again."""
     if not selected:
         return np.ones(0)
     say("fit the findings again to perturbed runs and models")
     vibrates = training.runs[0].vibration is not None
-    half_band = None if vibrates else half_band_comparison(training, result.comparison)
-    return recurrence(result.comparison, selected, half_band, free_bodies=training.free_bodies)
+    other = None if vibrates else half_band()
+    return recurrence(result.comparison, selected, other, free_bodies=training.free_bodies)
 
 
 def _predict_held_out(
@@ -450,10 +487,6 @@ def _assess_left_open(
     if training.free_bodies:
         found = skip_if_stopped(stopped, NO_SUSPECTS, suspected)
     return found or finish_step(stopped, lambda: build_left_open(training, whole, (), before))
-
-
-def _describe_ignored_doubts(doubted: Sequence[Doubt]) -> list[str]:
-    return [f"Diagnosed despite a doubt: {doubt.evidence}" for doubt in doubted]
 
 
 def _load_user_effects(effects: Sequence[Effect] | str | os.PathLike[str]) -> tuple[Effect, ...]:

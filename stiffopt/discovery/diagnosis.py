@@ -46,10 +46,8 @@ class Parameter:
 
     Parameters
     ----------
-    name : str
     value, sd : float
         The value and one standard deviation [unit].
-    unit : str
     prior_sd : float
         Standard deviation before any recording; infinite where nothing is known [unit].
     """
@@ -73,13 +71,7 @@ class Parameter:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rival:
-    """An effect that the data do not tell apart from a finding.
-
-    Parameters
-    ----------
-    located : LocatedEffect
-    probability : float
-    """
+    """An effect that the data do not tell apart from a finding."""
 
     located: LocatedEffect
     probability: float
@@ -101,8 +93,6 @@ class Finding:
         Probability of an unknown cause: by what laws leave open in its channel over what it
         removes there, by the spread of its gain in stretches left out, by the members of the
         perturbation ensemble that lack it, and by its values where these do not exclude zero.
-    rivals : tuple of Rival
-    parameters : tuple of Parameter
     where : str
         How and where the effect shows.
     channel : str
@@ -126,11 +116,6 @@ class Finding:
     def located(self) -> LocatedEffect:
         """The effect with its place."""
         return self.estimated.located
-
-    @property
-    def placed(self) -> LocatedEffect:
-        """Older name of `located`."""
-        return self.located
 
     @property
     def effect(self) -> Effect:
@@ -173,7 +158,6 @@ class ChannelFit:
         Such as "torque_3".
     rms_before, rms_after, noise : float
         [unit]
-    unit : str
     """
 
     channel: str
@@ -189,8 +173,6 @@ class Diagnosis(DisplayedResult):
 
     Parameters
     ----------
-    recordings : RecordingSet
-    settings : Settings
     model : str or None
         Path of the extended model that it started from.
     verdict : str
@@ -229,7 +211,6 @@ class Diagnosis(DisplayedResult):
         Channels in which no law holds, and what any law could explain there.
     next_experiment : str
         Description of the next recording.
-    assumptions : tuple of str
     faults : tuple of (str, Fault)
         Run and fault, of all runs.
     experiment : ExperimentPlan or None

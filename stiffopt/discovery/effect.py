@@ -1,11 +1,10 @@
 """Effects of the catalogue: terms of the equations of the channels and their properties.
 
-Terms are plain NumPy formulas in the signals of a joint or of the robot; they accept arrays of
-samples and CasADi symbols alike. They are linear in their amplitudes and vanish with them;
-parameters that enter otherwise (a speed, an angle, a time constant) are shapes. Everything else
-known of an effect (words, the recordings it needs, its source, how it changes a robot) is stated
-with its term and nowhere else: reports, `recording check`, the catalogue's page and the planner
-read it here.
+Terms are plain NumPy formulas in the signals of a joint or of the robot. They are linear in their
+amplitudes and vanish with them; parameters that enter otherwise (a speed, an angle, a time
+constant) are shapes. Everything else known of an effect (words, the recordings it needs, its
+source, how it changes a robot) is stated with its term and nowhere else: reports, `recording
+check`, the catalogue's page and the planner read it here.
 """
 
 from __future__ import annotations
@@ -27,10 +26,13 @@ Scope = Literal["joint", "robot", "link", "run", "recording"]
 # Fit of a shape: free; held at initial values, as the number of a joint; or a secant: equal to
 # the amplitude of the same index.
 ShapeFit = Literal["free", "held", "secant"]
+# Amplitudes or shapes of an effect, in the order of its entry: numbers or symbols.
+Values = Sequence[Quantity]
+Reported = Mapping[str, float]
 # Values of the reported parameters from amplitudes, shapes and constants.
-Report = Callable[[Sequence[float], Sequence[float], Any], Mapping[str, float]]
+Report = Callable[[Values, Values, Any], Reported]
 # What to do, from amplitudes, shapes and constants.
-Remedy = Callable[[Sequence[float], Sequence[float], Any], str]
+Remedy = Callable[[Values, Values, Any], str]
 # Property of the joint or the recording set without which an effect cannot show.
 Need = Literal[
     "torque",
@@ -86,14 +88,12 @@ class Term:
     previous_torque: Quantity = 0.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Amplitude:
     """Parameter in which an effect's term is linear.
 
     Parameters
     ----------
-    name : str
-    unit : str
     scale : callable or float
         Typical size, a function of the joint's constants where callable; standard deviation of the
         prior.
@@ -119,14 +119,12 @@ class Amplitude:
         return float(self.scale(constants) if callable(self.scale) else self.scale)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Shape:
     """Parameter on which an effect's term depends nonlinearly.
 
     Parameters
     ----------
-    name : str
-    unit : str
     starts : callable or tuple of float
         Initial values of a fit, a function of the signals' ranges where callable.
     lower, upper : float
@@ -200,7 +198,6 @@ class Effect:
 
     Parameters
     ----------
-    name : str
     family : str
         friction, elastic, periodic, inertial, geometry, sensor, spring, contact.
     scope : {"joint", "robot", "link", "run", "recording"}
@@ -212,8 +209,6 @@ class Effect:
         Visible sign of it in the recordings, in words.
     term : callable
         (signals, amplitudes, shapes) -> Term.
-    amplitudes : tuple of Amplitude
-    shapes : tuple of Shape
     report : callable, optional
         (amplitudes, shapes, constants) -> named values; default: the parameters themselves.
     units : mapping of str to str
@@ -231,6 +226,8 @@ class Effect:
     shifts_weight : bool
         True where it changes the weight that several joints carry: a single one competes with
         re-identified masses.
+    moves_zero : bool
+        True where its first amplitude is the position of the joint at which its encoder reads 0.
     yields : bool
         True where its deflection depends on the load of its joint: the spring is softer or stiffer
         by it; default: in the family elastic.
@@ -309,7 +306,7 @@ class Effect:
     scope: Scope
     equation: str
     signature: str
-    term: Callable[[Any, Sequence[Quantity], Sequence[Quantity]], Term]
+    term: Callable[[Any, Values, Values], Term]
     amplitudes: tuple[Amplitude, ...]
     shapes: tuple[Shape, ...] = ()
     report: Report | None = None
@@ -319,6 +316,7 @@ class Effect:
     usual: bool = False
     couples_joints: bool = False
     shifts_weight: bool = False
+    moves_zero: bool = False
     yields: bool = False
     lags: bool = False
     is_play: bool = False

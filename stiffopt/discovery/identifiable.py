@@ -65,7 +65,6 @@ class EffectCheck:
 
     Parameters
     ----------
-    effect : Effect
     joint : int or None
         From 1; None for an effect of the whole robot.
     lacks : tuple of str
@@ -113,11 +112,8 @@ def effect_checks(
 
     Parameters
     ----------
-    recordings : RecordingSet
     facts : sequence of JointFacts (n,)
         Of the training runs.
-    training_runs : int
-    effects : sequence of Effect
     """
     nominal = recordings.nominal
     of_set: dict[Need, bool] = {
@@ -177,7 +173,6 @@ def restrict_to_identifiable(
 
     Parameters
     ----------
-    catalogue : sequence of Effect
     checks : sequence of EffectCheck
         Of every effect at every joint.
     """
@@ -229,10 +224,8 @@ def select_unseen(
 
     Parameters
     ----------
-    effects : sequence of LocatedEffect
     unseen : array (2 n,) of bool
         Channels without recordings: torques, then link positions.
-    model : Extension
     """
     torque, link = np.split(unseen, 2)
     known = [each.located for each in model.effects]

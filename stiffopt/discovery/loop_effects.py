@@ -39,7 +39,7 @@ def robot_in_loop(
         if joint is None or each.located.run is not None or each.effect.only_in:
             continue
         place = int(recordings.order[joint])
-        if each.effect.name == "joint_zero":
+        if each.effect.moves_zero:
             zeros[place] = -each.amplitudes[0]
             continue
         if each.effect.couples_joints:
@@ -111,28 +111,18 @@ def _evaluate_term(
 ) -> Quantity:
     """Return the torque of an effect on rigid links, of arrays or symbols; all else is `other`."""
     q, v, direction, torque = arguments
-    none = 0.0 * q + other
-    signals = JointSignals(
-        time=none,
-        dt=1.0,
-        session_time=none,
-        temperature_rise=none,
+    signals = JointSignals.of_known(
+        constants,
+        0.0 * q + other,
         motor_position=q,
         motor_velocity=v,
-        motor_acceleration=none,
         motor_direction=direction,
         link_position=q,
         link_velocity=v,
-        link_acceleration=none,
         transmitted_torque=torque,
         spring_torque=torque,
         windup=0.0 * q,
         drive_torque=torque,
-        drive_torque_rate=none,
-        previous_position=none,
-        previous_velocity=none,
-        previous_acceleration=none,
-        constants=constants,
     )
     term = each.effect.term(signals, [float(x) for x in each.amplitudes], each.shapes)
     return term.drive_torque + term.link_torque

@@ -39,12 +39,10 @@ class Predictor:
 
     Parameters
     ----------
-    robot : RobotModel
     run : RecordedRun
         Only its motor positions, temperature and times are used.
     constants : RobotConstants
         Of the training runs.
-    settings : Settings
     prepared : PreparedRun, optional
         The run as prepared for a fit; with elastic joints, predictions use the same motion.
     vibrating : bool
@@ -166,7 +164,6 @@ class ChannelError:
         "torque" or "link_position".
     joint : int
         From 0.
-    samples : int
     before, after : float
         Sum of squares [(N m)^2] or [rad^2].
     noise : float
@@ -192,10 +189,8 @@ class RunProof:
 
     Parameters
     ----------
-    run : RecordedRun
     before, after : Prediction
         Of the model that the diagnosis started from, and of the extended one.
-    channels : tuple of ChannelError
     """
 
     run: RecordedRun
@@ -219,7 +214,6 @@ def nrmse(proofs: list[RunProof] | tuple[RunProof, ...], when: str) -> float:
 
     Parameters
     ----------
-    proofs : sequence of RunProof
     when : {"before", "after"}
     """
     channels = [c for proof in proofs for c in proof.channels]
@@ -235,12 +229,10 @@ def compare_predictions(
 
     Parameters
     ----------
-    run : RecordedRun
     velocity : array (K, n)
         Of the joints, on the run's own samples [rad/s].
     before, after : Prediction
         On the run's stamps.
-    noise : KnownNoise
 
     Notes
     -----
@@ -276,7 +268,6 @@ def used_samples(
 
     Parameters
     ----------
-    run : RecordedRun
     velocity : array (K, n)
         Of the joints [rad/s].
     """

@@ -46,8 +46,6 @@ def search_training_runs(
 
     Parameters
     ----------
-    recordings : RecordingSet
-    training : Training
     asked : sequence of Effect
         Effects that the recordings can identify.
     settings : Settings

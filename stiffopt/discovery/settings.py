@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from stiffopt.recording.nominal import Tolerance
 SIGN_SPEED = 0.01
 # A slower joint counts as stationary, its dry friction as undetermined [rad/s].
 MIN_MOVING_SPEED = 3.0 * SIGN_SPEED
+
+# Bound on nominal values in a fit, in standard deviations.
+MAX_NOMINAL_DEVIATIONS = 4.0
 
 # Cutoff of the filter of a fit where recordings do not choose it [Hz].
 FIT_CUTOFF = 12.0
@@ -44,17 +47,7 @@ EXTENDED_MODEL_TOLERANCE = Tolerance(
 )
 # No tolerance where the model's own residual is known and counts as noise: any change of a value
 # is then an effect to report, not a nuisance.
-ZERO_TOLERANCE = Tolerance(
-    mass=0.0,
-    rotor_inertia=0.0,
-    coulomb=0.0,
-    viscous=0.0,
-    stiffness=0.0,
-    joint_damping=0.0,
-    torque_constant=0.0,
-    com=0.0,
-    encoder_zero=0.0,
-)
+ZERO_TOLERANCE = Tolerance(**dict.fromkeys(vars(DEFAULT_TOLERANCE), 0.0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,24 +64,11 @@ class Settings:
         likewise.
     slow : float
         A joint slower than this counts as stationary [rad/s]; its friction is undetermined.
-    tolerance : Tolerance
-        Used where the set states none.
-    after_model : Tolerance
-        Likewise, where the diagnosis starts from an extended model.
-    box : float
-        Bound on nominal values in standard deviations.
-    effects : int, optional
-        Maximum number of findings, values that the nominal model does not state apart. Default: 3;
-        12 without stated tolerances of masses.
     """
 
     cutoff: float | None = None
     predict: tuple[float, ...] | None = None
     slow: float = MIN_MOVING_SPEED
-    tolerance: Tolerance = field(default_factory=lambda: DEFAULT_TOLERANCE)
-    after_model: Tolerance = field(default_factory=lambda: EXTENDED_MODEL_TOLERANCE)
-    box: float = 4.0
-    effects: int | None = None
 
     @property
     def fit_band(self) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -92,7 +92,6 @@ class JointConstants:
         Largest nominal spring torque in the recordings [N m].
     measured_torque : float
         Largest filtered drive torque measured in the training runs; 0 without measurement [N m].
-    prismatic : bool
     belt : bool or None
         True where a belt is among the connections; None where they are unknown.
     joints : int
@@ -250,13 +249,26 @@ class JointSignals(MotionSignals):
     ----------
     previous_position, previous_velocity, previous_acceleration
         Motor motion of the previous joint; 0 for the first [rad], [rad/s], [rad/s^2].
-    constants : JointConstants
     """
 
     previous_position: Quantity
     previous_velocity: Quantity
     previous_acceleration: Quantity
     constants: JointConstants
+
+    @classmethod
+    def of_known(cls, constants: JointConstants, rest: Quantity, **known: Quantity) -> JointSignals:
+        """Return signals of which some are known; all others are `rest`."""
+        before = (f"previous_{name}" for name in ("position", "velocity", "acceleration"))
+        names = ("time", "session_time", *before, *JOINT_SIGNAL_NAMES)
+        values: dict[str, Any] = dict.fromkeys(names, rest)
+        return cls(constants=constants, dt=1.0, **(values | known))
+
+    @property
+    def nominal_friction(self) -> Quantity:
+        """Friction of the nominal model [N m]."""
+        own = self.constants
+        return own.coulomb * self.motor_direction + own.viscous * self.motor_velocity
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -265,7 +277,6 @@ class RobotConstants:
 
     Parameters
     ----------
-    joints : tuple of JointConstants
     links : tuple of str
         Name of the moving link of each joint.
     masses : array (n,)
@@ -286,85 +297,33 @@ class RobotConstants:
     gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
 
 
-class ArmSignals(Protocol):
-    """Signals of the arm as a whole, in addition to those of its joints."""
-
-    @property
-    def tool_position(self) -> Quantity:
-        """Tool position in the base frame (K, 3) [m]."""
-
-    @property
-    def tool_velocity(self) -> Quantity:
-        """Tool velocity in the base frame (K, 3) [m/s]."""
-
-    @property
-    def tool_jacobian(self) -> Quantity:
-        """Jacobian of the tool position (K, 3, n)."""
-
-    @property
-    def tool_levers(self) -> Quantity:
-        """Work of forces at the tool (K, n, 6) [m]: along the axes of the base, then of the tool.
-
-        Columns of J^T, and of J^T R with the rotation R of the last link.
-        """
-
-    @property
-    def body_regressor(self) -> Any:
-        """Joint torques per inertial parameter of every body (K, n, 10 n) [N m per unit].
-
-        Parameters (m, m c, I) of the moving bodies, one body after another; entries [..., k] where
-        it is evaluated on demand.
-        """
-
-    @property
-    def weight(self) -> Quantity:
-        """Spring torque per gravity along the axes of the base (K, n, 3) [N m per m/s^2]."""
-
-    @property
-    def zero_harmonics(self) -> Any:
-        """Harmonics of the spring torque over the zero of every joint (K, n, 4 n) [N m].
-
-        A zero of joint j moved by x adds the sum of columns 4 j to 4 j + 3 times sin x, cos x - 1,
-        sin 2x, cos 2x - 1; entries [..., k] where it is evaluated on demand.
-        """
-
-    def head(self, count: int) -> ArmSignals:
-        """Return the first samples."""
-
-    def decimate(self, every: int) -> ArmSignals:
-        """Return every k-th sample."""
-
-    def with_bodies(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> ArmSignals:
-        """Return the signals with the regressor along another link motion (K, n)."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class RobotSignals(MotionSignals):
     """Signals of the whole robot.
 
     Parameters
     ----------
-    arm : ArmSignals
-        Signals of the arm, which this class passes on.
+    arm : LazyArmSignals
+        Signals of the arm as a whole, which this class passes on.
     last_link, link : int
         Index of the last link, and of the link that an effect is located at.
-    constants : RobotConstants
     """
 
-    arm: ArmSignals
+    arm: Any
     last_link: int
     link: int
     constants: RobotConstants
 
     @property
+    def nominal_friction(self) -> Quantity:
+        """Friction of the nominal model (K, n) [N m]."""
+        coulomb, viscous = np.array([[j.coulomb, j.viscous] for j in self.constants.joints]).T
+        return coulomb * self.motor_direction + viscous * self.motor_velocity
+
+    @property
     def tool_position(self) -> Quantity:
         """Tool position in the base frame (K, 3) [m]."""
         return self.arm.tool_position
-
-    @property
-    def tool_velocity(self) -> Quantity:
-        """Tool velocity in the base frame (K, 3) [m/s]."""
-        return self.arm.tool_velocity
 
     @property
     def tool_jacobian(self) -> Quantity:
@@ -373,12 +332,19 @@ class RobotSignals(MotionSignals):
 
     @property
     def tool_levers(self) -> Quantity:
-        """Work of forces at the tool (K, n, 6) [m], along the axes of base and tool."""
+        """Work of forces at the tool (K, n, 6) [m]: along the axes of the base, then of the tool.
+
+        Columns of J^T, and of J^T R with the rotation R of the last link.
+        """
         return self.arm.tool_levers
 
     @property
     def body_regressor(self) -> Any:
-        """Joint torques per inertial parameter of every body (K, n, 10 n) [N m per unit]."""
+        """Joint torques per inertial parameter of every body (K, n, 10 n) [N m per unit].
+
+        Parameters (m, m c, I) of the moving bodies, one body after another; entries [..., k] where
+        it is evaluated on demand.
+        """
         return self.arm.body_regressor
 
     @property
@@ -388,7 +354,11 @@ class RobotSignals(MotionSignals):
 
     @property
     def zero_harmonics(self) -> Any:
-        """Harmonics of the spring torque over the zero of every joint (K, n, 4 n) [N m]."""
+        """Harmonics of the spring torque over the zero of every joint (K, n, 4 n) [N m].
+
+        A zero of joint j moved by x adds the sum of columns 4 j to 4 j + 3 times sin x, cos x - 1,
+        sin 2x, cos 2x - 1; entries [..., k] where it is evaluated on demand.
+        """
         return self.arm.zero_harmonics
 
     def head(self, count: int) -> RobotSignals:
@@ -399,7 +369,7 @@ class RobotSignals(MotionSignals):
         """Return every k-th sample; `dt` is unchanged."""
         return self._select_samples(slice(None, None, every), self.arm.decimate(every))
 
-    def _select_samples(self, samples: slice, arm: ArmSignals) -> RobotSignals:
+    def _select_samples(self, samples: slice, arm: Any) -> RobotSignals:
         fields = {name: value for name, value in vars(self).items() if np.ndim(value) > 0}
         kept: dict[str, Any] = {name: value[samples] for name, value in fields.items()}
         return replace(self, arm=arm, **kept)

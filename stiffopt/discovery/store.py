@@ -97,14 +97,8 @@ def answer_document(diagnosis: Diagnosis) -> dict[str, Any]:
         "episodes": [vars(each) for each in diagnosis.episodes],
         "positions": [position_entry(run) for run in diagnosis.positions],
         "detection_limits": [
-            {
-                "effect": limit.effect.name,
-                "state": _name_state(limit.effect),
-                "joint": limit.joint,
-                "parameter": limit.parameter,
-                "value": limit.value,
-                "unit": limit.unit,
-            }
+            {"effect": limit.effect.name, "state": _name_state(limit.effect)}
+            | _pick(limit, "joint", "parameter", "value", "unit")
             for limit in diagnosis.detection_limits
         ],
         "modes": [vars(mode) for mode in diagnosis.modes],
@@ -121,28 +115,22 @@ def answer_document(diagnosis: Diagnosis) -> dict[str, Any]:
         "assumptions": list(diagnosis.assumptions),
         "doubts": [doubt.as_dict() for doubt in diagnosis.doubts],
         "runs": [
-            {
-                "run": proof.run.name,
-                "role": proof.run.role,
-                "nrmse_before": proof.nrmse_before,
-                "nrmse_after": proof.nrmse_after,
-            }
+            {"run": proof.run.name, "role": proof.run.role}
+            | _pick(proof, "nrmse_before", "nrmse_after")
             for proof in diagnosis.held_out
         ],
         "faults": [
-            {
-                "run": run,
-                "signal": fault.signal,
-                "joint": fault.joint,
-                "kind": fault.kind,
-                "detail": fault.detail,
-                "left_out": fault.left_out,
-            }
+            {"run": run} | _pick(fault, "signal", "joint", "kind", "detail", "left_out")
             for run, fault in diagnosis.faults
         ],
     }
     found: dict[str, Any] = to_json_types(document)
     return found
+
+
+def _pick(own: object, *names: str) -> dict[str, Any]:
+    """Return some attributes by name."""
+    return {name: getattr(own, name) for name in names}
 
 
 def written_laws(diagnosis: Diagnosis) -> list[WrittenLaw]:
@@ -167,21 +155,17 @@ def _finding_entry(statement: Statement, constants: RobotConstants) -> dict[str,
     return {
         "effect": finding.effect.name,
         "state": _name_state(finding.effect),
-        "joint": finding.joint,
-        "probability": finding.probability,
-        "certainty": finding.certainty,
+        **_pick(finding, "joint", "probability", "certainty"),
         "statement": statement.sentence,
         "to_do": statement.action,
         "equation": finding.effect.equation,
         "parameters": {
-            p.name: {"value": p.value, "sd": p.sd, "unit": p.unit, "determined": p.determined}
-            for p in finding.parameters
+            p.name: _pick(p, "value", "sd", "unit", "determined") for p in finding.parameters
         },
         "where": finding.where,
         "link": finding.link,
         "run": finding.located.run,
-        "variance_explained": finding.variance_explained,
-        "channel": finding.channel,
+        **_pick(finding, "variance_explained", "channel"),
         "confused_with": [
             _rival_entry(rival, constants)
             for rival in finding.rivals
@@ -198,8 +182,7 @@ def _law_entry(found: FoundLaw) -> dict[str, Any]:
         "equation": found.law.equation,
         "signals": [factor.source.symbol for factor in found.law.factors],
         "forms": [factor.form for factor in found.law.factors],
-        "explained": found.explained,
-        "attainable": found.attainable,
+        **_pick(found, "explained", "attainable"),
         "laws_tried": found.tried,
         "log_evidence": found.evidence,
     }
@@ -298,10 +281,7 @@ def _unexplained_entry(unexplained: Unexplained) -> dict[str, Any]:
         "channels": list(unexplained.channels),
         "regressors": list(unexplained.regressors),
         "gain_heldout": unexplained.gain,
-        "period": unexplained.period,
-        "ratio": unexplained.ratio,
-        "left": unexplained.left,
-        "brief": unexplained.brief,
+        **_pick(unexplained, "period", "ratio", "left", "brief"),
         "tool_force": None if unexplained.tool_force is None else vars(unexplained.tool_force),
         "alone": None
         if unexplained.alone is None

@@ -39,32 +39,27 @@ MAX_EFFECTS = 3
 # that is added per round before all are compared again.
 MAX_EFFECTS_FREE, MAX_EFFECTS_PER_ROUND = 12, 3
 
-# ---- Confirmation [0019]
+# ---- Laws beyond the catalogue
 
-# Jackknife deviations of the amplitudes from zero, over stretches of the recordings.
+# Deviations from zero that determine a value of a law.
 CONFIRMED_DEVIATIONS = 3.5
-# The least number of the best determined single amplitude.
-DETERMINED_DEVIATIONS = 2.0
-# Alternative for effects that show for a few seconds only: share of a channel's residual that is
-# removed, and of the evidence that is kept in runs left out.
-LOCAL_EVIDENCE_SHARE = 0.5
 
 # ---- Findings that may be zero, all known deviations counted [0053]
 
 # Least deviations from zero of a finding; and of a value that every joint has and the nominal
 # model does not state.
 FINDING_DEVIATIONS, UNSTATED_DEVIATIONS = 2.0, 1.0
-# Share of its channel that a finding removes in recordings left out: less is displayed as 0 %.
-FINDING_SHARE = 0.005
 
 # ---- Support by recordings left out [0036, 0045]
 
-# Least share of a channel's squares that a finding removes there, and of folds that it improves.
-MIN_HELD_OUT_SHARE, MIN_HELPED_FOLDS = 0.01, 0.6
+# Least share of a channel's squares that a finding removes there.
+MIN_HELD_OUT_SHARE = 0.01
 # Least share where the diagnosis starts from an extended model, whose open residual varies between
-# parts of its own recordings by nearly as much. From the second share on two improved folds are
-# enough: a stop is seldom reached.
-MIN_CHANGE_SHARE, RARE_CHANGE_SHARE = 0.15, 0.5
+# parts of its own recordings by nearly as much.
+MIN_CHANGE_SHARE = 0.15
+# From this share on the gain may be that of a single stretch: a stop is seldom reached, a drive
+# seldom at its limit.
+RARE_SHARE = 0.5
 # Candidates for a change whose shapes are fitted, and those that are tried if the best fails.
 MAX_REFINED_CHANGES, MAX_TRIED_CHANGES = 12, 4
 # Candidates with this share of the evidence of the likeliest are equivalent.
@@ -95,12 +90,6 @@ SUSPECT_EVIDENCE_UNITS = 2.0
 ADDED_MASS_OFFSET = 0.1
 # Rounds of exchanges for likelier rivals and of confirmation.
 MAX_EXCHANGES = 3
-
-# ---- Probability of an unknown cause [0077]
-
-# Odds of an unknown law against a value that every joint has, in units of those against an effect
-# that was sought at all places with thousands of shapes.
-KNOWN_CAUSE_ODDS = 0.5
 
 # Normalised residual of a fit with vibration from which a quasi-static one is tried as well [0037].
 MAX_VIBRATION_MISFIT = 1.5

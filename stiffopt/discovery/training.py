@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from stiffopt.discovery.comparison.bands import choose_bands
+from stiffopt.discovery.comparison.bands import choose_fit_band
 from stiffopt.discovery.comparison.channel_rows import KnownNoise, known_noise
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.design_matrix import MIN_RUNS_AS_BLOCKS, DesignMatrix
@@ -20,7 +20,13 @@ from stiffopt.discovery.comparison.nuisance import merge_tolerances
 from stiffopt.discovery.comparison.prepared_run import PreparedRun, prepare_run
 from stiffopt.discovery.extended.left_open import adopt_bands, describe_assumptions, noise_factors
 from stiffopt.discovery.extended.model import ExtendedModel, check_extended
-from stiffopt.discovery.settings import PREDICTION_CUTOFF, ZERO_TOLERANCE, Settings
+from stiffopt.discovery.settings import (
+    DEFAULT_TOLERANCE,
+    EXTENDED_MODEL_TOLERANCE,
+    PREDICTION_CUTOFF,
+    ZERO_TOLERANCE,
+    Settings,
+)
 from stiffopt.discovery.signals import RobotConstants
 from stiffopt.discovery.thresholds import MAX_EFFECTS, MAX_EFFECTS_FREE
 from stiffopt.errors import InputFileError
@@ -47,7 +53,6 @@ class Training:
 
     Parameters
     ----------
-    robot : RobotModel
     runs : tuple of PreparedRun
         With signals of the nominal model.
     start : Extension
@@ -56,10 +61,6 @@ class Training:
         The same runs as read.
     constants : RobotConstants
         With the ranges of the runs.
-    noise : KnownNoise
-    tolerance : Tolerance
-    box : float
-        Bound on nominal values in standard deviations.
     free_bodies : bool
         True if no tolerance of nominal masses is stated: inertial parameters are free.
     reidentified : bool
@@ -69,7 +70,6 @@ class Training:
         Maximum number of findings, values that the set does not state apart.
     settings : Settings
         With the chosen bands.
-    assumptions : tuple of str
     least : array (2 n,), optional
         Factors that raise the noise to the open residual of the starting model.
     suspects : mapping of str to float
@@ -85,7 +85,6 @@ class Training:
     constants: RobotConstants
     noise: KnownNoise
     tolerance: Tolerance
-    box: float
     free_bodies: bool
     reidentified: bool
     most: int
@@ -110,10 +109,9 @@ class Training:
             self.noise.channels,
             self.tolerance,
             start=self.start,
-            box=self.box,
             least=self.least,
             suspects=self.suspects,
-            columns=self._columns.restarted(),
+            columns=self._columns.with_bodies(None),
         )
 
 
@@ -139,8 +137,6 @@ def prepare_training(
 
     Parameters
     ----------
-    recordings : RecordingSet
-    settings : Settings
     model : ExtendedModel, optional
         Starting model in place of the nominal one.
     say : callable
@@ -178,7 +174,7 @@ def prepare_training(
         settings = replace(settings, cutoff=PoseFilter().cutoff)
     elif settings.cutoff is None and not robot.vibrates:
         say("choose how fast a motion to follow")
-        settings, note = _choose_bands(robot, opened, settings)
+        settings, note = _choose_fit_band(robot, opened, settings)
         notes.append(note)
         # Release memory before the runs are prepared again.
         prepared.clear()
@@ -214,7 +210,7 @@ def prepare_training(
             left_open, least, noise.channels, asked, stated, recordings.prismatic
         )
         notes = [*ratio, *known, *notes]
-    default = settings.tolerance if model is None else settings.after_model
+    default = DEFAULT_TOLERANCE if model is None else EXTENDED_MODEL_TOLERANCE
     tolerance = merge_tolerances(stated, default if least is None else ZERO_TOLERANCE)
     if free and stated.encoder_zero is None:
         # Encoder offsets are reported as findings, not hidden by a tolerance.
@@ -229,8 +225,7 @@ def prepare_training(
         tolerance=tolerance,
         free_bodies=free,
         reidentified=free and model is None,
-        box=settings.box,
-        most=_max_effects(settings.effects, free, isinstance(recordings, StatePair)),
+        most=_max_effects(free, isinstance(recordings, StatePair)),
         settings=settings,
         assumptions=(*recordings.assumptions, *noise.assumptions(), *notes),
         least=least,
@@ -256,25 +251,22 @@ def _require_one_kind(recordings: RecordingSet, opened: Sequence[RecordedRun]) -
         )
 
 
-def _max_effects(stated: int | None, free: bool, two_states: bool) -> int:
-    if stated is not None:
-        return stated
+def _max_effects(free: bool, two_states: bool) -> int:
     # What both states lack does not take the place of what changed.
     return (MAX_EFFECTS_FREE if free else MAX_EFFECTS) * (1 + two_states)
 
 
-def _choose_bands(
+def _choose_fit_band(
     robot: RobotModel, runs: Sequence[RecordedRun], settings: Settings
 ) -> tuple[Settings, str]:
-    bands = choose_bands(
+    band = choose_fit_band(
         robot, runs, slow=settings.slow, fit=settings.fit_band, predict=PREDICTION_CUTOFF
     )
-    each = ", ".join(f"{j}: {band:g}" for j, band in enumerate(bands.predict, start=1))
     note = (
-        f"Fits follow the recordings up to {bands.fit:g} Hz, predicted torques up to"
-        f" (joint {each}) Hz: chosen by cross-validation over stretches of the training runs."
+        f"Fits follow the recordings up to {band:g} Hz: chosen by cross-validation over stretches"
+        " of the training runs."
     )
-    return replace(settings, cutoff=bands.fit, predict=bands.predict), note
+    return replace(settings, cutoff=band), note
 
 
 def _check_nominal(robot: RobotModel, run: RecordedRun, ready: PreparedRun) -> None:

@@ -8,6 +8,7 @@ from typing import Annotated
 import numpy as np
 
 from stiffopt.declaration import POSITIVE, Doc, Length, LinearStiffness, Stiffness, check_fields
+from stiffopt.drivetrain.elastic_mount import ElasticMount
 from stiffopt.errors import InputError
 
 
@@ -49,14 +50,13 @@ class OutputBearing:
         return replace(self, **{key: factor * own for key, own in given.items()})
 
     @property
-    def compliance(self) -> np.ndarray:
-        """Compliance (6,): wrench [F, M] at the bearing to displacement and rotation there.
-
-        In axes whose third is the joint's; zero where rigid, and about the joint's axis.
-        """
+    def mount(self) -> ElasticMount:
+        """Springs of the bearing; rigid about the joint's axis, where the drivetrain yields."""
         stiffness = (
             *2 * (self.radial_stiffness,),
             self.axial_stiffness,
             *2 * (self.moment_stiffness,),
         )
-        return np.array([0.0 if each is None else 1.0 / each for each in (*stiffness, None)])
+        compliance = [0.0 if each is None else 1.0 / each for each in (*stiffness, None)]
+        place = np.array([0.0, 0.0, self.position])
+        return ElasticMount(place, np.eye(3), np.array(compliance))

@@ -1,4 +1,4 @@
-"""Displacement of the tool by elastic output bearings, symbolic.
+"""Displacement of the tool by elastic output bearings and bending links, symbolic.
 
 As `robot.bearing_deflection`, by the wrenches of the symbolic recursion.
 """
@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
-from stiffopt.dynamics.joint_axes import axis_joints
+from stiffopt.dynamics.joint_axes import axis_joints, clean
 from stiffopt.dynamics.kinematics import axis_frames, point_position
 from stiffopt.dynamics.newton_euler import joint_wrenches
+from stiffopt.robot.joint_load import complete_axes
 
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 def dynamic_bearing_displacements(
     robot: Robot, q: Quantity, v: Quantity, a: Quantity
 ) -> dict[int, Quantity]:
-    """Return the displacement of the tool by each bearing, beyond that at rest in the same pose.
+    """Return the displacement of the tool by bearing and link of each joint, less that at rest.
 
     Parameters
     ----------
@@ -41,15 +42,28 @@ def dynamic_bearing_displacements(
     wrenches = joint_wrenches(tree, q, v, a) - joint_wrenches(tree, q, still, still)
     place = point_position(tree, tool.joint, tool.offset, q)
     found: dict[int, Quantity] = {}
-    for number, (origin, rotation) in axis_frames(axis_joints(tree), q, tool.joint).items():
-        bearing = robot.bearings[number - 1] if number else None
-        if bearing is None:
-            continue
-        force, moment = wrenches[:3, number - 1], wrenches[3:, number - 1]
-        offset = ca.vertcat(0.0, 0.0, bearing.position)
-        compliance = bearing.compliance
-        moved = -ca.mtimes(rotation, compliance[:3] * force)
-        turned = -ca.mtimes(rotation, compliance[3:] * (moment - ca.cross(offset, force)))
-        lever = place - origin - ca.mtimes(rotation, offset)
-        found[number - 1] = moved + ca.cross(turned, lever)
+    joints = axis_joints(tree)
+    frames = axis_frames(joints, q, tool.joint)
+    for number, (origin, rotation) in frames.items():
+        for mount in robot.mounts[number - 1] if number else ():
+            loads = mount.loads(number - 1)
+            if loads[-1] + 1 not in frames:
+                continue
+            axis = tree.bodies[number - 1].axis
+            turn = clean(joints[number - 1].from_joint_frame @ complete_axes(axis))
+            point = origin + ca.mtimes(rotation, turn @ mount.place)
+            axes = ca.mtimes(rotation, clean(turn @ mount.axes))
+            force = about = ca.SX.zeros(3)
+            for source in loads:
+                at, held = frames[source + 1]
+                pushed, moment = (
+                    ca.mtimes(held, each) / len(loads)
+                    for each in ca.vertsplit(wrenches[:, source], [0, 3, 6])
+                )
+                force += pushed
+                about += moment + ca.cross(at - point, pushed)
+            moved = -ca.mtimes(axes, mount.compliance[:3] * ca.mtimes(axes.T, force))
+            turned = -ca.mtimes(axes, mount.compliance[3:] * ca.mtimes(axes.T, about))
+            away = moved + ca.cross(turned, place - point)
+            found[number - 1] = found.get(number - 1, 0.0) + away
     return found

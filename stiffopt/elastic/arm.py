@@ -15,6 +15,7 @@ import scipy
 from stiffopt.elastic.springs import JointSpring, joint_springs
 from stiffopt.errors import NotSimulatedError, RobotError
 from stiffopt.result.tool_error import ToolError, path_directions
+from stiffopt.robot.added_torque import MotionState, sum_added_torques
 from stiffopt.robot.batched_kinematics import frame_positions, frame_rotations
 from stiffopt.units import joint_unit
 
@@ -34,6 +35,8 @@ MIN_FOLLOWING_FREQUENCY = 1200.0
 # A lower single-joint frequency [Hz] suggests a stiffness in another unit: arms have 3 Hz and more,
 # and N m/arcmin taken for N m/rad gives a 59th of it.
 _MIN_PLAUSIBLE_FREQUENCY, _USUAL_MIN_FREQUENCY = 1.0, 3.0
+# Speed over which the direction of motion changes its sign [rad/s], as laws are fitted with.
+_SIGN_SPEED = 0.01
 _EQUILIBRIUM_TOLERANCE = 1e-12  # change of a joint in the last step [rad]
 _MAX_EQUILIBRIUM_STEPS = 50
 _DAMPING_ROUND_OFF = 1e-12  # relative; critical damping itself is allowed
@@ -227,6 +230,31 @@ class ElasticArm:
             weight -= [self.force_torque(row) for row in q]
         return weight
 
+    def added_torque(
+        self, motor: np.ndarray, speed: np.ndarray, acceleration: np.ndarray, load: np.ndarray
+    ) -> np.ndarray:
+        """Torques (..., n) [N m] that the springs carry besides rigid bodies and process force.
+
+        Parameters
+        ----------
+        motor, speed, acceleration : array (..., n)
+            Motion of the motors [rad], [rad/s], [rad/s^2].
+        load : array (..., n)
+            Torque in the springs without them [N m].
+        """
+        motion = (motor, speed, acceleration, np.tanh(speed / _SIGN_SPEED), load)
+        state = MotionState(
+            **dict(
+                zip(
+                    ("position", "velocity", "acceleration", "direction", "load"),
+                    (list(np.moveaxis(each, -1, 0)) for each in motion),
+                    strict=True,
+                )
+            )
+        )
+        sums = sum_added_torques(self.robot.added_torques, state, in_spring=True)
+        return np.stack(sums, axis=-1)
+
     def force_torque(self, q: np.ndarray) -> np.ndarray:
         """Joint torque (n,) [N m] of the process force."""
         return np.asarray(self.bodies.jacobian(self.robot.tool, q)[:3].T @ self.process_force)
@@ -236,7 +264,11 @@ class ElasticArm:
         q = np.array(motor, dtype=float)
         moving = np.arange(len(q))
         for _ in range(_MAX_EQUILIBRIUM_STEPS):
-            new = motor[moving] - self.windup(self._static_torques(q[moving]))
+            load = self._static_torques(q[moving])
+            if self.robot.added_torques:
+                still = np.zeros_like(load)
+                load = load + self.added_torque(motor[moving], still, still, load)
+            new = motor[moving] - self.windup(load)
             change = np.max(np.abs(new - q[moving]), axis=1)
             q[moving] = new
             moving = moving[change > _EQUILIBRIUM_TOLERANCE]

@@ -38,6 +38,8 @@ class BearingJoints:
     def __init__(self, arm: ElasticArm, start: np.ndarray) -> None:
         robot, stiffness = with_bearing_joints(arm.robot)
         self.driven = np.flatnonzero(stiffness == 0.0)
+        laws = tuple(each.moved(self.driven.tolist()) for each in arm.robot.added_torques)
+        robot = replace(robot, added_torques=laws)
         self._places = np.searchsorted(self.driven, np.arange(robot.n), side="right") - 1
         at = self.spread(np.asarray(start, dtype=float))
         found = ElasticArm(robot, at, arm.process_force)
@@ -60,10 +62,6 @@ class BearingJoints:
         found[..., self.driven] = values
         return found
 
-    def links(self, plan: JointMotion) -> JointMotion:
-        """Motion of all joints from that of the links, with bearings that do not yield."""
-        return _SpreadMotion(self, plan)
-
     def motion(self, motors: JointMotion) -> MotorMotion:
         """Motion of all joints: bearings are held at rest where they are not loaded."""
         own = MotorMotion.of(motors) if not isinstance(motors, MotorMotion) else motors
@@ -76,14 +74,3 @@ class BearingJoints:
         stiffness = np.array(bearings, dtype=float)
         stiffness[self.driven] = departure.stiffness
         return replace(departure, stiffness=stiffness, bearings=1.0)
-
-
-class _SpreadMotion:
-    """Motion of all joints, from that of those with a motor."""
-
-    def __init__(self, joints: BearingJoints, plan: JointMotion) -> None:
-        self.duration = plan.duration
-        self._joints, self._plan = joints, plan
-
-    def __call__(self, t: np.ndarray, order: int = 0) -> np.ndarray:
-        return self._joints.spread(np.asarray(self._plan(t, order)))

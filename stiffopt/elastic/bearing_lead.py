@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.elastic.smooth_motion import smooth_motion
-from stiffopt.robot.batched_kinematics import tool_jacobians
 from stiffopt.robot.bearing_deflection import correcting_joints, dynamic_bearing_deflections
 
 if TYPE_CHECKING:
@@ -47,25 +46,6 @@ class LedPlan:
         return np.asarray(self._plan(t, order) + self._lead(t, order))
 
 
-def uncorrected_deflection(arm: ElasticArm, plan: JointMotion, time: np.ndarray) -> np.ndarray:
-    """Displacement (K, 3) [m] of the tool by the bearings that no joint corrects."""
-    away, lead = _deflection_and_lead(arm, plan, time)
-    _, jacobian = tool_jacobians(arm.robot.tree, arm.robot.tool, plan(time))
-    return np.asarray(away[:, :3] + np.einsum("kxj,kj->kx", jacobian, lead))
-
-
-def _deflection_and_lead(
-    arm: ElasticArm, plan: JointMotion, time: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Deflection (K, 6) of the tool by the bearings beyond their sag, and the lead (K, n) [rad]."""
-    q, v, a = (np.array(plan(time, k)) for k in range(3))
-    # Ends are at rest, where the sag is calibrated away.
-    v[[0, -1]] = a[[0, -1]] = 0.0
-    force = None if arm.path_force is None else arm.path_force(time)
-    away = dynamic_bearing_deflections(arm.robot, q, v, a, arm.process_force, force).sum(axis=1)
-    return away, correcting_joints(arm.robot, q, away)
-
-
 class _BearingLead:
     """Lead at any time, without derivatives."""
 
@@ -74,4 +54,10 @@ class _BearingLead:
 
     def __call__(self, t: np.ndarray, order: int = 0) -> np.ndarray:
         assert order == 0
-        return _deflection_and_lead(self._arm, self._plan, t)[1]
+        q, v, a = (np.array(self._plan(t, k)) for k in range(3))
+        # Ends are at rest, where the sag is calibrated away.
+        v[[0, -1]] = a[[0, -1]] = 0.0
+        arm, force = self._arm, self._arm.path_force
+        beside = None if force is None else force(t)
+        away = dynamic_bearing_deflections(arm.robot, q, v, a, arm.process_force, beside)
+        return correcting_joints(arm.robot, q, away.sum(axis=1))

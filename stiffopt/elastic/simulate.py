@@ -37,6 +37,9 @@ _SAMPLE_INTERVAL = 5e-4  # of the result [s]
 _MAX_INTEGRATOR_STEPS = 10000
 # Half width of a reducer's hysteresis where none is stated [rad]: 45 to 56 urad were measured.
 TYPICAL_HALF_LOOP = 50e-6
+# Corrections of the load without laws by the torque of laws of that load: each is to it as this
+# torque is to the load, a few percent.
+_LOAD_CORRECTIONS = 3
 # Faster modes [Hz] would take the integrator minutes.
 _MAX_MODE_FREQUENCY = 5e3
 
@@ -170,6 +173,7 @@ def _simulate_joints(
             *_note_rigid_joints(arm),
             *_note_following_joints(arm),
             *_note_torques_beyond_law(arm, times, torque),
+            *_note_laws(arm),
             *_note_hysteresis(arm, q[-1], float(error.distance.max())),
         ),
     )
@@ -255,7 +259,8 @@ class _Equations:
     def slope(self) -> native.StateDerivative:
         """Function (t, state) -> time derivative, of the compiled core where available."""
         made = native.core(self.joints)
-        if made is None or self._arm.path_force is not None:
+        arm = self._arm
+        if made is None or arm.path_force is not None or arm.robot.added_torques:
             return self.__call__
         return native.state_derivative(made, self._arm, self._motor, self._friction, self.loops)
 
@@ -269,6 +274,8 @@ class _Equations:
         # Python floats: faster than arrays for six springs.
         turns = (motor - q).tolist()
         torque = np.array([spring(turn) for spring, turn in zip(self._law, turns, strict=True)])
+        if arm.robot.added_torques:
+            torque -= self._added_torque(t, motor, speed, torque)
         torque += arm.damping * rate
         slope = np.zeros(len(state))
         if self._loops.size:
@@ -284,6 +291,16 @@ class _Equations:
         slope[:n] = v
         slope[n : 2 * n] = self._link_acceleration(t, q, v, torque)
         return slope
+
+    def _added_torque(
+        self, t: float, motor: np.ndarray, speed: np.ndarray, spring: np.ndarray
+    ) -> np.ndarray:
+        """Torque (n,) of the laws on the links, which the springs (n,) carry too."""
+        accelerated = self._motor.acceleration(t)
+        added = np.zeros_like(spring)
+        for _ in range(_LOAD_CORRECTIONS):
+            added = self._arm.added_torque(motor, speed, accelerated, spring - added)
+        return added
 
     def _link_acceleration(
         self, t: float, q: np.ndarray, v: np.ndarray, torque: np.ndarray
@@ -372,6 +389,18 @@ def _note_torques_beyond_law(arm: ElasticArm, times: np.ndarray, torque: np.ndar
                 f"{times[int(np.argmax(beyond))]:.3f} s, where its connections slip or the table "
                 "of its law ends; beyond, its spring is linear."
             )
+    return notes
+
+
+def _note_laws(arm: ElasticArm) -> list[str]:
+    notes = []
+    for in_spring, text in (
+        (True, "Torques on the links by laws of the motors' motion and the load"),
+        (False, "Without influence, since the motors are position-controlled"),
+    ):
+        own = [each.label for each in arm.robot.added_torques if each.in_spring == in_spring]
+        if own:
+            notes.append(f"{text}: {', '.join(own)}.")
     return notes
 
 

@@ -8,9 +8,9 @@ Hysteresis is neglected. Elastic bearings are joints of their own (`BearingJoint
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Generator, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import numpy as np
 
@@ -165,6 +165,17 @@ class Member:
     departure: Departure
 
 
+class Follower(Protocol):
+    """Motors' response to a command, as of `Servo`."""
+
+    @property
+    def follows_exactly(self) -> bool:
+        """True for a response that is the command."""
+
+    def follow(self, command: MotorMotion, until: float, ahead: float = 0.0) -> MotorMotion:
+        """Return the motion of the motors until a time [s]."""
+
+
 class UncertainArms:
     """Arms of a robot with uncertain parameters, linearised along one planned motion.
 
@@ -174,7 +185,8 @@ class UncertainArms:
         Nominal arm.
     plan : JointMotion
         At rest at both ends; its second derivative is used.
-    servo, worst : Servo, optional
+    servo : Servo, optional
+    worst : Follower, optional
         The nominal and the worst servo; each departure has a share of the difference of their
         responses. Set-points are sent the nominal dead time ahead. None follows exactly.
     """
@@ -184,9 +196,10 @@ class UncertainArms:
         arm: ElasticArm,
         plan: JointMotion,
         servo: Servo | None = None,
-        worst: Servo | None = None,
+        worst: Follower | None = None,
     ) -> None:
-        self._servo, self._worst = servo or Servo(), worst or servo or Servo()
+        self._servo: Servo = servo or Servo()
+        self._worst: Follower = worst or self._servo
         self.duration = plan.duration
         start = plan(np.zeros(1))[0]
         self._bearings = BearingJoints(arm, start) if arm.robot.tilts else None
@@ -232,6 +245,8 @@ class UncertainArms:
             np.array([arm.bodies.jacobian(arm.robot.tool, q) for q in self._q[: count + 1]])
         )
         self._direction = path_directions(arm.tool(self._q))
+        # By command: motions behind both servos.
+        self._followed: dict[MotorMotion, np.ndarray] = {}
 
     def simulate(self, members: Sequence[Member]) -> ToolError:
         """Simulate all members in one batch."""
@@ -267,20 +282,25 @@ class UncertainArms:
         Position and velocity with the nominal servo less those of the plan, and the additions of
         the worst servo to both.
         """
-        different = list({id(command): command for command in commands}.values())
-        places = {id(command): c for c, command in enumerate(different)}
-        found = np.zeros((len(different), 4, len(self.time), self._q.shape[1]))
-        for own, command in zip(found, different, strict=True):
-            motor, worst = (self._follow(servo, command) for servo in (self._servo, self._worst))
-            own[0], own[1] = motor(self.time), motor(self.time, 1)
-            if self._worst != self._servo:
-                own[2], own[3] = worst(self.time) - own[0], worst(self.time, 1) - own[1]
-        found[:, 0] -= self._q
-        found[:, 1] -= self._v
-        by_time = np.ascontiguousarray(found.transpose(2, 0, 1, 3))
-        return by_time, np.array([places[id(command)] for command in commands])
+        different = list(dict.fromkeys(commands))
+        places = {command: c for c, command in enumerate(different)}
+        found = np.stack([self._behind_servos(command) for command in different], axis=1)
+        return found, np.array([places[command] for command in commands])
 
-    def _follow(self, servo: Servo, command: MotorMotion) -> MotorMotion:
+    def _behind_servos(self, command: MotorMotion) -> np.ndarray:
+        """Motion (K, 4, n) of one command, as of `motors`."""
+        if command not in self._followed:
+            motor, worst = (self._follow(servo, command) for servo in (self._servo, self._worst))
+            own = [motor(self.time), motor(self.time, 1)]
+            if self._worst == self._servo:
+                added = [np.zeros_like(own[0])] * 2
+            else:
+                added = [worst(self.time, k) - own[k] for k in (0, 1)]
+            moved = [own[0] - self._q, own[1] - self._v, *added]
+            self._followed[command] = np.stack(moved, axis=1)
+        return self._followed[command]
+
+    def _follow(self, servo: Follower, command: MotorMotion) -> MotorMotion:
         if self._bearings is not None:
             command = self._bearings.motion(command)
         if servo.follows_exactly:
@@ -330,6 +350,12 @@ class SimulationRequest:
     members: Sequence[Member]
 
 
+Result = TypeVar("Result")
+# Generator that requests simulations on its way to a result: the requests of several generators are
+# simulated together, which costs little more than one alone.
+SimulationRequests = Generator[SimulationRequest, ToolError, Result]
+
+
 def simulate_uncertain_arms(asked: Sequence[SimulationRequest]) -> list[ToolError]:
     """Simulate the members of several plans of one arm, plan by plan in batches.
 
@@ -345,6 +371,21 @@ def simulate_uncertain_arms(asked: Sequence[SimulationRequest]) -> list[ToolErro
         )
         for each in asked
     ]
+
+
+def answer_together(asking: Iterable[SimulationRequests[Result]]) -> list[Result]:
+    """Return the results of several generators, simulating their requests of a round together."""
+    asked = {each: next(each) for each in asking}
+    answers: dict[SimulationRequests[Result], Result | None] = dict.fromkeys(asked)
+    while asked:
+        errors = simulate_uncertain_arms(list(asked.values()))
+        for each, own in zip(list(asked), errors, strict=True):
+            try:
+                asked[each] = each.send(own)
+            except StopIteration as ended:
+                answers[each] = ended.value
+                del asked[each]
+    return [answer for answer in answers.values() if answer is not None]
 
 
 def _integrate_compiled(core: CDLL, asked: SimulationRequest) -> np.ndarray:

@@ -1,11 +1,11 @@
-"""Uncertain parameters of an elastic arm: bounds, corner cases and random draws."""
+"""Uncertain parameters of an elastic arm: bounds, corners and random draws."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 
@@ -13,11 +13,14 @@ from stiffopt.declaration import POSITIVE, Bounds, Doc, Frequency, Ratio, Time, 
 from stiffopt.elastic.servo import Servo
 from stiffopt.errors import ProblemError
 
+if TYPE_CHECKING:
+    from stiffopt.robot.robot import Robot
+
 # Bounds where none are stated: identified position loops vary by a fifth, and the inertia that the
 # torque feed-forward relies on is known within a tenth.
 _SERVO_BANDWIDTH_RATIO, _TORQUE_FEED_FORWARD_BOUND = 0.8, 0.1
-# 95 % interval of a normal distribution.
-_BOUND_IN_STANDARD_DEVIATIONS = 2.0
+# Mean square of a parameter that lies evenly between its bounds, over the bound's.
+UNIFORM_MEAN_SQUARE = 1.0 / 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +39,7 @@ class Uncertainty:
     bearing_stiffness: Annotated[
         Ratio,
         Bounds(least=0.0, below=1.0),
-        Doc("Relative bound of the stiffness of each output bearing."),
+        Doc("Relative bound of the stiffness of each output bearing and bending link."),
     ] = 0.2
     damping: Annotated[
         Ratio, Bounds(least=0.0), Doc("Relative bound of the damping of the joints.")
@@ -181,89 +184,89 @@ class Departure:
         return {"stiffness": self.stiffness.tolist(), "bearings": bearings, **numbers}
 
 
-def corners(
-    uncertainty: Uncertainty, joints: int, carries: bool, *, servo: bool = True
-) -> list[Departure]:
-    """Return the corner cases: every parameter at a bound, all stiffnesses alike.
+class ParameterBox:
+    """Uncertain arms: each parameter lies anywhere between its bounds, evenly and independently.
+
+    Worst arms, sampled arms and error budgets refer to this one set. Levels (2 n + 3,) from -1 to 1
+    place an arm in it: stiffness of the joints, of their bearings, damping, payload and servo.
 
     Parameters
     ----------
     uncertainty : Uncertainty
-    joints : int
-    carries : bool
-        True with a payload.
+    robot : Robot
     servo : bool
         True where the servo is uncertain.
+
+    Attributes
+    ----------
+    free : array (m,)
+        Levels that matter.
     """
-    shares = uncertainty.shares(joints)
-    return [
-        departure_at_bounds(uncertainty, signs * np.ones(joints), damping, payload, share)
-        for signs, damping, payload, share in product(
-            _bound_signs(bool(shares.any())),
-            _bound_signs(uncertainty.damping > 0.0),
-            _bound_signs(carries and uncertainty.payload > 0.0),
-            (0.0, 1.0) if servo else (0.0,),
+
+    def __init__(self, uncertainty: Uncertainty, robot: Robot, *, servo: bool = True) -> None:
+        self._uncertainty, self._joints = uncertainty, robot.n
+        yields = [chain is not None for chain in robot.chains]
+        self._bounds = np.concatenate(
+            [
+                uncertainty.shares(robot.n) * yields,
+                uncertainty.bearing_stiffness * np.array([bool(each) for each in robot.mounts]),
+                [uncertainty.damping, uncertainty.payload * (robot.payload is not None), servo],
+            ]
         )
-    ]
+        self.free = np.flatnonzero(self._bounds)
 
+    @property
+    def nominal(self) -> np.ndarray:
+        """Levels (2 n + 3,) of the arm as modelled."""
+        return np.append(np.zeros(2 * self._joints + 2), -1.0)
 
-def one_at_a_time(uncertainty: Uncertainty, joints: int) -> list[Departure]:
-    """Return departures with one joint at its lower stiffness bound."""
-    shares = uncertainty.shares(joints)
-    return [
-        departure_at_bounds(uncertainty, -np.eye(joints)[j], 0.0, 0.0, 0.0)
-        for j in np.flatnonzero(shares)
-    ]
+    def kind(self, place: int) -> str:
+        """Return the kind of parameter of a level."""
+        kinds = ["stiffness", "bearing", "damping", "payload", "servo"]
+        return kinds[
+            place // self._joints if place < 2 * self._joints else place + 2 - 2 * self._joints
+        ]
 
-
-def departure_at_bounds(
-    uncertainty: Uncertainty, signs: np.ndarray, damping: float, payload: float, servo: float
-) -> Departure:
-    """Return the departure at bounds of given signs: stiffness (n,), damping, payload.
-
-    Bearings are soft or stiff as the joints are in their sum.
-    """
-    shares = uncertainty.shares(len(signs))
-    return Departure(
-        stiffness=1.0 + signs * shares,
-        bearings=1.0 + float(np.sign(signs.sum())) * uncertainty.bearing_stiffness,
-        damping=1.0 + damping * uncertainty.damping,
-        payload=1.0 + payload * uncertainty.payload,
-        servo=servo,
-        label=", ".join(_describe_departure(uncertainty, signs * shares, damping, payload, servo))
-        or "nominal",
-    )
-
-
-def draw_departures(
-    uncertainty: Uncertainty, joints: int, carries: bool, *, servo: bool = True
-) -> list[Departure]:
-    """Draw departures uniformly within the bounds, joints independently."""
-    random = np.random.default_rng(uncertainty.seed)
-    # A stream of its own: arms without elastic bearings are drawn as before.
-    (of_bearings,) = random.spawn(1)
-    shares = uncertainty.shares(joints)
-    found = []
-    for number in range(1, uncertainty.draws + 1):
-        stiffness, rest = random.uniform(-1.0, 1.0, joints), random.uniform(-1.0, 1.0, 3)
-        found.append(
-            Departure(
-                stiffness=1.0 + stiffness * shares,
-                bearings=1.0
-                + of_bearings.uniform(-1.0, 1.0, joints) * uncertainty.bearing_stiffness,
-                damping=1.0 + float(rest[0]) * uncertainty.damping,
-                payload=1.0 + float(rest[1]) * uncertainty.payload * carries,
-                servo=0.5 * (1.0 + float(rest[2])) if servo else 0.0,
-                label=f"draw {number}",
-            )
+    def departure(self, levels: np.ndarray, label: str = "") -> Departure:
+        """Return the arm at given levels; its label describes it if none is given."""
+        away, n = levels * self._bounds, self._joints
+        return Departure(
+            stiffness=1.0 + away[:n],
+            bearings=1.0 + away[n : 2 * n],
+            damping=1.0 + float(away[-3]),
+            payload=1.0 + float(away[-2]),
+            servo=0.5 * float(self._bounds[-1] + away[-1]),
+            label=label or ", ".join(_describe_departure(away, n)) or "nominal",
         )
-    return found
+
+    def alike_corners(self) -> np.ndarray:
+        """Levels (c, 2 n + 3) of the corners where joints and bearings are soft or stiff alike."""
+        groups = [slice(0, 2 * self._joints), *range(-3, 0)]
+        varies = [bool(np.any(self._bounds[each])) for each in groups]
+        signs = list(product(*((-1.0, 1.0) if each else (0.0,) for each in varies)))
+        found = np.zeros((len(signs), len(self._bounds)))
+        for k, each in enumerate(groups):
+            values = np.array(signs)[:, k]
+            found[:, each] = values[:, None] if isinstance(each, slice) else values
+        return found * (self._bounds > 0.0)
+
+    def drawn(self) -> list[Departure]:
+        """Draw the arms of the uncertainty's number and seed."""
+        random, n = np.random.default_rng(self._uncertainty.seed), self._joints
+        # A stream of its own: arms without elastic bearings are drawn as before.
+        (of_bearings,) = random.spawn(1)
+        found = []
+        for number in range(1, self._uncertainty.draws + 1):
+            stiffness, rest = random.uniform(-1.0, 1.0, n), random.uniform(-1.0, 1.0, 3)
+            levels = np.concatenate([stiffness, of_bearings.uniform(-1.0, 1.0, n), rest])
+            found.append(self.departure(levels, f"draw {number}"))
+        return found
 
 
 def bounds_from_deviations(
     uncertainty: Uncertainty, stiffness: np.ndarray, payload: float = np.nan
 ) -> Uncertainty:
-    """Return the uncertainty with bounds of two relative standard deviations, NaN if unknown.
+    """Return the uncertainty whose parameters have relative standard deviations, NaN if unknown.
 
     The bound of a stiffness is limited to 99 %: it must stay positive.
 
@@ -276,42 +279,35 @@ def bounds_from_deviations(
         Relative standard deviation of its mass.
     """
     if not np.isnan(payload):
-        uncertainty = replace(
-            uncertainty, payload=min(_BOUND_IN_STANDARD_DEVIATIONS * payload, 1.0)
-        )
+        uncertainty = replace(uncertainty, payload=min(payload / np.sqrt(UNIFORM_MEAN_SQUARE), 1.0))
     if np.all(np.isnan(stiffness)):
         return uncertainty
     shares = uncertainty.shares(len(stiffness))
     known = np.where(
         np.isnan(stiffness),
         shares,
-        np.minimum(_BOUND_IN_STANDARD_DEVIATIONS * np.nan_to_num(stiffness), 0.99),
+        np.minimum(np.nan_to_num(stiffness) / np.sqrt(UNIFORM_MEAN_SQUARE), 0.99),
     )
     return replace(uncertainty, stiffness=tuple(float(share) for share in known))
 
 
-def _bound_signs(varies: bool) -> tuple[float, ...]:
-    return (-1.0, 1.0) if varies else (0.0,)
-
-
-def _describe_departure(
-    uncertainty: Uncertainty, stiffness: np.ndarray, damping: float, payload: float, servo: float
-) -> Iterator[str]:
-    if stiffness.any():
-        alike = np.all(stiffness == stiffness[0])
-        own = f"{100 * stiffness[0]:+.3g} %" if alike else _describe_joint_stiffness(stiffness)
-        yield f"stiffness {own}"
-    if damping * uncertainty.damping:
-        yield f"damping {100 * damping * uncertainty.damping:+.3g} %"
-    if payload * uncertainty.payload:
-        yield f"payload {100 * payload * uncertainty.payload:+.3g} %"
-    if servo:
+def _describe_departure(away: np.ndarray, joints: int) -> Iterator[str]:
+    """Describe relative departures of stiffnesses, bearings, damping and payload, and the servo."""
+    for first, what in ((0, "stiffness"), (joints, "bearings")):
+        own = away[first : first + joints]
+        if own.any():
+            alike = np.all(own == own[0])
+            yield f"{what} {f'{100 * own[0]:+.3g} %' if alike else _list_by_size(own)}"
+    for value, what in ((away[-3], "damping"), (away[-2], "payload")):
+        if value:
+            yield f"{what} {100 * value:+.3g} %"
+    if away[-1] > 0.0:
         yield "worst servo"
 
 
-def _describe_joint_stiffness(stiffness: np.ndarray) -> str:
-    sizes = {f"{100 * share:+.3g} %": [] for share in stiffness if share}  # type: dict[str, list[str]]
-    for j, share in enumerate(stiffness, start=1):
+def _list_by_size(shares: np.ndarray) -> str:
+    sizes: dict[str, list[str]] = {}
+    for j, share in enumerate(shares, start=1):
         if share:
-            sizes[f"{100 * share:+.3g} %"].append(str(j))
+            sizes.setdefault(f"{100 * share:+.3g} %", []).append(str(j))
     return ", ".join(f"{size} of J{'/'.join(own)}" for size, own in sizes.items())

@@ -76,7 +76,9 @@ def check_file(file: Path, result: Path, problem: Path | None = None) -> Checked
             file, "", "was changed after its export: the hash of its header is that of another "
             "content. Export the motion again."
         )  # fmt: skip
-    if not any((result / name).is_file() for name in ("result.json", "cycle.json")):
+    if not any(
+        (result / name).is_file() for name in ("result.json", "cycle.json", "improvement.json")
+    ):
         raise InputFileError(
             file, "", f"{result} has no result.json to compare with. Give the folder of its solve "
             "as --result."
@@ -96,7 +98,7 @@ def check_file(file: Path, result: Path, problem: Path | None = None) -> Checked
             file, "", f"is not the motion of {result}, although its header matches. Export the "
             "motion again."
         )  # fmt: skip
-    motion = stored.sampled(rate, whole_steps=FORMATS[kind].whole_steps)
+    motion = FORMATS[kind].sample(stored, rate)
     tightest = stored.judge(motion)
     payload = stored.problem.robot.payload
     return CheckedMotion(

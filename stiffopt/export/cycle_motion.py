@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,10 +11,19 @@ import numpy as np
 from scipy.interpolate import BPoly
 
 from stiffopt.errors import InputFileError
-from stiffopt.export.motion import MotionEvent, SampledMotion, StoredMotion, Which, read_motion
+from stiffopt.export.improved_motion import read_improved
+from stiffopt.export.motion import (
+    MotionEvent,
+    SampledMotion,
+    SplineMotion,
+    StoredMotion,
+    Which,
+    read_motion,
+)
 from stiffopt.export.motion_checks import SampledRows, judge_samples, solved_legs
 from stiffopt.files import load_json
 from stiffopt.folders import check_result
+from stiffopt.improvement.improvement_files import IMPROVEMENT_FILE
 from stiffopt.result.cycle import CYCLE_FILE, JoinedMotion, leg_folder
 
 if TYPE_CHECKING:
@@ -27,19 +36,12 @@ class StoredCycle(StoredMotion):
 
     Parameters
     ----------
-    legs : tuple of StoredMotion
     starts : tuple of float
         Of the legs [s].
-    events : tuple of MotionEvent
     """
 
     legs: tuple[StoredMotion, ...]
     starts: tuple[float, ...]
-    events: tuple[MotionEvent, ...]
-
-    def sampled(self, rate: float, *, whole_steps: bool = False) -> SampledMotion:
-        """Sample at a rate [Hz]; parameters as of `StoredMotion.sampled`."""
-        return replace(super().sampled(rate, whole_steps=whole_steps), events=self.events)
 
     def judge(self, motion: SampledMotion) -> Violation:
         """Return the tightest limit of the drives at the samples of all legs."""
@@ -56,7 +58,9 @@ class StoredCycle(StoredMotion):
 
 
 def read_stored(folder: Path, which: Which = "motor", problem: Path | None = None) -> StoredMotion:
-    """Read the motion of a result folder, of a single motion or of a cycle, as `read_motion`."""
+    """Read the motion of a solve, a cycle or an improvement; parameters as of `read_motion`."""
+    if (folder / IMPROVEMENT_FILE).is_file():
+        return read_improved(folder, which, problem)
     if not (folder / CYCLE_FILE).is_file():
         return read_motion(folder, which, problem)
     path = folder / CYCLE_FILE
@@ -113,20 +117,9 @@ def _read_times(path: Path, document: Any) -> list[tuple[float, float, float]]:
 
 def _joined_curve(curves: list[Any], starts: np.ndarray, end: float) -> BPoly:
     """Position over the time of the cycle, with the rests."""
-    joined = JoinedMotion([_Curve(each) for each in curves], starts, end)
+    joined = JoinedMotion([SplineMotion(each) for each in curves], starts, end)
     times = joined.times
     times = times[np.append(True, np.diff(times) > 1e-9)]
     return BPoly.from_derivatives(
         times, np.stack([joined(times, order) for order in range(3)], axis=1)
     )
-
-
-class _Curve:
-    """Curve as a `JointMotion`."""
-
-    def __init__(self, curve: Any) -> None:
-        self._curve, self.times = curve, np.asarray(curve.x)
-        self.duration = float(self.times[-1])
-
-    def __call__(self, t: np.ndarray, order: int = 0) -> np.ndarray:
-        return np.asarray(self._curve.derivative(order)(t) if order else self._curve(t))

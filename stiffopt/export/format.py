@@ -6,12 +6,13 @@ import hashlib
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import PurePath
 
 import numpy as np
 
 from stiffopt.errors import InputError
-from stiffopt.export.motion import SampledMotion, StoredMotion, check_rate
+from stiffopt.export.motion import MotionEvent, SampledMotion, StoredMotion, check_rate
 from stiffopt.problem.registry import Registry
 
 
@@ -64,13 +65,27 @@ class ExportFormat(ABC):
         self.check(stored, chosen)
         if self.from_rest:
             stored.require_rest(self.title)
-        motion = stored.sampled(chosen, whole_steps=self.whole_steps)
+        motion = self.sample(stored, chosen)
         stored.judge(motion)
         texts = {
             name: with_seal(text, seal_entries(stored, self.name, chosen, name), name)
             for name, text in self.files(motion, chosen).items()
         }
         return texts | self.programs(texts)
+
+    def sample(self, stored: StoredMotion, rate: float) -> SampledMotion:
+        """Sample a motion as the format needs it."""
+        return stored.sampled(rate, whole_steps=self.whole_steps)
+
+    def with_pulses(self, pulses: Sequence[float]) -> ExportFormat:
+        """Return the format with pulses per degree of each axis.
+
+        Raises
+        ------
+        InputError
+            Its positions are no pulses.
+        """
+        raise InputError(f"--pulses: {self.title} takes no pulses. Leave it out.")
 
     def check(self, stored: StoredMotion, rate: float) -> None:  # noqa: B027
         """Raise `InputError` for motions outside the range of the format."""
@@ -99,6 +114,93 @@ class CyclicFormat(ExportFormat):
         require_cycle(rate, self.rate_max, self.title)
 
 
+@dataclass(frozen=True, kw_only=True)
+class PointStep:
+    """Step of a program of points: a move, a rest or an event.
+
+    Parameters
+    ----------
+    sample : int
+        Sample that a move goes to.
+    speed : float
+        Share of the joints' largest velocities [%]; 0 for a rest or an event.
+    stop : bool
+        True where a move comes to rest.
+    rest : float
+        Duration of a rest [s].
+    """
+
+    sample: int = 0
+    speed: float = 0.0
+    stop: bool = False
+    rest: float = 0.0
+    event: MotionEvent | None = None
+
+
+class PointFormat(ExportFormat):
+    """Format of programs whose controller times the motion itself, from points and speeds.
+
+    For arms of six revolute joints. A speed is the share of the velocity limit that the fastest
+    joint needs to reach the next point in time.
+    """
+
+    rate = 20.0
+    rate_max = 100.0
+    from_rest = True
+    # Lines of at most 32 characters, the length of a comment in a job.
+    remarks = (
+        "Joint signs and zeros are of the",
+        "URDF: compare before the 1st run",
+        "Speeds: % of the joint velocity",
+        "limits of the robot file.",
+        "NOT kept, the controller decides",
+        "them: duration, acceleration,",
+        "jerk, torque, error limits.",
+    )
+
+    def sample(self, stored: StoredMotion, rate: float) -> SampledMotion:
+        """Sample a motion at the rate and at its events, where the arm stops."""
+        return stored.sampled(rate, at_events=True)
+
+    def check(self, stored: StoredMotion, rate: float) -> None:
+        """Require six revolute joints with velocity limits."""
+        require_six_axes(stored, self.title)
+        limits = stored.problem.robot.velocity_max
+        for j in np.flatnonzero(~np.isfinite(limits)):
+            raise InputError(
+                f"joint {j + 1} ({stored.joint_names[j]}) has no velocity limit in the robot file, "
+                f"and speeds of {self.title} are shares of it. Add velocity_max there and solve "
+                "again, or export with --to csv."
+            )
+
+    def steps(self, motion: SampledMotion) -> list[PointStep]:
+        """Moves, rests and events after the approach to the first sample."""
+        change = np.abs(np.diff(motion.position, axis=0))
+        step = np.diff(motion.time)
+        share = np.max(change / motion.velocity_max, axis=1) / step
+        # Smaller steps [rad] than a pulse are a rest.
+        moves = np.append(np.max(change, axis=1) > 1e-5, False)
+        found: list[PointStep] = []
+        rest = 0.0
+        for k in range(1, len(motion.time)):
+            events = motion.events_until(k)
+            if moves[k - 1]:
+                if rest:
+                    found.append(PointStep(rest=rest))
+                    rest = 0.0
+                # Lowest speed [%] of a point to point move in both languages.
+                speed = float(np.clip(100.0 * share[k - 1], 0.01, 100.0))
+                stop = bool(events) or not moves[k]
+                found.append(PointStep(sample=k, speed=speed, stop=stop))
+            else:
+                rest += float(step[k - 1])
+            if events and rest:
+                found.append(PointStep(rest=rest))
+                rest = 0.0
+            found += [PointStep(event=event) for event in events]
+        return [*found, PointStep(rest=rest)] if rest else found
+
+
 def identifier(title: str, length: int) -> str:
     """Name of letters, digits and underscores, of at most `length` of them, from a title."""
     return re.sub(r"\W", "_", title.lower(), flags=re.ASCII).strip("_")[:length]
@@ -114,11 +216,16 @@ FORMATS: Registry[ExportFormat] = Registry("stiffopt.export.formats")
 
 
 # Lines of KRL sources are of ASCII and below 256 characters: one entry a line.
-_ENTRY_PATTERN = re.compile(r"^[#;!] stiffopt (\w+): (.*)\n", re.MULTILINE)
-# Comment mark by suffix, and the number of lines before the header.
-_COMMENT_STYLES = {".src": (";", 2), ".mod": ("!", 1)}
-# Files whose format has no comment outside of its program.
-_UNSEALED_SUFFIXES = (".ls",)
+_ENTRY_PATTERN = re.compile(r"^(?:[#;!]|<!--) stiffopt (\w+): (.*?)(?: -->)?\n", re.MULTILINE)
+# Start and end of a comment by suffix, and the number of lines before the header.
+_XML_COMMENT = ("<!--", " -->", 1)
+_COMMENT_STYLES = {
+    ".src": (";", "", 2),
+    ".mod": ("!", "", 1),
+    **dict.fromkeys((".pjx", ".pgx", ".dtx"), _XML_COMMENT),
+}
+# Files whose format has no comments of this length.
+_UNSEALED_SUFFIXES = (".ls", ".JBI")
 
 
 def seal_entries(stored: StoredMotion, to: str, rate: float, file: str) -> dict[str, str]:
@@ -136,12 +243,14 @@ def with_seal(text: str, entries: dict[str, str], file: str) -> str:
     """Add the header, which includes the hash of all other lines."""
     if PurePath(file).suffix in _UNSEALED_SUFFIXES:
         return text
-    mark, before = _COMMENT_STYLES.get(PurePath(file).suffix, ("#", 0))
+    mark, close, before = _COMMENT_STYLES.get(PurePath(file).suffix, ("#", "", 0))
     # Hash the text as `read_seal` returns it: a title may look like an entry.
     content = hashlib.sha256(_ENTRY_PATTERN.sub("", text).encode()).hexdigest()
     lines = text.splitlines(keepends=True)
-    header = [f"{mark} stiffopt {key}: {value}\n" for key, value in entries.items()]
-    header.append(f"{mark} stiffopt content: {content}\n")
+    header = [
+        f"{mark} stiffopt {key}: {value}{close}\n"
+        for key, value in {**entries, "content": content}.items()
+    ]
     return "".join([*lines[:before], *header, *lines[before:]])
 
 

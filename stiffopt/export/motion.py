@@ -37,10 +37,6 @@ if TYPE_CHECKING:
 Which = Literal["motor", "link"]
 
 
-# Share of a joint's largest velocity below which it counts as at rest.
-_REST_SPEED_SHARE = 1e-3
-
-
 @dataclass(frozen=True, kw_only=True)
 class MotionEvent:
     """Event of the gripper or tool changer.
@@ -78,6 +74,8 @@ class SampledMotion:
         Times from 0.
     position, velocity, acceleration : array (K, n)
         [rad], [rad/s], [rad/s^2]; metres for radians of prismatic joints.
+    velocity_max : array (n,) [rad/s]
+        Limits of the robot.
     events : tuple of MotionEvent
         In order.
     """
@@ -86,6 +84,7 @@ class SampledMotion:
     which: Which
     joint_names: tuple[str, ...]
     prismatic: np.ndarray
+    velocity_max: np.ndarray
     time: np.ndarray
     position: np.ndarray
     velocity: np.ndarray
@@ -124,8 +123,11 @@ class StoredMotion:
     link: CubicSpline | None
     problem: TrajectoryProblem
     seal: dict[str, str]
+    events: tuple[MotionEvent, ...] = ()
 
-    def sampled(self, rate: float, *, whole_steps: bool = False) -> SampledMotion:
+    def sampled(
+        self, rate: float, *, whole_steps: bool = False, at_events: bool = False
+    ) -> SampledMotion:
         """Sample at a rate [Hz].
 
         Parameters
@@ -134,11 +136,17 @@ class StoredMotion:
         whole_steps : bool
             Hold the end position to the next multiple of 1/rate; else the last step ends with the
             motion.
+        at_events : bool
+            Sample at the events in place of the nearest samples of the grid.
         """
         end = float(self.curve.x[-1])
         times = export_times(end, rate)
         if whole_steps:
             times = np.arange(math.ceil(end * rate - 1e-6) + 1) / rate
+        if at_events:
+            for event in self.events:
+                times = np.append(times[np.abs(times - event.time) > 0.5 / rate], event.time)
+            times.sort()
         moving = times <= end
         inside = np.minimum(times, end)
         # The held end is at rest, whatever the derivatives of the curve at its end.
@@ -152,10 +160,12 @@ class StoredMotion:
             which=self.which,
             joint_names=self.joint_names,
             prismatic=self.prismatic,
+            velocity_max=self.problem.robot.velocity_max,
             time=times,
             position=self.curve(inside),
             velocity=np.where(moving[:, None], velocity, 0.0),
             acceleration=np.where(moving[:, None], acceleration, 0.0),
+            events=self.events,
         )
 
     def judge(self, motion: SampledMotion) -> Violation:
@@ -174,7 +184,8 @@ class StoredMotion:
     def require_rest(self, owner: str) -> None:
         """Raise `InputError` unless the motion starts and ends at rest."""
         velocity = self.curve.derivative(1)(self.curve.x)
-        moves = np.abs(velocity[[0, -1]]) > _REST_SPEED_SHARE * np.max(np.abs(velocity), axis=0)
+        # Share of a joint's largest velocity below which it counts as at rest.
+        moves = np.abs(velocity[[0, -1]]) > 1e-3 * np.max(np.abs(velocity), axis=0)
         for k, side, action in (
             (0, "start", "starts with an approach to rest"),
             (1, "end", "stops there"),
@@ -186,6 +197,18 @@ class StoredMotion:
                     f"{velocity[-k, j]:.4g} rad/s; a program of {owner} {action}. Export it with "
                     "--to ros2 or csv, or plan without motion.boundary_velocity."
                 )
+
+
+class SplineMotion:
+    """Curve as a `JointMotion`."""
+
+    def __init__(self, curve: Any) -> None:
+        self._curve, self.times = curve, np.asarray(curve.x)
+        self.duration = float(self.times[-1])
+
+    def __call__(self, t: np.ndarray, order: int = 0) -> np.ndarray:
+        """Evaluate the position or a derivative at times (K,)."""
+        return np.asarray(self._curve.derivative(order)(t) if order else self._curve(t))
 
 
 def read_motion(

@@ -110,17 +110,24 @@ def solved_problem(
         model, effects = (path.parent / each if isinstance(each, str) else None for each in named)
         assert model is not None
         stated = extended_problem(stated, planner_model(stated.robot, read_model(model, effects)))
+    check_seal(path, document, stated, str(file))
+    check_inputs(path, document, file, stated)
+    return stated
+
+
+def check_seal(
+    path: Path, document: dict[str, Any], stated: TrajectoryProblem, source: str
+) -> None:
+    """Raise `InputFileError` where robot, payload or limits are not those of the stored motion."""
     seal = sealed(path, document)
     for key, value in motion_seal(stated, path.parent).items():
         if key != "files" and seal[key] != value:
             raise InputFileError(
                 path,
                 f"seal.{key}",
-                f"the {key} of {file} {'differ' if key == 'limits' else 'differs'} from the "
+                f"the {key} of {source} {'differ' if key == 'limits' else 'differs'} from the "
                 "certified one. Solve again.",
             )
-    check_inputs(path, document, file, stated)
-    return stated
 
 
 def sealed(path: Path, document: dict[str, Any]) -> dict[str, Any]:

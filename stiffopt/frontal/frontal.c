@@ -5,6 +5,7 @@ first values (`frontal_analysis.c`), and factorised front by front,
 L D L^T with pivots of one or two, which wait where they are too small (Duff and Reid 1983): a front
 is the unknowns that what is eliminated meets. */
 
+#include <limits.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -145,7 +146,7 @@ static HOT int condensed(const Analysis *a, const double *value, Factors *f) {
 }
 
 typedef struct {
-  int line, used, free_count;
+  int line, used, free_count, bulk;
   double *f;                  /* symmetric, whole */
   int *place_at, *slot_of, *free_slots;
   int waiting, *wait;         /* slots whose unknowns all entries of are here */
@@ -178,12 +179,16 @@ static int slot(Front *t, int place) {
   return t->slot_of[place] = s;
 }
 
+/* Largest entry of a slot in the front but for two. Entries of the bulk with the border do not count:
+   by its own scale one of the border, such as a duration, may be as large as it likes, and is
+   eliminated later. Counted, it would delay the pivots of a whole phase. */
 static double largest(const Front *t, int s, int but, int butter) {
   const double *line = t->f + (size_t)s * t->line;
+  int end = t->place_at[s] < t->bulk ? t->bulk : INT_MAX;
   double most = 0.0;
   for (int i = 0; i < t->used; i++) {
     double size = fabs(line[i]);
-    if (i != but && i != butter && size > most) most = size;
+    if (i != but && i != butter && size > most && t->place_at[i] < end) most = size;
   }
   return most;
 }
@@ -257,7 +262,7 @@ static int pivot(Front *t, Factors *f, int k, double u, double small) {
 }
 
 static HOT int factorised(const Analysis *a, Factors *f, double u, double small) {
-  Front t = {0};
+  Front t = {.bulk = a->bulk};
   int failed = NO_MEMORY;
   long rest = a->width + a->border;
   t.line = (int)((rest + 2 * LANES) / LANES * LANES);

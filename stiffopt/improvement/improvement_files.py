@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +12,21 @@ from stiffopt.files import atomic_write, to_json_types
 from stiffopt.improvement.improvement import AssessedMotion, Improvement
 from stiffopt.result.compensation import COMMAND_FILE, compensation_document, write_command
 from stiffopt.result.simulation import simulated_document
-from stiffopt.result.store import TRAJECTORY_FILE, export_times, write_trajectory
+from stiffopt.result.store import (
+    TRAJECTORY_FILE,
+    export_times,
+    motion_facts,
+    write_trajectory,
+)
 
 IMPROVEMENT_FILE = "improvement.json"
 
 
-def write_improvement(found: Improvement, folder: Path) -> None:
-    """Write the files of an improved motion; those of the motion only where it keeps its limits."""
+def write_improvement(found: Improvement, folder: Path, origin: Mapping[str, Any]) -> None:
+    """Write the files of an improved motion; those of the motion only where it keeps its limits.
+
+    `origin` names robot or problem file, as seen from the folder, and the changes of its entries.
+    """
     if found.kept:
         times = export_times(found.plan.duration)
         plan = assess(found.problem, found.plan, times=times)
@@ -27,7 +36,8 @@ def write_improvement(found: Improvement, folder: Path) -> None:
             write_trajectory(plan, folder, COMMAND_FILE)
         else:
             write_command(found.compensation, folder)
-    document = to_json_types(improvement_document(found))
+    facts = motion_facts(found.problem, folder) if found.kept else {}
+    document = to_json_types({**improvement_document(found), **origin, **facts})
     atomic_write(folder / IMPROVEMENT_FILE, json.dumps(document, indent=1) + "\n")
 
 
@@ -36,6 +46,7 @@ def improvement_document(found: Improvement) -> dict[str, Any]:
     return {
         "schema": 1,
         "kept": found.kept,
+        "duration": found.plan.duration,
         "retimed": found.retimed,
         "path_deviation": found.path_deviation,
         "margins": found.margins,

@@ -15,18 +15,24 @@ convex-concave constraints using sequential convex programming", IEEE Transactio
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from math import factorial
 from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy
 
 from stiffopt.baseline.path_limits import torque_rows
 from stiffopt.errors import ProblemError
 from stiffopt.path.banded_programme import BandedRows, maximise
-from stiffopt.problem.limits.velocity_by_position import velocity_at
+from stiffopt.path.time_law import (
+    LEAST_SCALE,
+    TimeLaw,
+    average_speed,
+    basis_of,
+    count_steps,
+    time_scaled,
+)
+from stiffopt.problem.limits.joint_curve import curve_at
 from stiffopt.result.trajectory import Trajectory, join_motions
 
 if TYPE_CHECKING:
@@ -34,8 +40,6 @@ if TYPE_CHECKING:
     from stiffopt.result.joint_path import JointPath
     from stiffopt.robot.robot import Robot
 
-# Longest step of the grid [s], and least and largest number of steps.
-_LONGEST_STEP, _MIN_STEPS, _MAX_STEPS = 5e-3, 200, 12_000
 # Shares of a step at which limits hold.
 _STAGE_SHARES = (0.0, 0.5, 1.0)
 # Shares at which the last timing is checked.
@@ -44,17 +48,17 @@ _CHECKED_STAGES = (0.0, 0.25, 0.5, 0.75, 1.0)
 _MAX_PROGRAMMES, _MIN_GAIN = 40, 1e-3
 # Programmes after that, in which limits are tightened where the motion exceeds them between the
 # stages, and the slowing from which on that is left out.
-_MAX_POLISHINGS, _MAX_KEPT_SLOWING = 8, 1.002
+_MAX_POLISHINGS, _MAX_KEPT_SLOWING = 8, 1.0002
 _LEAST_ALLOWANCE = 0.4
 # Relative change of the duration below which the nodes are kept.
 _NODE_CHANGE_GAIN = 0.05
-# Bounds of x: the tangent of the jerk limit admits nothing above 3.
-_LEAST_SCALE, _LARGEST_SCALE = 1e-3, 2.9
+# Limits that the programme keeps, and the power of the speed that each grows with.
+_DERIVATIVE_ORDERS = {"velocity": 1, "tool_speed": 1, "acceleration": 2, "torque": 2, "jerk": 3}
+# Largest x: the tangent of the jerk limit admits nothing above 3.
+_LARGEST_SCALE = 2.9
 # Share of the limits that the first timing uses, and its time of rise to full acceleration [s].
 _FIRST_SHARE, _FIRST_RISE = 0.5, 0.05
 _PATH_SAMPLES_PER_PIECE, _MIN_PATH_SAMPLES = 8, 2000
-# Gauss-Legendre points of the time of a step.
-_GAUSS_POINTS, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -132,104 +136,23 @@ def _fastest_part(found: _PathTiming, path: JointPath) -> Trajectory:
         law = better if settled else better.with_nodes_at(path.knots)
         if not settled:
             continue
-        slowed = law.duration * max(1.0, found.slowing(law))
+        uses = found.uses(law)
+        slowed = law.duration * _slowing(uses)
         if best is None or slowed < best[1]:
             best = law, slowed
         ended += gain < _MIN_GAIN or ended > 0
         if ended > _MAX_POLISHINGS or (ended and slowed <= law.duration * _MAX_KEPT_SLOWING):
             break
         if ended:
-            found.tighten(law)
-    law, slowed = best or (law, law.duration * max(1.0, found.slowing(law)))
+            found.tighten(uses)
+    law, slowed = best or (law, law.duration * _slowing(found.uses(law)))
     return law.trajectory().scaled_to(slowed)
 
 
-class _Law:
-    """Time law s(t): the cubic spline through values at nodes, from rest to rest.
-
-    Parameters
-    ----------
-    time, values : array (K + 1,)
-        Nodes [s], and s there.
-    eased : bool
-        The acceleration is zero at both ends; the values beside the ends are then the spline's.
-    """
-
-    def __init__(self, time: np.ndarray, values: np.ndarray, eased: bool) -> None:
-        knots = np.concatenate([time[:1].repeat(3), time, time[-1:].repeat(3)])
-        sites, rest = np.arange(len(time)), [(1, 0.0)]
-        if eased:
-            sites, rest = np.delete(sites, [1, len(time) - 2]), [(1, 0.0), (2, 0.0)]
-        spline = scipy.interpolate.make_interp_spline(
-            time[sites], values[sites], 3, knots, bc_type=(rest, rest)
-        )
-        self.time, self.eased = time, eased
-        # Coefficients (4, K) of the powers of the time since each node, the lowest first.
-        self.powers = np.stack([spline(time[:-1], k) / factorial(k) for k in range(4)])
-        self.values = np.append(self.powers[0], values[-1])
-
-    @property
-    def duration(self) -> float:
-        return float(self.time[-1])
-
-    def at(self, share: float) -> np.ndarray:
-        """Return s and three derivatives (4, K) at a share of every step."""
-        return _evaluate(self.powers, share * np.diff(self.time))
-
-    def __call__(self, time: np.ndarray) -> np.ndarray:
-        """Return s at times (m,)."""
-        step = np.clip(np.searchsorted(self.time, time, side="right") - 1, 0, len(self.time) - 2)
-        return np.asarray(_evaluate(self.powers[:, step], time - self.time[step])[0])
-
-    def trajectory(self) -> Trajectory:
-        """Return the law as a motion of one joint, from 0 to 1."""
-        _, _, c2, c3 = self.powers
-        acceleration = np.stack([2.0 * c2, 6.0 * c3], axis=1)
-        return Trajectory.from_acceleration(
-            self.time, acceleration[:, :, None], self.powers[0, :1], self.powers[1, :1]
-        )
-
-    def crossings(self, knots: np.ndarray) -> np.ndarray:
-        """Times (m,) at which s passes knots (m,), by bisection."""
-        step = np.clip(np.searchsorted(self.values, knots, side="right") - 1, 0, len(self.time) - 2)
-        low, high = self.time[step].copy(), self.time[step + 1].copy()
-        begin, powers = low.copy(), self.powers[:, step]
-        for _ in range(60):
-            middle = 0.5 * (low + high)
-            before = _evaluate(powers, middle - begin)[0] < knots
-            low, high = np.where(before, middle, low), np.where(before, high, middle)
-        return high
-
-    def with_nodes_at(self, knots: np.ndarray) -> _Law:
-        """Return the law with nodes where s passes knots, and about equal steps between."""
-        crossed = np.concatenate([[0.0], self.crossings(knots[1:-1]), [self.duration]])
-        # Rounding may order crossings of very close knots wrongly.
-        crossed = np.maximum.accumulate(crossed)
-        spans = np.diff(crossed)
-        longest = self.duration / _steps_of(self.duration)
-        counts = np.maximum(np.ceil(spans / longest).astype(int), 1)
-        counts[[0, -1]] = np.maximum(counts[[0, -1]], 3)
-        ends = np.cumsum(counts)
-        inside = (np.arange(ends[-1]) - np.repeat(ends - counts, counts)) / np.repeat(
-            counts, counts
-        )
-        time = np.repeat(crossed[:-1], counts) + inside * np.repeat(spans, counts)
-        time = np.append(time, self.duration)
-        values = self(time)
-        values[np.append(0, ends)] = knots
-        return _Law(time, values, self.eased)
-
-
-def _evaluate(powers: np.ndarray, local: np.ndarray) -> np.ndarray:
-    """Cubic polynomials and three derivatives (4, K) at local times (K,)."""
-    c0, c1, c2, c3 = powers
-    return np.stack(
-        [
-            c0 + local * (c1 + local * (c2 + local * c3)),
-            c1 + local * (2.0 * c2 + local * 3.0 * c3),
-            2.0 * c2 + 6.0 * local * c3,
-            6.0 * c3 + 0.0 * local,
-        ]
+def _slowing(uses: Mapping[str, np.ndarray]) -> float:
+    """Return the factor on the duration at which limits are kept that are used so far."""
+    return max(
+        1.0, *(float(used.max()) ** (1.0 / _DERIVATIVE_ORDERS[name]) for name, used in uses.items())
     )
 
 
@@ -241,7 +164,7 @@ class _PathTiming:
         # Shares of the limits of acceleration and jerk that may be used in every step.
         self._allowances: dict[str, np.ndarray] = {}
 
-    def first_law(self) -> _Law:
+    def first_law(self) -> TimeLaw:
         """Return a timing that uses a share of the limits, with nodes at the path's knots."""
         path = self._path
         pieces = len(path.knots) - 1
@@ -261,16 +184,16 @@ class _PathTiming:
         steps = 2.0 * np.diff(s) / (rate[1:] + rate[:-1])
         time = np.concatenate([[0.0], np.cumsum(steps)])
         if self._demands.eased:
-            time, s = _average_speed(time, s, rate, min(_FIRST_RISE, 0.2 * time[-1]))
+            time, s = average_speed(time, s, rate, min(_FIRST_RISE, 0.2 * time[-1]))
         else:
-            grid = np.linspace(0.0, time[-1], 4 * _steps_of(time[-1]) + 1)
+            grid = np.linspace(0.0, time[-1], 4 * count_steps(time[-1]) + 1)
             # Linear in speed between the samples, from rest to rest.
             own = np.clip(np.searchsorted(time, grid, side="right") - 1, 0, len(steps) - 1)
             local = grid - time[own]
             bend = (rate[own + 1] - rate[own]) / steps[own]
             time, s = grid, s[own] + local * (rate[own] + 0.5 * local * bend)
         s[[0, -1]] = 0.0, 1.0
-        return _Law(time, s, self._demands.eased).with_nodes_at(path.knots)
+        return TimeLaw(time, s, self._demands.eased).with_nodes_at(path.knots)
 
     def _path_bounds(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Rate [1/s] and acceleration [1/s^2] of s that use a share of each limit, (K,) each."""
@@ -298,33 +221,56 @@ class _PathTiming:
             )
         return _FIRST_SHARE * speed, _FIRST_SHARE * push
 
-    def tighten(self, law: _Law) -> None:
-        """Tighten limits of acceleration and jerk in steps that exceed them between stages."""
-        piece, count = self._pieces(law), len(law.time) - 1
-        rates = [self._joint_motion(law.at(share), piece) for share in _CHECKED_STAGES]
-        for order, name in ((2, "acceleration"), (3, "jerk")):
-            limit = self._demands.share(name) * getattr(self._limits, name)
-            used = np.max([np.abs(each[order]) / limit for each in rates], axis=(0, 2))
+    def uses(self, law: TimeLaw) -> dict[str, np.ndarray]:
+        """Largest use (K,) of each limit in every step, relative to it; of torque beside the hold.
+
+        Above 1 where the motion exceeds the limit between the stages of the programme.
+        """
+        piece, limits, share = self._pieces(law), self._limits, self._demands.share
+        found: dict[str, np.ndarray] = dict.fromkeys(_DERIVATIVE_ORDERS, np.zeros(len(piece)))
+        for stage in _CHECKED_STAGES:
+            own = law.at(stage)
+            q, *rates = self._joint_motion(own, piece)
+            _, moving, hold, tool = self._torques(own, q, rates[0], rates[1])
+            sign = np.sign(hold + moving)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                ratios = {
+                    "velocity": np.abs(rates[0]) / self._velocity(q),
+                    "acceleration": np.abs(rates[1]) / limits.acceleration,
+                    "jerk": np.abs(rates[2]) / limits.jerk,
+                    "torque": sign
+                    * moving
+                    / (share("torque") * self._torque(rates[0]) - sign * hold),
+                    "tool_speed": (tool / self._tool_speed(piece))[:, None],
+                }
+            for name, ratio in ratios.items():
+                used = np.max(np.nan_to_num(ratio, posinf=0.0), axis=1) / (
+                    1.0 if name == "torque" else share(name)
+                )
+                found[name] = np.maximum(found[name], used)
+        return found
+
+    def tighten(self, uses: Mapping[str, np.ndarray]) -> None:
+        """Tighten limits in steps that exceed them between stages."""
+        for name, used in uses.items():
             near = np.maximum(np.append(used[1:], 0.0), np.append(0.0, used[:-1]))
             worst = np.maximum(np.maximum(used, near), 1.0)
-            now = self._allowances.get(name, np.ones(count))
+            now = self._allowances.get(name, np.ones(len(used)))
             self._allowances[name] = np.clip(now / worst, _LEAST_ALLOWANCE, now)
 
-    def slowing(self, law: _Law) -> float:
-        """Return the factor on the duration at which velocity, acceleration and jerk are kept."""
-        limits, piece = self._limits, self._pieces(law)
-        factor = 0.0
-        for share in _CHECKED_STAGES:
-            own = law.at(share)
-            q, *rates = self._joint_motion(own, piece)
-            bounds = (self._velocity(q), limits.acceleration, limits.jerk)
-            names = ("velocity", "acceleration", "jerk")
-            for order, (name, rate, bound) in enumerate(zip(names, rates, bounds, strict=True), 1):
-                most = float(np.max(np.abs(rate) / bound)) / self._demands.share(name)
-                factor = max(factor, most ** (1.0 / order))
-        return factor
+    def _torques(
+        self, law: np.ndarray, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Torques (K, n) by acceleration dq, of the motion, and of rest and dry friction.
 
-    def _pieces(self, law: _Law) -> np.ndarray:
+        The tool speed (K,) comes last.
+        """
+        robot = self._robot
+        pushing, moving, hold, tool = torque_rows(robot, q, dq, ddq, self._forces(law[0]))
+        dry = robot.coulomb * np.sign(dq)
+        return pushing, moving + robot.viscous * dq, hold + dry, tool
+
+    def _pieces(self, law: TimeLaw) -> np.ndarray:
         return self._path.piece_index(0.5 * (law.values[1:] + law.values[:-1]))
 
     def _joint_motion(self, law: np.ndarray, piece: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -333,7 +279,7 @@ class _PathTiming:
         p0, p1, p2, p3 = (self._path.evaluate_piece(law[0], piece, k) for k in range(4))
         return p0, p1 * v, p2 * v**2 + p1 * a, p3 * v**3 + 3.0 * p2 * v * a + p1 * j
 
-    def rescaled(self, law: _Law) -> _Law:
+    def rescaled(self, law: TimeLaw) -> TimeLaw:
         """Return the timing of the programme at a timing."""
         rows, basis = self._rows(law)
         unknowns = len(law.time) + 1
@@ -344,16 +290,16 @@ class _PathTiming:
             part = h * (basis[0][0, :, k] + 4.0 * basis[1][0, :, k] + basis[2][0, :, k]) / 6.0
             weights[k : k + len(h)] += part
         x = maximise(rows, weights, np.full(unknowns, 0.5))
-        return _time_scaled(law, x)
+        return time_scaled(law, x)
 
-    def _rows(self, law: _Law) -> tuple[BandedRows, list[np.ndarray]]:
+    def _rows(self, law: TimeLaw) -> tuple[BandedRows, list[np.ndarray]]:
         """Rows of the programme, and values of the basis at the stages, (3, K, 3) each."""
-        basis = [_basis(law.time, share) for share in (0.0, 0.5, 1.0)]
+        basis = [basis_of(law.time, share) for share in (0.0, 0.5, 1.0)]
         entries, bounds, first = [], [], []
         steps = np.arange(len(law.time) - 1)
         piece = self._pieces(law)
         for share in _STAGE_SHARES:
-            value, slope, bend = _basis(law.time, share)
+            value, slope, bend = basis_of(law.time, share)
             own, bound = self._stage_rows(law.at(share), piece)
             entries.append(
                 own[0][:, :, None] * value[:, None, :]
@@ -371,57 +317,51 @@ class _PathTiming:
         self, law: np.ndarray, piece: np.ndarray
     ) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
         """Factors of x, x', x'' in each row (K, R), and its bound; rows are relative to limits."""
-        robot, limits, share = self._robot, self._limits, self._demands.share
+        limits, share = self._limits, self._demands.share
         p0, dq, ddq, dddq = self._joint_motion(law, piece)
         zero = np.zeros_like(dq)
         columns: list[tuple[np.ndarray, ...]] = []
         bounds: list[np.ndarray] = []
 
-        def bound_both(
-            name: str,
-            limit: np.ndarray,
-            x: np.ndarray,
-            x1: np.ndarray,
-            x2: np.ndarray,
-            fixed: np.ndarray,
-            rest: np.ndarray,
-        ) -> None:
-            """Add |x X + x1 X' + x2 X'' + fixed| <= limit rest, of finite limits."""
-            for k in np.flatnonzero(np.isfinite(limit)):
-                allowed = share(name) * limit[k] * self._allowances.get(name, 1.0)
-                for sign in (1.0, -1.0):
-                    columns.append(tuple(sign * each[:, k] / allowed for each in (x, x1, x2)))
-                    bounds.append(rest[:, k] - sign * fixed[:, k] / allowed)
+        def allowance(name: str) -> np.ndarray:
+            return self._allowances.get(name, np.ones(len(dq)))
 
-        one = np.ones_like(dq)
-        bound_both("acceleration", limits.acceleration, ddq, 0.5 * dq, zero, zero, one)
+        def bound_both(
+            name: str, limit: np.ndarray, x: np.ndarray, x1: np.ndarray, fixed: np.ndarray
+        ) -> None:
+            """Add |x X + x1 X' + fixed| <= limit (K, n), of finite limits."""
+            for k in np.flatnonzero(np.isfinite(limit).all(axis=0)):
+                allowed = share(name) * limit[:, k]
+                for sign in (1.0, -1.0):
+                    columns.append(tuple(sign * each[:, k] / allowed for each in (x, x1, zero)))
+                    bounds.append(allowance(name) * (1.0 - sign * fixed[:, k] / allowed))
+
+        bound_both("acceleration", limits.acceleration + zero, ddq, 0.5 * dq, zero)
         # J / sqrt(x) >= J (3/2 - x/2).
         for k in np.flatnonzero(np.isfinite(limits.jerk)):
-            allowed = share("jerk") * limits.jerk[k] * self._allowances.get("jerk", 1.0)
+            allowed = share("jerk") * limits.jerk[k] * allowance("jerk")
             for sign in (1.0, -1.0):
                 parts = dddq[:, k], 1.5 * ddq[:, k], 0.5 * dq[:, k]
                 own = [sign * each / allowed for each in parts]
                 columns.append((own[0] + 0.5, own[1], own[2]))
                 bounds.append(np.full(len(dq), 1.5))
-        if np.isfinite(limits.torque).any():
-            hold_a, hold_b, hold, tool = torque_rows(robot, p0, dq, ddq, self._forces(law[0]))
-            # sqrt(x) <= (1 + x) / 2, exact where the sequence ends.
-            viscous = 0.5 * robot.viscous * dq
-            friction = robot.coulomb * np.sign(dq) + viscous
-            bound_both(
-                "torque", limits.torque, hold_b + viscous, 0.5 * hold_a, zero, hold + friction, one
-            )
-        else:
-            tool = torque_rows(robot, p0, dq, ddq, self._forces(law[0]))[3]
+        pushing, moving, hold, tool = self._torques(law, p0, dq, ddq)
+        # sqrt(x) <= (1 + x) / 2, exact where the sequence ends.
+        viscous = 0.5 * self._robot.viscous * dq
+        # The curve of the torque over speed at the present one: exact where the sequence ends.
+        torque = self._torque(dq)
+        bound_both("torque", torque, moving - viscous, 0.5 * pushing, hold + viscous)
         with np.errstate(divide="ignore"):
+            joints = (share("velocity") * self._velocity(p0) / np.abs(dq)).min(axis=1)
             ceilings = [
-                np.min((share("velocity") * self._velocity(p0) / np.abs(dq)) ** 2, axis=1),
-                (share("tool_speed") * self._tool_speed(piece) / tool) ** 2,
+                (allowance("velocity") * joints) ** 2,
+                (allowance("tool_speed") * share("tool_speed") * self._tool_speed(piece) / tool)
+                ** 2,
             ]
             if self._demands.path_speed is not None:
                 ceilings.append((self._demands.path_speed(law[0]) / np.maximum(law[1], 0.0)) ** 2)
         ceiling = np.minimum(np.min(ceilings, axis=0), _LARGEST_SCALE)
-        for sign, bound in ((1.0, ceiling), (-1.0, np.full(len(dq), -_LEAST_SCALE))):
+        for sign, bound in ((1.0, ceiling), (-1.0, np.full(len(dq), -LEAST_SCALE))):
             columns.append((np.full(len(dq), sign), zero[:, 0], zero[:, 0]))
             bounds.append(bound)
         x, x1, x2 = (np.stack(column, axis=1) for column in zip(*columns, strict=True))
@@ -430,7 +370,13 @@ class _PathTiming:
     def _velocity(self, q: np.ndarray) -> np.ndarray:
         allowed = np.broadcast_to(self._limits.velocity, q.shape)
         if self._limits.velocity_map is not None:
-            allowed = np.minimum(allowed, velocity_at(self._limits.velocity_map, q))
+            allowed = np.minimum(allowed, curve_at(self._limits.velocity_map, q))
+        return allowed
+
+    def _torque(self, dq: np.ndarray) -> np.ndarray:
+        allowed = np.broadcast_to(self._limits.torque, dq.shape)
+        if self._limits.torque_map is not None:
+            allowed = np.minimum(allowed, curve_at(self._limits.torque_map, np.abs(dq)))
         return allowed
 
     def _tool_speed(self, piece: np.ndarray) -> np.ndarray:
@@ -442,56 +388,3 @@ class _PathTiming:
         return (
             np.zeros(3) if self._demands.process_force is None else self._demands.process_force(s)
         )
-
-
-def _steps_of(duration: float) -> int:
-    return int(np.clip(np.ceil(duration / _LONGEST_STEP), _MIN_STEPS, _MAX_STEPS))
-
-
-def _basis(time: np.ndarray, share: float) -> np.ndarray:
-    """Quadratic B-splines on nodes with two derivatives, (3, K, 3): those of every step."""
-    h = np.diff(time)
-    before, after = np.append(0.0, h[:-1]), np.append(h[1:], 0.0)
-    up, down = share * h, (1.0 - share) * h
-    first, last = 1.0 / (h * (h + before)), 1.0 / (h * (h + after))
-    value = np.stack([down**2 * first, up**2 * last], axis=1)
-    slope = np.stack([-2.0 * down * first, 2.0 * up * last], axis=1)
-    bend = np.stack([2.0 * first, 2.0 * last], axis=1)
-    full = []
-    for part, whole in ((value, 1.0), (slope, 0.0), (bend, 0.0)):
-        middle = whole - part.sum(axis=1)
-        full.append(np.stack([part[:, 0], middle, part[:, 1]], axis=1))
-    return np.stack(full)
-
-
-def _time_scaled(law: _Law, x: np.ndarray) -> _Law:
-    """Return the law with its time rescaled by the B-spline coefficients x (K + 2,)."""
-    h = np.diff(law.time)
-    near = np.stack([x[k : k + len(h)] for k in range(3)], axis=1)
-    spent = np.zeros_like(h)
-    for point, weight in zip(_GAUSS_POINTS, _GAUSS_WEIGHTS, strict=True):
-        value = np.sum(_basis(law.time, 0.5 * (1.0 + point))[0] * near, axis=1)
-        spent += 0.5 * weight * h / np.sqrt(np.maximum(value, _LEAST_SCALE))
-    return _Law(np.concatenate([[0.0], np.cumsum(spent)]), law.values, law.eased)
-
-
-def _average_speed(
-    time: np.ndarray, s: np.ndarray, rate: np.ndarray, window: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Average a speed profile, linear between times, over a window [s]; return times and s."""
-    whole = time[-1] + window
-    grid = np.linspace(0.0, whole, 4 * _steps_of(whole) + 1)
-    span = np.diff(time)
-    area = s[:-1] * span + rate[:-1] * span**2 / 2.0 + np.diff(rate) * span**2 / 6.0
-    area = np.concatenate([[0.0], np.cumsum(area)])
-
-    def integral(at: np.ndarray) -> np.ndarray:
-        """Integral of s over time, at rest before and after."""
-        inner = np.clip(at, 0.0, time[-1])
-        k = np.clip(np.searchsorted(time, inner, side="right") - 1, 0, len(span) - 1)
-        local = inner - time[k]
-        bend = (rate[k + 1] - rate[k]) / span[k]
-        found = area[k] + local * (s[k] + local * (rate[k] / 2.0 + local * bend / 6.0))
-        return np.asarray(found + np.maximum(at - time[-1], 0.0) * s[-1])
-
-    return grid, (integral(grid) - integral(grid - window)) / window

@@ -150,8 +150,6 @@ def _bolt_axial_forces(steps: Verification, load: np.ndarray, angles: np.ndarray
 
 # Standard deviations from the mean to either end of a stated range.
 _DEVIATIONS_PER_SIDE = 2.0
-# Accuracy of a torque wrench, +-5 %.
-_WRENCH_ACCURACY = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -214,7 +212,8 @@ def slip_probability(
     factor = (steps.scatter * setting / preload - pitch) / (setting / preload - pitch)
     means = [mu * (1.0 + factor) / 2.0 for mu in lowest]
     deviations = [mu * (factor - 1.0) / (2.0 * _DEVIATIONS_PER_SIDE) for mu in lowest]
-    wrench = setting * _WRENCH_ACCURACY / _DEVIATIONS_PER_SIDE
+    # Accuracy of a torque wrench, +-5 %.
+    wrench = setting * 0.05 / _DEVIATIONS_PER_SIDE
     needed = _needed_preload(steps)
     force = needed + steps.loss
     mean = setting - force * (pitch + sum(a * mu for a, mu in zip(levers, means, strict=True)))

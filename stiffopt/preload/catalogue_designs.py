@@ -28,8 +28,6 @@ from stiffopt.preload.flange_loads import slip_safety, verification
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.problem import Choice, FreeElement, PreloadProblem
 
-# Largest utilisation of a feasible design [-], with rounding.
-_MAX_UTILISATION = 1.0 + 1e-9
 SLIP, LEAST, EMBEDDING = "slip safety", "least preload", "embedding loss"
 _REMEDY_BY_LIMIT = {
     SLIP: "more friction, more or larger bolts, a larger circle, or less scatter",
@@ -108,7 +106,8 @@ class CatalogueDesign:
     @property
     def exceeded(self) -> tuple[str, ...]:
         """Names of exceeded limits."""
-        return tuple(name for name, used in self.utilisations.items() if used > _MAX_UTILISATION)
+        # Largest utilisation of a feasible design [-], with rounding.
+        return tuple(name for name, used in self.utilisations.items() if used > 1.0 + 1e-9)
 
     @property
     def stopper(self) -> str:

@@ -16,10 +16,6 @@ from stiffopt.preload.model import PreloadModel
 
 # Relative step of finite differences: the laws vary on the scale of the preload.
 _RELATIVE_STEP = 1e-3
-# Relative difference of preloads of one connection that share a slope.
-_EQUAL_PRELOAD_TOLERANCE = 1e-5
-# Largest relative correction of a slope: the exact slope is infinite at slip.
-_MAX_SLOPE_CORRECTION = 0.5
 
 # Design vector -> smooth and exact values of one joint, (cases,) each.
 _Laws = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -137,7 +133,8 @@ def _linear_shift(
         )
         with np.errstate(invalid="ignore"):
             missing = (exact_up - smooth_up) - (exact_down - smooth_down)
-        most = _MAX_SLOPE_CORRECTION * np.abs(smooth_up - smooth_down)
+        # Largest relative correction of a slope: the exact slope is infinite at slip.
+        most = 0.5 * np.abs(smooth_up - smooth_down)
         missing = np.where(np.isfinite(missing), missing, 0.0)
         slopes.append(np.clip(missing, -most, most) / (2.0 * step[i]))
     found = np.array(slopes).reshape(-1, len(model.cases))
@@ -150,10 +147,8 @@ def _find_equal_preload(
     """Return the position of an equal preload of the same connection; None without."""
     ends = next(s for s in model.slices if s.start <= i < s.stop)
     for place, k in enumerate(before):
-        if (
-            ends.start <= k
-            and abs(preloads[k] - preloads[i]) < _EQUAL_PRELOAD_TOLERANCE * preloads[i]
-        ):
+        # Relative difference of preloads of one connection that share a slope.
+        if ends.start <= k and abs(preloads[k] - preloads[i]) < 1e-5 * preloads[i]:
             return place
     return None
 

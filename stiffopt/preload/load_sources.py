@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
 
-# Tolerance of recorded tool positions for the same tool [m].
-_TOOL_POSITION_TOLERANCE = 1e-6
 # Tolerance of recorded torques over the largest one for the same arm and load [-].
 _TORQUE_TOLERANCE = 1e-3
 # Torques within this of those of the joint motion [-]: links follow their motors.
@@ -343,7 +341,8 @@ class _TrajectoryTable:
 
 def _check_tool(path: Path, robot: Robot, own: np.ndarray, written: np.ndarray) -> None:
     miss = float(np.linalg.norm(own - written, axis=1).max())
-    if miss > _TOOL_POSITION_TOLERANCE:
+    # Tolerance of recorded tool positions for the same tool [m].
+    if miss > 1e-6:
         raise InputFileError(
             path,
             "tool_x, tool_y, tool_z",

@@ -32,8 +32,6 @@ from stiffopt.solver.solve_run import ProgressCallback, SolveProgress
 
 # Relative change of the deflection that ends the alternation: a tenth of the reported digits.
 _DEFLECTION_TOLERANCE = 1e-4
-# Largest number of preload increases against slip under the motion.
-_MAX_PRELOAD_RAISES = 3
 
 
 def motion_study(
@@ -192,7 +190,8 @@ class _JointStudy:
         vector = np.maximum(
             present, self.model.spread([floor * e.capacity for e in self.model.elements])
         )
-        for _ in range(_MAX_PRELOAD_RAISES):
+        # Largest number of preload increases against slip under the motion.
+        for _ in range(3):
             design = self._optimise_motion(vector)
             slips = self._slipping_connections(design)
             if self.interrupted or not slips:
@@ -397,12 +396,6 @@ def _motion_subproblem(problem: PreloadProblem) -> PreloadProblem:
     )
 
 
-# Least relative gain that is worth a joint study.
-_MIN_USEFUL_GAIN = 0.01
-# Least relative gain that is reported, below the written digits.
-_MIN_REPORTED_GAIN = 5e-5
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotionRound:
     """Round of the alternation.
@@ -471,14 +464,16 @@ def describe_gain(status: SolveStatus, gain: float) -> str:
     """Return the interpretation of the gain of a joint study."""
     if not np.isfinite(gain):
         return "Stopped by the user before the preloads were optimised."
-    if gain < _MIN_REPORTED_GAIN:
+    # Least relative gain that is reported, below the written digits.
+    if gain < 5e-5:
         text = "Joint optimisation of preloads and motion does not lower the deflection"
     else:
         text = (
             f"Joint optimisation of preloads and motion lowers the deflection by {100 * gain:.2f} "
             "% against separate optimisation"
         )
-    if gain < _MIN_USEFUL_GAIN:
+    # Least relative gain that is worth a joint study.
+    if gain < 0.01:
         text += ": a gain below 1 %, so the joint study is not worth it here"
     ends = {
         SolveStatus.INTERRUPTED: " Stopped by the user; this is the best so far.",

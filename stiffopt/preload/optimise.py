@@ -28,15 +28,6 @@ ProgressReport = Callable[[Progress], object]
 _IPOPT_OPTIONS = IpoptOptions(
     tol=1e-10, acceptable_tol=1e-8, max_iterations=300, extra={"bound_relax_factor": 0.0}
 )
-# Largest number of corrections of the smooth law, and change of a preload over its capacity that
-# ends them, the accuracy of IPOPT [-].
-_MAX_SHIFTS = 12
-_SHIFT_TOLERANCE = 1e-8
-# Relative loss of an objective allowed for less preload [-].
-_MAX_OBJECTIVE_LOSS = 1e-9
-# Largest KKT residual of an optimum [-], with rows and multipliers of order one: IPOPT ends between
-# 1e-12 and 1e-8, and rows are satisfied to 1e-6.
-_MAX_KKT_RESIDUAL = 1e-6
 # Largest number of updates of a motion's worst instants; one or two suffice.
 WORST_INSTANT_ROUNDS = 6
 
@@ -53,7 +44,9 @@ class Optimum:
     @property
     def proved(self) -> bool:
         """True if the solver converged and the recomputed KKT residual is small."""
-        return self.raw.converged and self.kkt_residual <= _MAX_KKT_RESIDUAL
+        # Largest KKT residual of an optimum [-], with rows and multipliers of order one: IPOPT ends
+        # between 1e-12 and 1e-8, and rows are satisfied to 1e-6.
+        return self.raw.converged and self.kkt_residual <= 1e-6
 
     @property
     def status(self) -> SolveStatus:
@@ -164,7 +157,8 @@ def optimum(
     first = _exact_optimum(PreloadNlp(model, objective, levels), progress)
     if objective not in ("bolt_utilisation", "tool_deflection") or not first.proved:
         return first
-    ceiling = (objective, first.raw.objective * (1.0 + _MAX_OBJECTIVE_LOSS))
+    # Relative loss of an objective allowed for less preload [-].
+    ceiling = (objective, first.raw.objective * (1.0 + 1e-9))
     least = PreloadNlp(model, "total_preload", levels, ceiling=ceiling)
     second = _exact_optimum(least, progress, first.preloads)
     if not second.proved:
@@ -182,7 +176,8 @@ def _exact_optimum(
     preloads = lower + 0.7 * (upper - lower) if start is None else start
     x0 = np.concatenate([preloads / nlp.scale, np.full(nlp.nlp.x.numel() - size, 2.0)])
     iterations = 0
-    for _ in range(_MAX_SHIFTS):
+    # Corrections of the smooth law, until preloads change by less than IPOPT's accuracy.
+    for _ in range(12):
         parameters = nlp.parameters(preloads)
         raw = solver.solve(x0, parameters, report=progress)
         iterations += raw.iterations
@@ -190,7 +185,7 @@ def _exact_optimum(
         step = float(np.max(np.abs(found - preloads) / nlp.scale))
         preloads = found
         shifted = nlp.depends_on_stiffness or nlp.depends_on_deflection
-        if not (raw.converged and shifted) or step < _SHIFT_TOLERANCE:
+        if not (raw.converged and shifted) or step < 1e-8:
             break
     return Optimum(preloads, raw, kkt_residual(nlp.nlp, raw, parameters), iterations)
 

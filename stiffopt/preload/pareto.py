@@ -23,10 +23,6 @@ from stiffopt.preload.utilisation import utilisation_rows
 
 # Relative difference of equal levels.
 _LEVEL_TOLERANCE = 1e-6
-# Number of bisections of the intervals beside the knee.
-_KNEE_ROUNDS = 2
-# Relative stiffness gain along the front below which it is called flat.
-_FLAT_FRONT_GAIN = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +118,8 @@ def pareto_front(
     else:
         levels = np.linspace(least, most, max(points, 2))[1:-1]
         found = [trace.least, *trace.points(levels), *trace.end()]
-        for _ in range(_KNEE_ROUNDS):
+        # Number of bisections of the intervals beside the knee.
+        for _ in range(2):
             at = _knee_position(found)
             beside = [(a.level + b.level) / 2 for a, b in pairwise(found[max(at - 1, 0) : at + 2])]
             found = sorted([*found, *trace.points(beside)], key=lambda p: p.level)
@@ -300,6 +297,7 @@ def _describe_front(points: Sequence[ParetoPoint]) -> str:
         f"From the least to the most preload, {100 * more:.0f} % more in all, {quantity} rises by "
         f"{100 * gain:.1f} %"
     )
-    if gain < _FLAT_FRONT_GAIN:
+    # Relative stiffness gain along the front below which it is called flat.
+    if gain < 0.05:
         return f"{text}: the front is nearly flat, so tightening buys hardly any stiffness."
     return f"{text}."

@@ -72,7 +72,7 @@ def _compose_document(study: PreloadStudy) -> dict[str, Any]:
         "kkt_residual": solution.kkt_residual,
         "iterations": solution.iterations,
         "values": {name: value for name, (value, _) in named_values(study).items()},
-        "rows": [_row_entry(row) for row in solution.rows],
+        "rows": [{"name": row.name, **vars(row), "active": row.active} for row in solution.rows],
         "bolts": {sheet.key: _sheet_entry(sheet) for sheet in _study_sheets(study)},
         "stoppers": solution.stoppers,
         "load_cases": [
@@ -168,10 +168,6 @@ def _sheet_entry(sheet: BoltSheet) -> dict[str, Any]:
     safety = {symbol: _safety_entry(row) for symbol, row in sheet.safety.items()}
     alternating = sheet.loads.alternating
     return {**own, "safety_factors": safety, "loads": loads, "alternating": alternating}
-
-
-def _row_entry(row: UtilisationRow) -> dict[str, Any]:
-    return {"name": row.name, **vars(row), "active": row.active}
 
 
 def _safety_entry(row: UtilisationRow) -> dict[str, Any]:

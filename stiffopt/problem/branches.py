@@ -19,13 +19,8 @@ from stiffopt.robot.robot import Robot
 
 # Peak velocity, acceleration and jerk of the quintic time law over the powers of its duration.
 _QUINTIC_PEAKS = (15.0 / 8.0, 10.0 / np.sqrt(3.0), 60.0)
-# Random starts of the search for solutions of one pose: each ends in one of at most 16 branches.
-_SEARCH_STARTS = 48
-_SAME_POSE = 1e-5  # [rad], largest joint difference of equal solutions
 # Joints further than this from the reference also take the neighbouring turn [rad].
 _OTHER_TURN_FROM = 0.5 * np.pi
-_MAX_CANDIDATES = 96
-_MIN_SQUARED_LENGTH = 1e-9  # [m^2] of the line from shoulder to wrist, against division by zero
 
 
 def solutions_of_pose(
@@ -46,17 +41,20 @@ def solutions_of_pose(
         np.where(np.isfinite(robot.position_upper), robot.position_upper, np.pi),
     )
     found: list[np.ndarray] = []
-    for start in [reference, *random.uniform(*bounds, size=(_SEARCH_STARTS, robot.n))]:
+    # Random starts of the search for solutions of one pose: each ends in one of at most 16
+    # branches.
+    for start in [reference, *random.uniform(*bounds, size=(48, robot.n))]:
         try:
             q = solve_pose(robot, position, rotation, start, restarts=0)
         except UnreachablePoseError:
             continue
         for turned in _turns(robot, q, reference):
-            same = any(np.max(np.abs(turned - other)) < _SAME_POSE for other in found)
+            # Largest joint difference of equal solutions [rad].
+            same = any(np.max(np.abs(turned - other)) < 1e-5 for other in found)
             if not same and admissible(turned):
                 found.append(turned)
     found.sort(key=lambda q: float(np.linalg.norm(q - reference)))
-    return found[:_MAX_CANDIDATES]
+    return found[:96]
 
 
 def _turns(robot: Robot, q: np.ndarray, reference: np.ndarray) -> list[np.ndarray]:
@@ -167,7 +165,8 @@ def _branch_sides(robot: Robot, q: np.ndarray) -> tuple[float, float, float]:
     up = axes[0] if axes[0] @ np.array([0.0, 0.0, 1.0]) >= 0.0 else -axes[0]
     shoulder, elbow, wrist = at[1], at[2], at[4]
     line = wrist - shoulder
-    share = float((elbow - shoulder) @ line) / max(float(line @ line), _MIN_SQUARED_LENGTH)
+    # The line from shoulder to wrist may vanish.
+    share = float((elbow - shoulder) @ line) / max(float(line @ line), 1e-9)
     return (
         float(np.cross(axes[1], up) @ (wrist - at[0])),
         float((elbow - shoulder - share * line) @ up),

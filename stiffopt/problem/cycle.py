@@ -48,7 +48,6 @@ class Stop:
     ----------
     dwell : float [s]
         Rest before the next move; the least one where it lasts until the tool has settled.
-    until_settled : bool
     event : CycleEvent or None
         At arrival, before the rest.
     """
@@ -68,7 +67,6 @@ class Leg:
         From rest to rest; its duration is fixed by the split of the cycle's time, or free.
     moves : tuple of int
         Numbers of its moves, from 1.
-    name : str
     stop : Stop
         At its end.
     """
@@ -89,7 +87,6 @@ class Posture:
 
     Parameters
     ----------
-    name : str
     joints : array (n,) [rad]
     branch : str
         Names of shoulder, elbow and wrist.
@@ -112,15 +109,12 @@ class Cycle:
 
     Parameters
     ----------
-    title : str
-    legs : tuple of Leg
     duration : (lower, upper) [s]
         Of the whole cycle, rests included; equal values fix it.
     postures : tuple of Posture
         Distinct poses in the order of their first visit.
     after_last : Robot or None
         With the payload after the event of the last leg.
-    duty_limits : DutyLimits
     error_limit : float or None
         Largest value of the minimised deflection [m]: every leg is as short as that allows.
     """

@@ -177,10 +177,14 @@ class _CycleReader:
 
     def _duty_limits(self) -> DutyLimits:
         duty = self._document.duty
+
+        def by_joint(name: str) -> np.ndarray | None:
+            given = getattr(duty, name)
+            return None if given is None else self._joints(given, "torque", f"duty.{name}")
+
         return DutyLimits(
-            rms_torque=None
-            if duty.rms_torque is None
-            else self._joints(duty.rms_torque, "torque", "duty.rms_torque"),
+            rms_torque=by_joint("rms_torque"),
+            mean_torque=by_joint("mean_torque"),
             reducer_life=duty.reducer_life,
             energy=duty.energy,
         )

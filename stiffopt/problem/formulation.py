@@ -212,6 +212,7 @@ def smoothing_stages(problem: TrajectoryProblem) -> tuple[float, ...]:
     """Factors on the smoothing widths, wide to narrow: the longest list of all active kinds."""
     asked = [objective.kind.smoothing for objective in problem.objectives]
     asked += [kind.smoothing for kind in problem.active_limits.kinds]
+    asked += [WINDUP_SMOOTHING] if problem.plans_links else []
     return max(asked, key=len)
 
 

@@ -22,12 +22,8 @@ from stiffopt.problem.freedom_task import FreedomTask
 from stiffopt.problem.path_freedom import FreedomChoice, TurnBasis
 from stiffopt.problem.pose_following import MIN_CONDITION
 
-# Searches from different candidates.
-_SEARCH_COUNT = 12
 # Weight of the squared second differences of coefficients [1/rad^2]: below 0.1 % of the cost.
 _ROUGHNESS_WEIGHT = 1e-4
-# Curvature of the programme that keeps unknowns without effect where they are.
-_PROXIMITY_WEIGHT = 1e-4
 # Trust region: first and smallest half-width [rad], factors after success and failure; steps.
 _FIRST_STEP, _SMALLEST_STEP, _STEP_GROWTH, _STEP_SHRINKAGE, _MAX_STEPS = 0.15, 5e-4, 2.0, 0.35, 60
 # Directions in which a cone of tilt is bounded: by a polygon inside it, 0.5 % smaller.
@@ -45,7 +41,6 @@ class FreedomOptimum:
 
     Parameters
     ----------
-    choice : FreedomChoice
     cost : float
         Of the goal, less is better.
     value : float
@@ -68,7 +63,8 @@ def optimise_freedom(task: FreedomTask, near: np.ndarray) -> list[FreedomOptimum
     ProblemError
         No candidate of the scan follows the path.
     """
-    candidates = scan_candidates(task, near, _SEARCH_COUNT)
+    # Searches from different candidates.
+    candidates = scan_candidates(task, near, 12)
     refined = [each for each in (refine_candidate(task, one) for one in candidates) if each]
     if not refined:
         raise ProblemError(
@@ -189,7 +185,8 @@ class _Search:
         rows = self._goal.rows(joints, slopes, detail, squares)
         extra = rows.extra
         curvature = np.zeros((size + extra, size + extra))
-        curvature[:size, :size] = _PROXIMITY_WEIGHT * np.eye(size)
+        # Curvature of the programme that keeps unknowns without effect where they are.
+        curvature[:size, :size] = 1e-4 * np.eye(size)
         gradient = np.concatenate([np.zeros(size), rows.gradient])
         for part in self._rough:
             bend = np.diff(np.eye(part.stop - part.start), 2, axis=0)

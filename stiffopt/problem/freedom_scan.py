@@ -15,17 +15,8 @@ from stiffopt.dynamics.inverse_kinematics import UnreachablePoseError, solve_pos
 from stiffopt.problem.branches import solutions_of_pose
 from stiffopt.problem.freedom_task import SCAN_STRIDE, FreedomTask
 
-# Rotations of a tool that turns freely, alone and beside other freedom; most candidates, of which
-# a random choice is then taken.
-_ROTATION_COUNT, _FEW_ROTATIONS, _MAX_CANDIDATES = 24, 8, 4000
 # Directions of tilt, and shares of half-widths at which tilt and placement are tried.
 _TILT_DIRECTIONS, _TRIED_SHARE = 6, 2.0 / 3.0
-# Rotations at which postures are searched, and largest joint difference of equal ones [rad].
-_SEARCHED_ROTATIONS, _SAME_JOINTS = 4, 1e-3
-# Least difference of a joint between chosen candidates [rad].
-_LEAST_DIFFERENCE = 0.6
-# Larger joint steps between neighbouring nodes of the scan are a change of posture [rad].
-_MAX_JOINT_STEP = 1.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +43,6 @@ def scan_candidates(task: FreedomTask, near: np.ndarray, count: int) -> list[Pat
 
     Parameters
     ----------
-    task : FreedomTask
     near : array (n,)
         Reference of the postures [rad].
     count : int
@@ -65,7 +55,8 @@ def scan_candidates(task: FreedomTask, near: np.ndarray, count: int) -> list[Pat
     seeds = _postures(task, nodes[begin], near)
     if not len(seeds):
         return []
-    settings = _settings(task, _MAX_CANDIDATES // len(seeds))
+    # Of more candidates, a random choice is taken.
+    settings = _settings(task, 4000 // len(seeds))
     placement, turns = np.split(np.tile(settings, (len(seeds), 1)).T, [6])
     q, found = task.solve_poses(
         np.repeat(seeds, len(settings), axis=0),
@@ -124,7 +115,8 @@ def _settings(task: FreedomTask, most: int) -> np.ndarray:
     if freedom.tilt > 0.0:
         angles = 2.0 * np.pi * np.arange(_TILT_DIRECTIONS) / _TILT_DIRECTIONS
         tilts += [_TRIED_SHARE * freedom.tilt * np.array([np.cos(a), np.sin(a)]) for a in angles]
-    count = _ROTATION_COUNT if len(shifts) * len(tilts) == 1 else _FEW_ROTATIONS
+    # Rotations of a tool that turns freely, alone and beside other freedom.
+    count = 24 if len(shifts) * len(tilts) == 1 else 8
     if freedom.rotates_freely:
         spins = 2.0 * np.pi * np.arange(count) / count - np.pi
     elif freedom.tool_axis_rotation > 0.0:
@@ -148,7 +140,8 @@ def _postures(task: FreedomTask, along: float, near: np.ndarray) -> np.ndarray:
     freedom = task.freedom
     (place,), (rotation,) = task.path.poses(np.array([along]))
     bound = np.pi if freedom.rotates_freely else freedom.tool_axis_rotation
-    count = _SEARCHED_ROTATIONS if bound > 0.0 else 1
+    # Rotations at which postures are searched.
+    count = 4 if bound > 0.0 else 1
     spins = bound * (np.arange(count) / max(count - 1, 1) * 2.0 - 1.0) if count > 1 else [0.0]
     found: list[np.ndarray] = []
     for spin in spins:
@@ -170,7 +163,8 @@ def _postures(task: FreedomTask, along: float, near: np.ndarray) -> np.ndarray:
 
 def _first_of_equal(rows: np.ndarray) -> np.ndarray:
     """Return the numbers of rows (R, m) that equal none before them."""
-    _, first = np.unique(np.round(rows / _SAME_JOINTS), axis=0, return_index=True)
+    # Largest joint difference of equal postures [rad].
+    _, first = np.unique(np.round(rows / 1e-3), axis=0, return_index=True)
     return np.sort(first)
 
 
@@ -192,7 +186,8 @@ def _follow(
         q, found = task.solve_poses(
             before, placement[:, own], turns[:, own], np.repeat(data[:, [k]], len(own), axis=1)
         )
-        found &= np.abs(q - before).max(axis=1) < _MAX_JOINT_STEP
+        # Larger joint steps between neighbouring nodes of the scan are a change of posture [rad].
+        found &= np.abs(q - before).max(axis=1) < 1.2
         joints[own[found], k] = q[found]
 
 
@@ -206,8 +201,9 @@ def _differ(task: FreedomTask, one: PathCandidate, other: PathCandidate) -> bool
     joints = np.abs(np.angle(np.exp(1j * (one.joints - other.joints)))).max()
     shift = np.abs(one.placement - other.placement) >= 0.5 * task.freedom.placement
     tilt = np.abs(one.turns[1:] - other.turns[1:]) >= 0.5 * task.freedom.tilt
+    # Least difference of a joint between chosen candidates [rad].
     return bool(
-        joints > _LEAST_DIFFERENCE
+        joints > 0.6
         or np.any(shift & (task.freedom.placement > 0.0))
         or np.any(tilt & (task.freedom.tilt > 0.0))
     )

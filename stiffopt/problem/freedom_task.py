@@ -25,21 +25,10 @@ if TYPE_CHECKING:
     from stiffopt.problem.tool_path import ToolPath
     from stiffopt.robot.robot import Robot
 
-# Distance between nodes of a scan, which takes each fourth node [m], and their least and largest
-# number.
+# A scan takes each fourth node.
 SCAN_STRIDE = 4
-_SCAN_DISTANCE, _MIN_SCANNED, _MAX_SCANNED = 0.02, 7, 31
-# Tool speed at which joint rates are judged where the path states none [m/s]: that of ISO 10218-1
-# for manual operation, which no process exceeds without saying so.
-_USUAL_SPEED = 0.25
-# Square of an angle [rad^2] that keeps the rotation vector's root smooth at zero.
-_SQUARED_ANGLE_FLOOR = 1e-16
-# Damping of Gauss-Newton steps by the squared residual, its floor, and largest step of a joint
-# [rad]; residual at which a pose counts as found [m].
-_DAMPING_SHARE, _DAMPING_FLOOR, _LARGEST_STEP = 1e-1, 1e-10, 0.4
-_MAX_NEWTON_STEPS, _SOLVED_RESIDUAL = 40, 1e-8
-# Part of the joints' range that is left at both ends [rad], at most a hundredth of it.
-_POSITION_ROOM = 2e-3
+# Residual at which a pose counts as found [m].
+_SOLVED_RESIDUAL = 1e-8
 # Entries of a node's data: position, rotation, force, rows of the error's directions.
 _NODE_DATA = 3 + 9 + 3 + 9
 
@@ -50,9 +39,6 @@ class FreedomTask:
 
     Parameters
     ----------
-    robot : Robot
-    freedom : PathFreedom
-    limits : Limits
     path : ToolPath
         As stated.
     origin : array (3,) [m]
@@ -103,14 +89,16 @@ class FreedomTask:
     def position_range(self) -> tuple[np.ndarray, np.ndarray]:
         """Joint positions (n,) that may be used: the joints' spline passes between the nodes."""
         lower, upper = self.limits.position_lower, self.limits.position_upper
-        room = np.minimum(_POSITION_ROOM, 0.01 * (upper - lower))
+        # Part of the joints' range that is left at both ends [rad], at most a hundredth of it.
+        room = np.minimum(2e-3, 0.01 * (upper - lower))
         return lower + room, upper - room
 
     @cached_property
     def along(self) -> np.ndarray:
         """Distances of the nodes (K,) [m]."""
         length = self.path.length
-        scanned = int(np.clip(np.ceil(length / _SCAN_DISTANCE), _MIN_SCANNED - 1, _MAX_SCANNED - 1))
+        # Nodes of a scan are 20 mm apart, within bounds of their number.
+        scanned = int(np.clip(np.ceil(length / 0.02), 6, 30))
         return np.linspace(0.0, length, SCAN_STRIDE * scanned + 1)
 
     @cached_property
@@ -126,7 +114,9 @@ class FreedomTask:
             np.searchsorted(self.path.breaks, middles) - 1, 0, len(self.path.speeds) - 1
         )
         speed = np.minimum(self.path.speeds[piece], self.limits.tool_speed)
-        usual = _USUAL_SPEED if self.minimises_error else np.inf
+        # Tool speed at which joint rates are judged where the path states none [m/s]: that of
+        # ISO 10218-1 for manual operation, which no process exceeds without saying so.
+        usual = 0.25 if self.minimises_error else np.inf
         return np.asarray(np.diff(self.along) / np.where(np.isfinite(speed), speed, usual))
 
     def node_data(self, along: np.ndarray) -> np.ndarray:
@@ -310,7 +300,7 @@ class FreedomTask:
         pose = self.linearised_pose.map(count)
         lower, upper = self.position_range
         q = np.clip(q, lower, upper)
-        for _ in range(_MAX_NEWTON_STEPS):
+        for _ in range(40):
             residual, jacobian = (np.asarray(each) for each in pose(q.T, placement, turns, data))
             off = np.linalg.norm(residual, axis=0)
             if np.all(off < _SOLVED_RESIDUAL):
@@ -319,13 +309,15 @@ class FreedomTask:
             if held is not None:
                 own = own * ~held
             gram = own @ own.swapaxes(1, 2)
-            damping = _DAMPING_SHARE * off**2 + _DAMPING_FLOOR
+            # Damping of Gauss-Newton steps by the squared residual, and its floor.
+            damping = 0.1 * off**2 + 1e-10
             gram += damping[:, None, None] * np.eye(6)
             step = np.einsum(
                 "kij,ki->kj", own, np.linalg.solve(gram, residual.T[:, :, None])[..., 0]
             )
             size = np.abs(step).max(axis=1, keepdims=True)
-            step = step * np.minimum(1.0, _LARGEST_STEP / np.maximum(size, 1e-12))
+            # Largest step of a joint [rad].
+            step = step * np.minimum(1.0, 0.4 / np.maximum(size, 1e-12))
             q = np.clip(q - step, lower, upper)
         values = np.linalg.svd(jacobian.reshape(6, count, n).transpose(1, 0, 2), compute_uv=False)
         regular = values[:, -1] > MIN_CONDITION * values[:, 0]
@@ -334,7 +326,8 @@ class FreedomTask:
 
 def _rotation_of_vector(vector: Quantity) -> Quantity:
     """Rotation (3, 3) about a vector by its length [rad], smooth at zero."""
-    square = ca.dot(vector, vector) + _SQUARED_ANGLE_FLOOR
+    # Square of an angle [rad^2] that keeps the rotation vector's root smooth at zero.
+    square = ca.dot(vector, vector) + 1e-16
     angle = ca.sqrt(square)
     cross = ca.skew(vector)
     return (

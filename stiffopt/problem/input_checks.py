@@ -13,10 +13,6 @@ from stiffopt.robot.robot import Robot
 _FULL_TURN = 2.0 * np.pi
 # Tool offsets and centres of mass farther out, in reaches of the arm, are in another unit.
 _MAX_OFFSET_OVER_REACH = 2.0
-# Excess of a principal inertia over the sum of the other two that rounding of files explains.
-_INERTIA_ROUNDING = 1e-2
-# Share of the total mass below which the links count as massless.
-_NO_MASS_SHARE = 1e-9
 
 
 def check_plausible(problem: TrajectoryProblem) -> None:
@@ -56,7 +52,9 @@ def inconsistent_inertias(robot: Robot) -> tuple[str, ...]:
     wrong = []
     for body in robot.tree.bodies:
         least, middle, largest = np.linalg.eigvalsh(body.inertia)
-        if largest > (1.0 + _INERTIA_ROUNDING) * (least + middle):
+        # Excess of a principal inertia over the sum of the other two that rounding of files
+        # explains.
+        if largest > 1.01 * (least + middle):
             wrong.append(
                 f"{body.name} ({_format_vector(np.array([least, middle, largest]))} kg m^2)"
             )
@@ -159,7 +157,8 @@ def _check_masses(robot: Robot) -> None:
     """Raise `ProblemError` where no link has a mass."""
     total = float(sum(body.mass for body in robot.tree.bodies))
     payload = 0.0 if robot.payload is None else float(robot.payload[0])
-    if total - payload <= _NO_MASS_SHARE * total and not robot.rotor_inertia.any():
+    # Share of the total mass below which the links count as massless.
+    if total - payload <= 1e-9 * total and not robot.rotor_inertia.any():
         zero = "those of the payload alone" if payload else "zero"
         raise ProblemError(
             f"no link of {robot.name} has a mass: its URDF gives no <inertial>, so all torques and"
@@ -172,10 +171,6 @@ def _format_vector(values: np.ndarray) -> str:
     return "[" + ", ".join(f"{value:g}" for value in values) + "]"
 
 
-# Accuracy of computed distances [m].
-_DISTANCE_TOLERANCE = 1e-5
-
-
 def check_clear_poses(problem: TrajectoryProblem, motion: ResolvedMotion) -> None:
     """Raise `ProblemError` where a fixed pose falls below the clearance."""
     if not problem.avoids_collisions:
@@ -184,7 +179,8 @@ def check_clear_poses(problem: TrajectoryProblem, motion: ResolvedMotion) -> Non
     for where, pose in _fixed_poses(problem, motion):
         distance = problem.clearance_model.distances(pose)
         k = int(np.argmin(distance))
-        if distance[k] < clearance - _DISTANCE_TOLERANCE:
+        # Accuracy of computed distances [m].
+        if distance[k] < clearance - 1e-5:
             met = _describe_collision(problem, problem.clearance_model.pairs[k], float(distance[k]))
             raise ProblemError(f"{where}: {met}")
 

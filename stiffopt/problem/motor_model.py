@@ -42,16 +42,10 @@ if TYPE_CHECKING:
 LAW_SMOOTHING_FACTOR = 2.0
 # Lead beyond the nominal wind-up that a robust command may use, as a share of it.
 ROBUST_LEAD_SHARE = 0.03
-# Largest sampling step of the motors' motion [s], and least number of samples per interval of the
-# links' motion: polynomials of degree 7 between samples are then accurate to rounding.
-_SAMPLE_STEP = 2.5e-3
-_MIN_SAMPLES_PER_INTERVAL = 4
 # Resolution of lags [s].
 _LAG_STEP = 2e-5
 # Times closer together are equal [s].
 _TIME_TOLERANCE = 1e-3 * _LAG_STEP
-# Convergence of the fixed-point iteration for the sag [rad], and its iteration limit.
-_SAG_TOLERANCE, _MAX_SAG_ITERATIONS = 1e-10, 30
 
 
 class MotorModel(StageModel):
@@ -360,13 +354,13 @@ class MotorLaw:
         """Sagged link motion with five derivatives (6, K, n)."""
         place, sag = plan[:4], np.zeros_like(plan[:4])
         # Fixed-point iteration: the sag depends only weakly on itself.
-        for _ in range(_MAX_SAG_ITERATIONS):
+        for _ in range(30):
             before, sag = (
                 sag,
                 _evaluate_rates(self._windup, _evaluate_rates(self._held, place), smoothing),
             )
             place = plan[:4] - sag
-            if np.max(np.abs(sag[0] - before[0])) < _SAG_TOLERANCE:
+            if np.max(np.abs(sag[0] - before[0])) < 1e-10:
                 break
         # Two further rates come from polynomials of degree 7: their formulas would be fifteen times
         # as long.
@@ -409,9 +403,9 @@ def _evaluate_rates(law: PointFunction, rates: np.ndarray, *numbers: float) -> n
 def _sample_times(motion: Trajectory) -> np.ndarray:
     """Sampling times of the motors for a motion of the links."""
     begins, ends = motion.times[:-1], motion.times[1:]
-    counts = np.maximum(
-        np.ceil((ends - begins) / _SAMPLE_STEP).astype(int), _MIN_SAMPLES_PER_INTERVAL
-    )
+    # Largest sampling step of the motors' motion [s], and least number of samples per interval of
+    # the links' motion: polynomials of degree 7 between samples are then accurate to rounding.
+    counts = np.maximum(np.ceil((ends - begins) / 2.5e-3).astype(int), 4)
     inside = [np.linspace(*each, endpoint=False) for each in zip(begins, ends, counts, strict=True)]
     return np.append(np.concatenate(inside), motion.duration)
 

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 # Places on each piece of the path at which the deflection is evaluated.
 _PLACES_PER_PIECE = 9
-# Speed from which on a path without a limit of its own is searched [m/s], and bisections.
-_FASTEST_FEED, _BISECTION_COUNT = 10.0, 30
+# Speed from which on a path without a limit of its own is searched [m/s].
+_FASTEST_FEED = 10.0
 # Axes of the path (feed, side, tool) that count in each direction.
 COUNTED_AXES = {"any": (1.0, 1.0, 1.0), "axis": (0.0, 0.0, 1.0), "side": (0.0, 1.0, 0.0)}
 
@@ -30,7 +30,6 @@ class ProcessDeflection:
 
     Parameters
     ----------
-    robot : Robot
     joints : array (K, n)
     """
 
@@ -85,7 +84,7 @@ def with_limited_deflection(
     stated = np.full(len(path.knots) - 1, np.inf) if path.speeds is None else path.speeds
     high = np.repeat(np.minimum(stated, _FASTEST_FEED), _PLACES_PER_PIECE)
     low = np.where(size(high) <= limit, high, 0.0)
-    for _ in range(_BISECTION_COUNT):
+    for _ in range(30):
         middle = 0.5 * (low + high)
         kept = size(middle) <= limit
         low, high = np.where(kept, middle, low), np.where(kept, high, middle)

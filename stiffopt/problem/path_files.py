@@ -38,8 +38,6 @@ _PLACE_COLUMNS, _ANGLE_COLUMNS, _QUATERNION_COLUMNS = (
     ("qx", "qy", "qz", "qw"),
 )
 _METRES_PER_UNIT = {"m": 1.0, "mm": 1e-3}
-# Share of the shorter neighbour that a blend between rows of a table takes at most.
-_MAX_BLEND_SHARE = 0.45
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +192,8 @@ def _table_path(
         chords = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
         return path, forces, chords * (path.length / chords[-1])
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    room = _MAX_BLEND_SHARE * np.minimum(steps, np.append(steps[1:], np.inf))
+    # Share of the shorter neighbour that a blend between rows of a table takes at most.
+    room = 0.45 * np.minimum(steps, np.append(steps[1:], np.inf))
     segments = [
         ToolSegment(
             end=points[k],

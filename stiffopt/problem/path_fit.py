@@ -11,11 +11,6 @@ from stiffopt.result.joint_path import JointPath
 
 # Shares of the interval between two knots at which the error is measured.
 _CHECKED_SHARES = (0.25, 0.5, 0.75)
-# Largest ratio of neighbouring intervals: a spline oscillates between very uneven ones.
-_MAX_INTERVAL_RATIO = 8.0
-# Intervals of a piece in the first round.
-_FIRST_INTERVALS = 4
-_MAX_ROUNDS = 40
 MAX_KNOTS = 30_000
 
 Curve = Callable[[np.ndarray], np.ndarray]
@@ -37,7 +32,6 @@ def fit_joint_path(
         Parameters that are knots: joints of the curve's pieces, 0 and 1.
     error : callable
         Error (K,) of joint positions (K, n) that stand for the curve at parameters (K,).
-    tolerance : float
 
     Returns
     -------
@@ -49,10 +43,11 @@ def fit_joint_path(
     ProblemError
         More than `MAX_KNOTS` knots would be needed.
     """
-    steps = np.linspace(0.0, 1.0, _FIRST_INTERVALS, endpoint=False)
+    # Intervals of a piece in the first round.
+    steps = np.linspace(0.0, 1.0, 4, endpoint=False)
     knots = np.append((breaks[:-1, None] + np.diff(breaks)[:, None] * steps).ravel(), breaks[-1])
     points = curve(knots)
-    for _ in range(_MAX_ROUNDS):
+    for _ in range(40):
         path, span = JointPath.at_knots(knots, points), np.diff(knots)
         at = (knots[:-1, None] + span[:, None] * np.array(_CHECKED_SHARES)).ravel()
         worst = error(path(at), at).reshape(len(span), -1).max(axis=1)
@@ -62,7 +57,8 @@ def fit_joint_path(
         # Halved, an interval must not be far shorter than its neighbours.
         least = np.where(wide, 0.5 * span, span)
         near = np.minimum(np.append(least[1:], np.inf), np.append(np.inf, least[:-1]))
-        wide |= span > _MAX_INTERVAL_RATIO * near
+        # Largest ratio of neighbouring intervals: a spline oscillates between very uneven ones.
+        wide |= span > 8.0 * near
         new = 0.5 * (knots[:-1] + knots[1:])[wide]
         if len(knots) + len(new) > MAX_KNOTS:
             break

@@ -20,11 +20,6 @@ if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
 ForceFrame = Literal["base", "tool", "path"]
-# Force [N] over which an entry is taken for one in another unit: N for kN gives a thousandth.
-_LEAST_PLAUSIBLE_FORCE = 0.05
-# Torque of a force over a joint's limit from which the force is wrong by its unit or frame.
-_MAX_TORQUE_SHARE = 1.0
-_FORCE_SAMPLES = 2001
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +67,6 @@ def path_force(
 
     Parameters
     ----------
-    path : ToolPath
     values : array (m, 3) [N]
         Constant parts.
     at : array (m + 1,) or (m,) [m]
@@ -83,7 +77,7 @@ def path_force(
     ramp : float
         Length over which the force changes from one piece to the next [m].
     """
-    along = np.linspace(0.0, path.length, max(_FORCE_SAMPLES, int(path.length / 2e-4)))
+    along = np.linspace(0.0, path.length, max(2001, int(path.length / 2e-4)))
     if len(at) == len(values) + 1:
         constant = _stepped(along, values, at, ramp)
     else:
@@ -133,7 +127,8 @@ def check_path_force(robot: Robot, joints: JointPath, force: PathForce, feed: fl
     s = force.place[:: max(1, len(force.place) // 200)]
     forces = force(s, np.full(len(s), feed))
     size = np.linalg.norm(forces, axis=1)
-    if size.max() < _LEAST_PLAUSIBLE_FORCE and size.max() > 0.0:
+    # Force [N] over which an entry is taken for one in another unit: N for kN gives a thousandth.
+    if size.max() < 0.05 and size.max() > 0.0:
         raise ProblemError(
             f"path.force: the largest force on the path is {size.max():.3g} N, which moves no "
             "tool. Bare numbers are in N: was kN meant? Then write texts such as '0.1 kN'."
@@ -143,7 +138,8 @@ def check_path_force(robot: Robot, joints: JointPath, force: PathForce, feed: fl
     for place, q, own in zip(s, joints(s), forces, strict=True):
         torque = np.abs(bodies.jacobian(robot.tool, q)[:3].T @ own) / limits
         j = int(np.argmax(torque))
-        if torque[j] > _MAX_TORQUE_SHARE:
+        # Torque of a force over a joint's limit from which the force is wrong by its unit or frame.
+        if torque[j] > 1.0:
             raise ProblemError(
                 f"path.force: {np.linalg.norm(own):.4g} N at {100.0 * place:.3g} % of the path "
                 f"alone takes {torque[j]:.3g} times the torque limit of {robot.joint_names[j]}. "

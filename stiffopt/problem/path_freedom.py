@@ -30,8 +30,6 @@ _HalfWidths = tuple[
 _HalfAngles = tuple[
     Annotated[Angle, NOT_NEGATIVE], Annotated[Angle, NOT_NEGATIVE], Annotated[Angle, NOT_NEGATIVE]
 ]
-# Distance between the knots of the turns' splines [m], and least and largest number of intervals.
-_KNOT_DISTANCE, _MIN_INTERVALS, _MAX_INTERVALS = 0.02, 6, 60
 _SPLINE_DEGREE = 3
 
 
@@ -121,7 +119,9 @@ class TurnBasis:
     @classmethod
     def splines(cls, length: float) -> TurnBasis:
         """Cubic B-splines on a path [m]."""
-        count = int(np.clip(np.ceil(length / _KNOT_DISTANCE), _MIN_INTERVALS, _MAX_INTERVALS))
+        # Distance between the knots of the turns' splines [m], and least and largest number of
+        # intervals.
+        count = int(np.clip(np.ceil(length / 0.02), 6, 60))
         inner = np.linspace(0.0, length, count + 1)
         ends = np.zeros(_SPLINE_DEGREE), np.full(_SPLINE_DEGREE, length)
         return cls(np.concatenate([ends[0], inner, ends[1]]), _SPLINE_DEGREE)
@@ -151,7 +151,6 @@ class FreedomChoice:
         Of the stated work frame.
     placement : array (6,)
         Shift [m] and rotation vector [rad] of the work frame.
-    basis : TurnBasis
     turns : array (m, 3)
         Coefficients of the rotation about the tool's axis and of the tilts about x and y [rad].
     joints : callable

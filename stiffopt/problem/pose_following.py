@@ -15,15 +15,13 @@ from stiffopt.robot.batched_kinematics import frame_positions, frame_rotations
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
-# Longest step along the path [m], least and largest number of steps, and steps within each piece.
-_LONGEST_STEP, _MIN_STEPS, _MAX_STEPS, _STEPS_PER_PIECE = 5e-3, 400, 4000, 4
+# Steps within each piece of a path.
+_STEPS_PER_PIECE = 4
 # Larger joint steps between neighbouring poses are a change of posture [rad].
 _MAX_JOINT_STEP = 0.6
 # Least ratio of the singular values of the Jacobian, its rotations times a length [m/rad]: below,
 # the joints turn faster than the tool by more than its inverse.
 MIN_CONDITION = 2e-3
-# Iterations with the Jacobian of the nearest step, and the error [m] at which they end.
-_MAX_ITERATIONS, _CONVERGED_ERROR = 25, 1e-11
 
 Poses = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
@@ -56,7 +54,8 @@ class PoseFollower:
         self._robot, self._poses = robot, poses
         shares = np.arange(_STEPS_PER_PIECE) / _STEPS_PER_PIECE
         inside = (breaks[:-1, None] + np.diff(breaks)[:, None] * shares).ravel()
-        steps = int(np.clip(breaks[-1] / _LONGEST_STEP, _MIN_STEPS, _MAX_STEPS))
+        # Longest step along the path [m], least and largest number of steps.
+        steps = int(np.clip(breaks[-1] / 5e-3, 400, 4000))
         self._along = np.union1d(inside, np.linspace(0.0, breaks[-1], steps + 1))
         positions, rotations = poses(self._along)
         found: list[np.ndarray] = []
@@ -105,10 +104,11 @@ class PoseFollower:
         nearest -= along - self._along[nearest - 1] < self._along[nearest] - along
         inverse = self._inverses[nearest]
         positions, rotations = self._poses(along)
-        for _ in range(_MAX_ITERATIONS):
+        for _ in range(25):
             error = self._pose_errors(q, positions, rotations)
             q = q + np.einsum("kij,kj->ki", inverse, error)
-            if np.abs(error).max() <= _CONVERGED_ERROR:
+            # With the Jacobian of the nearest step; an error of 1e-11 m is rounding.
+            if np.abs(error).max() <= 1e-11:
                 break
         return q
 

@@ -375,10 +375,17 @@ class LimitsSection(Section):
 
 
 class DutySection(Section):
-    """Limits of the duty of a cycle; a cycle beyond one is not usable."""
+    """Limits of the duty of a cycle, which its moves and the split of its time keep.
+
+    With an error limit or a deflection to minimise, a cycle beyond one is refused instead.
+    """
 
     rms_torque: Annotated[
         list[JointTorque] | None, Doc("Largest rms torque over the cycle, one a joint.")
+    ] = None
+    mean_torque: Annotated[
+        list[JointTorque] | None,
+        Doc("Largest mean torque of the reducers by the turns made under it, one a joint."),
     ] = None
     reducer_life: Annotated[
         Time | None, POSITIVE, Doc("Least life L10 of every reducer whose rating is known.")

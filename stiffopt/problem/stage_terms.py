@@ -116,7 +116,7 @@ class Smoothing:
         limit needs, while the deflection keeps its own width.
     robust : float or SX
         From 0, the objective alone, to 1, its robust value, with the motor back-off that uncertain
-        arms need.
+        arms need; of a tool error the relative change of the ringing's weight.
     friction : float or SX
         On the speed below which dry friction falls off, in the drive torque of objectives: narrow
         from the start, it makes every reversal of a joint a choice of its own.

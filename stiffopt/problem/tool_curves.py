@@ -11,12 +11,8 @@ import scipy
 
 from stiffopt.errors import ProblemError
 
-# Intervals of the arc length table of a spline's interval, and of a blend.
-_TABLE_STEPS, _BLEND_STEPS = 16, 200
-# Points of a spline per place where a fit of it begins.
-_POINTS_PER_MARK = 4
-# Parameter length of a blend over its size: the length of a slight corner.
-_BLEND_LENGTH = 2.0
+# Intervals of the arc length table of a spline's interval.
+_TABLE_STEPS = 16
 
 
 class ToolCurve(ABC):
@@ -178,10 +174,9 @@ class Curve(ToolCurve):
 
     def marks(self) -> np.ndarray:
         """Every fourth point of a spline; the start of a blend."""
+        # Points of a spline per place where a fit of it begins.
         stride = (
-            _POINTS_PER_MARK * _TABLE_STEPS
-            if isinstance(self._spline, scipy.interpolate.CubicSpline)
-            else None
+            4 * _TABLE_STEPS if isinstance(self._spline, scipy.interpolate.CubicSpline) else None
         )
         return self._along[:-1:stride] if stride else self._along[:1]
 
@@ -248,9 +243,10 @@ def blend_curve(one: ToolCurve, other: ToolCurve, size: float) -> Curve:
 
     `size` [m] is the distance of both from the corner.
     """
-    length = _BLEND_LENGTH * size
+    # Parameter length of a blend over its size: the length of a slight corner.
+    length = 2.0 * size
     ends = []
     for curve, end in ((one, -1), (other, 0)):
         tangent, curvature = curve.end_derivatives(end)
         ends.append(np.stack([curve.end_point(end), length * tangent, length**2 * curvature]))
-    return Curve(_Quintic(*ends), 0.0, 1.0, _BLEND_STEPS)
+    return Curve(_Quintic(*ends), 0.0, 1.0, 200)

@@ -25,16 +25,8 @@ if TYPE_CHECKING:
     from stiffopt.problem.path_freedom import FreedomChoice
     from stiffopt.robot.robot import Robot
 
-# Smaller changes of direction are no corner [rad].
-_MIN_CORNER_ANGLE = 0.01
-# Smaller changes of curvature need no blend [1/m].
-_MIN_CURVATURE_JUMP = 1e-6
 # Shorter segments have no direction [m].
 _MIN_LENGTH = 1e-6
-# Deviation of the joints' path over the size of the smallest blend: it must not vanish.
-_BLEND_TOLERANCE_SHARE = 0.05
-# Orientation error that weighs as much as the tolerance of the position [rad].
-_ANGLE_TOLERANCE = 2e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,7 +78,6 @@ class ToolPath:
         [m]
     rotation : array (3, 3)
         Orientation of the tool at the start.
-    segments : sequence of ToolSegment
 
     Attributes
     ----------
@@ -338,8 +329,6 @@ def fit_tool_path(
 
     Parameters
     ----------
-    robot : Robot
-    path : ToolPath
     near : array (n,) or callable
         Selects the inverse-kinematics solution at the start, or at each distance [m]. [rad]
     tolerance : float
@@ -351,8 +340,10 @@ def fit_tool_path(
         The path is out of reach, passes a singular pose, or needs too many knots.
     """
     follower = PoseFollower(robot, path.poses, path.breaks, near)
-    allowed = min(tolerance, _BLEND_TOLERANCE_SHARE * path.smallest_blend)
-    weight = allowed / _ANGLE_TOLERANCE
+    # Deviation of the joints' path over the size of the smallest blend: it must not vanish.
+    allowed = min(tolerance, 0.05 * path.smallest_blend)
+    # Orientation error that weighs as much as the tolerance of the position [rad].
+    weight = allowed / 2e-3
     knots, coefficients, worst = [np.zeros(1)], [], 0.0
     for begin, end in path.parts():
         span = end - begin
@@ -410,9 +401,11 @@ def _blend_corners(
     for number, (one, other) in enumerate(pairwise(curves)):
         (ahead, bend), (behind, other_bend) = one.end_derivatives(-1), other.end_derivatives(0)
         turn = np.arccos(np.clip(ahead @ behind, -1.0, 1.0))
-        bends = np.linalg.norm(other_bend - bend) > _MIN_CURVATURE_JUMP
+        # Smaller changes of curvature need no blend [1/m].
+        bends = np.linalg.norm(other_bend - bend) > 1e-6
         segment = segments[number]
-        corner = turn > _MIN_CORNER_ANGLE and not segment.stop
+        # Smaller changes of direction are no corner [rad].
+        corner = turn > 0.01 and not segment.stop
         if corner and not segment.blend > 0.0:
             raise ProblemError(
                 f"{names[number]}: the tool turns by {np.degrees(turn):.3g} deg at its end, "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
@@ -333,7 +334,24 @@ class TrajectoryProblem:
     @property
     def arrives_at_rest(self) -> bool:
         """True where no residual vibration is allowed; else limits bound it."""
-        return any(objective.kind.plans_links for objective in self.objectives)
+        asked = any(objective.kind.plans_links for objective in self.objectives)
+        return asked or self._leads_when_fastest
+
+    @property
+    def _leads_when_fastest(self) -> bool:
+        """True where motors are to lead on a fastest motion, which jumps from limit to limit.
+
+        A stated uncertainty asks for their command.
+        """
+        fastest = any(objective.name == "duration" for objective in self.objectives)
+        asked = fastest and self.uncertainty != AssumedUncertainty()
+        rests = self.boundary_velocity is None or not np.any(self.boundary_velocity)
+        if not (asked and rests and self.robot.yields):
+            return False
+        with suppress(ProblemError):
+            check_link_planning(self, "", "")
+            return True
+        return False
 
     @property
     def judges_arrival(self) -> bool:

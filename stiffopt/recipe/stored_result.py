@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -54,6 +54,8 @@ class StoredResult:
         Of command.csv, where there is one.
     force : ForceHistory or None
         Process force along a path.
+    model : Path or None
+        Extended model that the motion was planned with.
     """
 
     problem: TrajectoryProblem
@@ -64,6 +66,7 @@ class StoredResult:
     windup: np.ndarray
     command: ExistingCommand | None = None
     force: ForceHistory | None = None
+    model: Path | None = None
 
     def motions(self) -> list[PlannedMotion]:
         """Return the stored motion, then recomputed rivals."""
@@ -72,7 +75,10 @@ class StoredResult:
 
 
 def read_result(
-    folder: Path, problem: Path | None = None, changes: Sequence[str] = ()
+    folder: Path,
+    problem: Path | None = None,
+    changes: Sequence[str] = (),
+    extend: Callable[[TrajectoryProblem, Path, Path | None], TrajectoryProblem] | None = None,
 ) -> StoredResult:
     """Read result.json and trajectory.csv of a folder, and the problem that they name.
 
@@ -84,6 +90,9 @@ def read_result(
     changes : sequence of str
         Of entries of its [uncertainty] and [tolerances], such as "uncertainty.stiffness=0.3"; the
         motion does not depend on them.
+    extend : callable, optional
+        (problem, extended model, effects) -> problem of the extended robot, for motions that were
+        planned with one; without it they are refused.
 
     Raises
     ------
@@ -96,6 +105,9 @@ def read_result(
     solved = read_changes(path, document)
     loaded = load_problem(problem, solved)
     stated = loaded.problem
+    model, effects = (_named_file(path, document, key) for key in ("model", "effects"))
+    if model is not None and extend is not None:
+        stated = extend(stated, model, effects)
     check_inputs(path, document, problem, stated)
     judged = load_problem(problem, (*solved, *changes)) if changes else loaded
     certificate = document.get("certificate")
@@ -131,7 +143,14 @@ def read_result(
         windup=windup,
         command=_read_command(folder, document, own),
         force=_read_force(folder / TRAJECTORY_FILE),
+        model=model,
     )
+
+
+def _named_file(path: Path, document: dict[str, Any], key: str) -> Path | None:
+    """Return a file that a result.json at `path` names; None where it names none."""
+    named = document.get(key)
+    return path.parent / named if isinstance(named, str) else None
 
 
 def _read_force(path: Path) -> ForceHistory | None:

@@ -14,11 +14,6 @@ import numpy as np
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
 
-# Samples of all training runs above which they are decimated, and the lowest decimated rate [Hz].
-_MAX_SAMPLES, _MIN_RATE = 160_000, 200.0
-# Duration of the samples of a mean over that without gaps; means over gaps are removed.
-_MAX_MEAN_SPAN = 1.5
-
 
 def decimation_factor(runs: Sequence[RecordedRun]) -> int:
     """Odd number of samples per mean; 1 except for long recordings.
@@ -29,8 +24,10 @@ def decimation_factor(runs: Sequence[RecordedRun]) -> int:
         Training runs.
     """
     fastest = min((1.0 / run.step for run in runs), default=0.0)
-    most = int(fastest / _MIN_RATE)
-    wanted = int(np.ceil(sum(len(run.time) for run in runs) / _MAX_SAMPLES))
+    # Samples of all training runs above which they are decimated, and the lowest decimated rate
+    # [Hz].
+    most = int(fastest / 200.0)
+    wanted = int(np.ceil(sum(len(run.time) for run in runs) / 160_000))
     every = min(wanted + (wanted % 2 == 0), most - (most % 2 == 0))
     return max(1, every)
 
@@ -57,7 +54,8 @@ def decimate_run(run: RecordedRun, every: int) -> RecordedRun:
     if every == 1 or not count:
         return run
     groups = run.time[: count * every].reshape(count, every)
-    whole = np.ptp(groups, axis=1) < _MAX_MEAN_SPAN * every * run.step
+    # Duration of the samples of a mean over that without gaps; means over gaps are removed.
+    whole = np.ptp(groups, axis=1) < 1.5 * every * run.step
 
     def means(samples: np.ndarray | None) -> np.ndarray | None:
         if samples is None:

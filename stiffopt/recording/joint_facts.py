@@ -12,16 +12,9 @@ from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
 
 # Speed up to which a joint is at rest, and up to which it is slow [rad/s].
-_MAX_REST_SPEED, _MAX_SLOW_SPEED = 0.005, 0.1
+_MAX_REST_SPEED = 0.005
 # Shares of the samples from which a condition counts as recorded, common and rare ones.
 _MIN_COMMON_SHARE, _MIN_RARE_SHARE = 0.05, 0.01
-# Of the Nyquist frequency; periodic torque above it is not resolved.
-_MAX_NYQUIST_SHARE = 0.8
-# Gravity changes slowly: one sample of so many suffices.
-_GRAVITY_SAMPLE_STEP = 20
-# Half the window of accelerations from speeds [s], and the least load of the other sign over the
-# largest load: encoder noise near zero is no change of sign.
-_HALF_ACCELERATION_WINDOW, _MIN_REVERSED_SHARE = 0.025, 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +93,8 @@ def velocities(run: RecordedRun) -> np.ndarray:
 def _gravity_torques(recordings: RecordingSet, run: RecordedRun) -> np.ndarray:
     """Gravity torque of the nominal model at some samples, (m, n) [N m]."""
     order = recordings.order
-    rows = run.position[:: 1 if run.at_rest else _GRAVITY_SAMPLE_STEP]
+    # Gravity changes slowly: one sample of so many suffices.
+    rows = run.position[:: 1 if run.at_rest else 20]
     rows = rows[np.isfinite(rows).all(axis=1)]
     position = np.zeros(rows.shape)
     position[:, order] = rows
@@ -112,7 +106,8 @@ def _inertial_loads(recordings: RecordingSet, run: RecordedRun) -> np.ndarray:
     if run.at_rest:
         return _gravity_torques(recordings, run)
     order, speed = recordings.order, velocities(run)
-    width = max(1, round(_HALF_ACCELERATION_WINDOW / run.step))
+    # Half the window of accelerations from speeds [s].
+    width = max(1, round(0.025 / run.step))
     middle = np.arange(width, len(run.time) - width, width)
     span = (run.time[middle + width] - run.time[middle - width])[:, None]
     rate = (speed[middle + width] - speed[middle - width]) / span
@@ -125,7 +120,8 @@ def _inertial_loads(recordings: RecordingSet, run: RecordedRun) -> np.ndarray:
 
 def _changes_sign(load: np.ndarray) -> bool:
     """Return whether a load changes sign."""
-    least = _MIN_REVERSED_SHARE * np.abs(load).max(initial=0.0)
+    # Less load of the other sign is encoder noise near zero, no change of sign.
+    least = 0.02 * np.abs(load).max(initial=0.0)
     return bool(load.min(initial=0.0) < -least and load.max(initial=0.0) > least)
 
 
@@ -160,8 +156,7 @@ def _joint_facts(
         reverses=moves
         and min((velocity > _MAX_REST_SPEED).sum(), (velocity < -_MAX_REST_SPEED).sum())
         > _MIN_COMMON_SHARE * count,
-        slow=moves
-        and ((speed > _MAX_REST_SPEED) & (speed < _MAX_SLOW_SPEED)).sum() > _MIN_RARE_SHARE * count,
+        slow=moves and ((speed > _MAX_REST_SPEED) & (speed < 0.1)).sum() > _MIN_RARE_SHARE * count,
         speeds=moves and bool(quick > 2.0 * usual),
         rests=bool((~moving).sum() > _MIN_RARE_SHARE * max(1, len(speed))),
         load_changes_sign=moves
@@ -191,7 +186,8 @@ def _resolves_periods(
         return False
     rate = 1.0 / max(run.step for run in runs)
     frequency = order * abs(ratio[j]) * speed / (2.0 * np.pi)
-    return bool((frequency < 0.5 * _MAX_NYQUIST_SHARE * rate).mean() > _MIN_COMMON_SHARE)
+    # Of the Nyquist frequency; periodic torque above it is not resolved.
+    return bool((frequency < 0.5 * 0.8 * rate).mean() > _MIN_COMMON_SHARE)
 
 
 def _differs_in_temperature(runs: Sequence[RecordedRun], j: int) -> bool:

@@ -17,9 +17,6 @@ from stiffopt.recording.signals import Signals
 
 # Fewer poses do not separate weight from friction at all.
 MIN_POSES = 6
-# Mean square step over twice the variance (von Neumann's ratio over 2) of poses in no order: 1.
-# A motion sampled often enough to be followed has less than a tenth.
-_MIN_DISORDER = 0.3
 
 
 def holds_rest_poses(columns: Mapping[str, np.ndarray], signals: Signals) -> bool:
@@ -48,7 +45,9 @@ def are_unordered(positions: np.ndarray) -> bool:
     spread = 2.0 * positions.var(axis=0)
     moved = np.mean(np.diff(positions, axis=0) ** 2, axis=0)
     turned = spread > 0.0
-    return bool(turned.any() and np.median(moved[turned] / spread[turned]) > _MIN_DISORDER)
+    # Mean square step over twice the variance (von Neumann's ratio over 2) of poses in no order: 1.
+    # A motion sampled often enough to be followed has less than a tenth.
+    return bool(turned.any() and np.median(moved[turned] / spread[turned]) > 0.3)
 
 
 def read_pose_rows(

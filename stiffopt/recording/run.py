@@ -148,10 +148,6 @@ class RecordedRun:
         return value
 
 
-# Half the window over which the slope of the encoder is the velocity that damps [s].
-_HALF_SLOPE_WINDOW = 0.01
-
-
 def derive_torque(run: RecordedRun, law: ActuatorLaw | None) -> RecordedRun:
     """Return a run with the torques of an actuator's law in place of missing ones.
 
@@ -183,7 +179,8 @@ def delayed_command(run: RecordedRun, delay: float) -> np.ndarray:
 
 def encoder_velocity(run: RecordedRun) -> np.ndarray:
     """Return the slope (K, n) of the encoders, one-sided at the ends [rad/s]."""
-    width = max(1, round(_HALF_SLOPE_WINDOW / run.step))
+    # Half the window over which the slope of the encoder is the velocity that damps [s].
+    width = max(1, round(0.01 / run.step))
     rows = np.arange(len(run.time))
     before, after = np.maximum(rows - width, 0), np.minimum(rows + width, len(rows) - 1)
     span = (run.time[after] - run.time[before])[:, None]

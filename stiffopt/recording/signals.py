@@ -298,8 +298,6 @@ _COMPOUND_PATTERN = rf"({'|'.join((*_QUANTITY_WORDS, *_AXIS_WORDS[:3]))})({'|'.j
 _UNIT_WORDS = ("deg", "rad", "grad", "m", "mm")
 _REFERENCE_WORDS = ("ref", "reference")
 _DESIRED_QUANTITIES = (*_QUANTITY_WORDS, "dq", "qd", "ddq", "qdd", "tau", "j", "vel", "torque")
-# Shorter words before "des" are no German noun followed by a genitive.
-_MIN_NOUN_LETTERS = 4
 
 
 def is_set_point(name: str) -> bool:
@@ -343,7 +341,8 @@ def _has_desired(words: list[str]) -> bool:
             continue
         after = words[k + 1] if k + 1 < len(words) else ""
         beside = not after.isalpha() or after in (*_QUANTITY_WORDS, *_AXIS_WORDS, *_UNIT_WORDS)
-        if beside or k == 0 or len(words[k - 1]) < _MIN_NOUN_LETTERS:
+        # Shorter words before "des" are no German noun followed by a genitive.
+        if beside or k == 0 or len(words[k - 1]) < 4:
             return True
     return False
 

@@ -16,9 +16,6 @@ from stiffopt.recording.recording_set import (
 )
 from stiffopt.recording.run import RecordedRun
 
-# Same arm where a joint lies within [m] and a body weighs within (relative) of the other file's.
-_LENGTH_TOLERANCE, _MASS_TOLERANCE = 1e-4, 1e-3
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StateRun(RunEntry):
@@ -164,13 +161,14 @@ def _describe_arm_difference(first: RecordingSet, second: RecordingSet) -> str:
     for j, name in enumerate(first.joints):
         bodies = [each.described.tree.bodies[int(each.order[j])] for each in (first, second)]
         lengths = [float((body.translation**2).sum() ** 0.5) for body in bodies]
-        if abs(lengths[0] - lengths[1]) > _LENGTH_TOLERANCE:
+        # Same arm where joints lie within 0.1 mm and bodies weigh within 0.1 % of the other file's.
+        if abs(lengths[0] - lengths[1]) > 1e-4:
             return (
                 f"joint {name!r} lies {lengths[1]:.4g} m from the joint before, there "
                 f"{lengths[0]:.4g} m"
             )
         masses = [float(body.mass) for body in bodies]
-        if abs(masses[0] - masses[1]) > _MASS_TOLERANCE * max(masses):
+        if abs(masses[0] - masses[1]) > 1e-3 * max(masses):
             return (
                 f"the body behind joint {name!r} has {masses[1]:.4g} kg, there {masses[0]:.4g} kg"
             )

@@ -14,8 +14,6 @@ from stiffopt.folders import check_result
 from stiffopt.report.common.text import DASH, si, words
 
 ANSWERS = ("result.json", "diagnosis.json", "study.json", "stiffness.json")
-# Relative difference below which two numbers count as equal.
-_EQUAL_RELATIVE_TOLERANCE = 1e-9
 _IGNORED_ENTRIES = ("versions", "solver", "inputs_hash", "detection_limits", "faults", "homotopy")
 # SI units of entries that have one name in all answers.
 _ENTRY_UNITS = {
@@ -112,7 +110,8 @@ def _flatten_entries(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
 
 def _is_equal(a: Any, b: Any) -> bool:
     if isinstance(a, float | int) and isinstance(b, float | int):
-        return math.isclose(a, b, rel_tol=_EQUAL_RELATIVE_TOLERANCE, abs_tol=1e-15)
+        # Relative difference below which two numbers count as equal.
+        return math.isclose(a, b, rel_tol=1e-9, abs_tol=1e-15)
     return bool(a == b)
 
 

@@ -53,9 +53,6 @@ _KIND_TITLES = {
     "static": "Static deflections (`static.toml`)",
     "extended": "Extended model (`extended.toml`, written by `stiffopt diagnose`)",
 }
-# difflib ratio from which another word is suggested: "durration" and "duration" have 0.94,
-# "shaped_deviation" and "head_friction" 0.62.
-_MIN_SPELLING_SIMILARITY = 0.8
 
 
 def file_models() -> dict[str, type[Section]]:
@@ -320,9 +317,9 @@ def explain_key(key: str) -> Iterator[str]:
     if not found:
         names = {each.place.rpartition(".")[2] for _, each in every}
         names |= {choice for _, each in every for choice in _allowed_words(each)}
-        close = get_close_matches(
-            wanted.rpartition(".")[2], sorted(names), 1, _MIN_SPELLING_SIMILARITY
-        )
+        # difflib ratio from which another word is suggested: "durration" and "duration" have 0.94,
+        # "shaped_deviation" and "head_friction" 0.62.
+        close = get_close_matches(wanted.rpartition(".")[2], sorted(names), 1, 0.8)
         hint = f" Did you mean {close[0]!r}?" if close else ""
         raise InputError(f"no file has a key or a value {key!r}.{hint}")
     told: dict[tuple[str, str, str, str, str], list[str]] = {}

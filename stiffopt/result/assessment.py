@@ -12,7 +12,7 @@ import numpy as np
 
 from stiffopt.errors import format_relative
 from stiffopt.result.simulation import PeakRms, SimulatedMotion
-from stiffopt.result.tool_error import PropagatedError
+from stiffopt.result.tool_error import LedError
 
 
 @dataclass(frozen=True)
@@ -105,8 +105,8 @@ class Assessment(DriveHistory):
         Link positions [rad] without the calibrated sag, where planned apart from the motors'.
     simulated : SimulatedMotion or None
         Elastic simulation, where a limit or an objective refers to residual vibration.
-    propagated : PropagatedError or None
-        Error of the command on uncertain arms, where an objective refers to it.
+    led : LedError or None
+        Error of an exact lead on uncertain arms, where an objective refers to it.
     force : array (K, 3) or None
         Process force along a path, base axes [N].
     """
@@ -122,14 +122,8 @@ class Assessment(DriveHistory):
     integrals: dict[str, float] = field(default_factory=dict)
     link: np.ndarray | None = None
     simulated: SimulatedMotion | None = None
-    propagated: PropagatedError | None = None
+    led: LedError | None = None
     force: np.ndarray | None = None
-
-    def error_bound(self) -> tuple[float, float]:
-        """Bounds of the tool error in flight and after arrival [m]; infinite where unknown."""
-        if self.propagated is None:
-            return np.inf, np.inf
-        return self.propagated.in_flight, self.propagated.after_arrival
 
     @property
     def worst_violation(self) -> Violation:

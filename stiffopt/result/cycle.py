@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stiffopt.files import atomic_write, to_json_types
+from stiffopt.files import atomic_write, to_json_types, write_csv
 from stiffopt.result.provenance import versions
 from stiffopt.result.solution import ObjectiveValue, Solution
 from stiffopt.result.status import SolveStatus
@@ -75,16 +75,12 @@ class LegResult:
 
     Parameters
     ----------
-    name : str
-    moves : tuple of int
     problem : TrajectoryProblem
         As it was solved.
-    solution : Solution
     start, arrival : float
         In the time of the cycle [s].
     dwell : float
         Rest after arrival [s].
-    until_settled : bool
     event : str
         Kind of the event at arrival, "" for none.
     mass_before, mass_after : float
@@ -157,7 +153,6 @@ class RivalCycle:
 
     Parameters
     ----------
-    name : str
     duration : float
         With the dwells of the optimised cycle [s].
     objective : float
@@ -177,8 +172,6 @@ class CycleSolution:
     ----------
     status : SolveStatus
         The worst of the legs.
-    message : str
-    title : str
     legs : tuple of LegResult
         In order, as far as solved.
     objective : ObjectiveValue or None
@@ -260,3 +253,24 @@ def write_cycle(
     path = directory / CYCLE_FILE
     atomic_write(path, text + "\n")
     return path
+
+
+def write_cycle_simulation(found: CycleSimulation, directory: Path) -> tuple[str, str]:
+    """Write simulation.json and simulation.csv of a cycle; return their names."""
+    simulated = found.simulated
+    document = {
+        "schema": SCHEMA,
+        "in_flight": found.peak,
+        "in_rests": found.rest_peak,
+        "band": simulated.band,
+        "legs": [dict(vars(leg)) for leg in found.legs],
+        "notes": found.notes,
+        "versions": versions(),
+    }
+    names = ("simulation.json", "simulation.csv")
+    text = json.dumps(to_json_types(document), indent=1, ensure_ascii=False, allow_nan=False)
+    atomic_write(directory / names[0], text + "\n")
+    columns = ["t", *(f"deviation_{axis}" for axis in "xyz"), "distance"]
+    rows = [simulated.time[:, None], simulated.error.position, simulated.distance[:, None]]
+    write_csv(directory / names[1], columns, np.hstack(rows).tolist())
+    return names

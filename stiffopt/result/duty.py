@@ -21,6 +21,8 @@ from typing import Any
 
 import numpy as np
 
+from stiffopt.result.life_rating import LifeRating
+
 
 @dataclass(frozen=True, kw_only=True)
 class DutyHistory:
@@ -39,26 +41,6 @@ class DutyHistory:
     velocity: np.ndarray
     torque: np.ndarray
     reducer_torque: np.ndarray
-
-
-@dataclass(frozen=True, kw_only=True)
-class LifeRating:
-    """Rated life of a reducer.
-
-    Parameters
-    ----------
-    torque, speed : float
-        At the output [N m], [rad/s].
-    life : float
-        L10 [s].
-    exponent : float
-        Of the torque.
-    """
-
-    torque: float
-    speed: float
-    life: float
-    exponent: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,13 +73,13 @@ class JointDuty:
     energy: float
     regenerated: float
     mean_torque: float
-    rating: LifeRating | None
+    rating: LifeRating
 
     @property
     def life(self) -> float | None:
         """Life L10 of the reducer under repetition of the cycle [s]; None without a rating."""
         rating = self.rating
-        if rating is None:
+        if rating.life is None:
             return None
         if not (self.mean_torque > 0.0 and self.mean_speed > 0.0):
             return np.inf
@@ -137,11 +119,33 @@ class Duty:
                 {
                     **{key: value for key, value in vars(each).items() if key != "rating"},
                     "reducer_life": each.life,
-                    "rating": None if each.rating is None else dict(vars(each.rating)),
+                    "rating": None if each.rating.life is None else dict(vars(each.rating)),
                 }
                 for each in self.joints
             ],
         }
+
+
+@dataclass(frozen=True, kw_only=True)
+class DutyUse:
+    """Use of one limit of a duty.
+
+    Parameters
+    ----------
+    objective : str
+        Objective whose integral over the cycle the limit bounds.
+    joint : int
+        Number of its joint, from 1; 0 for all.
+    share : float
+        Integral over what the limit allows.
+    text : str
+        The excess in words.
+    """
+
+    objective: str
+    joint: int
+    share: float
+    text: str
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -150,32 +154,44 @@ class DutyLimits:
 
     Parameters
     ----------
-    rms_torque : array (n,) [N m]
+    rms_torque, mean_torque : array (n,) [N m]
+        Of drives and of reducers.
     reducer_life : float [s]
     energy : float [J]
     """
 
     rms_torque: np.ndarray | None = None
+    mean_torque: np.ndarray | None = None
     reducer_life: float | None = None
     energy: float | None = None
 
-    def excesses(self, duty: Duty) -> list[str]:
-        """Exceeded limits in words."""
+    def uses(self, duty: Duty) -> list[DutyUse]:
+        """Uses of all limits."""
         found = []
-        limits = [None] * len(duty.joints) if self.rms_torque is None else self.rms_torque.tolist()
-        for each, limit in zip(duty.joints, limits, strict=True):
-            if limit is not None and each.rms_torque > limit:
-                found.append(
-                    f"the rms torque of {each.name}, {each.rms_torque:.4g} N m, exceeds "
-                    f"duty.rms_torque {limit:.4g} N m"
-                )
-            if self.reducer_life is not None and (each.life or np.inf) < self.reducer_life:
-                found.append(
-                    f"the reducer of {each.name} lasts {(each.life or 0.0) / 3600.0:.4g} h, below "
+        for number, each in enumerate(duty.joints, start=1):
+            for name, limits, objective, power in (
+                ("rms_torque", self.rms_torque, "torque_squared", 2.0),
+                ("mean_torque", self.mean_torque, "reducer_load", each.rating.exponent),
+            ):
+                if limits is None:
+                    continue
+                value, limit = getattr(each, name), float(limits[number - 1])
+                words = f"the {name.replace('_', ' ')} of {each.name}, {value:.4g} N m, exceeds "
+                text = f"{words}duty.{name} {limit:.4g} N m"
+                found.append(DutyUse(objective=objective, joint=number,
+                                     share=(value / limit) ** power, text=text))  # fmt: skip
+            if self.reducer_life is not None and each.life is not None:
+                text = (
+                    f"the reducer of {each.name} lasts {each.life / 3600.0:.4g} h, below "
                     f"duty.reducer_life {self.reducer_life / 3600.0:.4g} h"
                 )
-        if self.energy is not None and duty.energy > self.energy:
-            found.append(f"the work of {duty.energy:.4g} J exceeds duty.energy {self.energy:.4g} J")
+                share = self.reducer_life / each.life
+                found.append(DutyUse(objective="reducer_load", joint=number,
+                                     share=share, text=text))  # fmt: skip
+        if self.energy is not None:
+            text = f"the work of {duty.energy:.4g} J exceeds duty.energy {self.energy:.4g} J"
+            share = duty.energy / self.energy
+            found.append(DutyUse(objective="drive_work", joint=0, share=share, text=text))
         return found
 
 
@@ -183,7 +199,7 @@ def duty_of(
     histories: Sequence[DutyHistory],
     names: Sequence[str],
     torque_max: np.ndarray,
-    ratings: Sequence[LifeRating | None],
+    ratings: Sequence[LifeRating],
 ) -> Duty:
     """Duty over consecutive histories of n joints."""
     duration = sum(float(each.time[-1] - each.time[0]) for each in histories)
@@ -194,7 +210,7 @@ def duty_of(
     def peak(of: Any) -> np.ndarray:
         return np.asarray(np.max([np.max(of(each), axis=0) for each in histories], axis=0))
 
-    exponents = np.array([3.0 if each is None else each.exponent for each in ratings])
+    exponents = np.array([each.exponent for each in ratings])
     square = integral(lambda h: h.torque**2)
     turns = integral(lambda h: np.abs(h.velocity))
     loaded = integral(lambda h: np.abs(h.velocity) * np.abs(h.reducer_torque) ** exponents)

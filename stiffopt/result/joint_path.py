@@ -16,9 +16,6 @@ from numpy.typing import ArrayLike
 from stiffopt.errors import ProblemError
 from stiffopt.result.trajectory import Trajectory
 
-# Path parameters closer together are the same: the path's third derivative alone jumps in between.
-_SAME_PARAMETER = 1e-11
-
 
 @dataclass(frozen=True)
 class JointPath:
@@ -160,7 +157,9 @@ def _merge_crossings(law: Trajectory, knots: np.ndarray) -> np.ndarray:
     at_breaks = law(breaks)[:, 0]
     after = np.clip(np.searchsorted(at_breaks, knots), 1, len(breaks) - 1)
     near = np.minimum(np.abs(at_breaks[after] - knots), np.abs(at_breaks[after - 1] - knots))
-    missed = near >= _SAME_PARAMETER
+    # Path parameters closer together are the same: the path's third derivative alone jumps in
+    # between.
+    missed = near >= 1e-11
     low, high = breaks[after - 1][missed], breaks[after][missed]
     while True:
         middle = 0.5 * (low + high)

@@ -36,7 +36,6 @@ def inputs_hash(problem: object) -> str:
 # Plain data by identity of the drivetrain, as 1 and 1.0 are equal but written differently. Robots
 # with other payloads share drivetrains.
 _plain_chains: OrderedDict[int, tuple[Chain, object]] = OrderedDict()
-_MAX_CACHED_CHAINS = 64
 
 
 @functools.cache
@@ -50,7 +49,7 @@ def _plain_data(value: object) -> object:
     if isinstance(value, Chain):
         if id(value) not in _plain_chains:
             _plain_chains[id(value)] = value, _plain_fields(value)
-        while len(_plain_chains) > _MAX_CACHED_CHAINS:
+        while len(_plain_chains) > 64:
             _plain_chains.popitem(last=False)
         return _plain_chains[id(value)][1]
     if isinstance(value, float):

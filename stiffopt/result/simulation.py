@@ -13,8 +13,6 @@ from stiffopt.result.tool_error import ERROR_PARTS, ToolError
 SETTLING_BAND = 5e-5
 # Relative difference of simulated and planned deflection above which reports state it.
 MAX_UNREPORTED_DIFFERENCE = 0.1
-# Least time within the band for a tool to count as settled [s]: half a period of 10 Hz.
-_MIN_SETTLED_TIME = 0.05
 
 
 @dataclass(frozen=True)
@@ -107,7 +105,8 @@ class SimulatedMotion:
         after = self.time[rest] - self.duration
         last = int(outside[-1])
         # Shorter stays at the end may only be passing through the band.
-        return None if after[-1] - after[last] < _MIN_SETTLED_TIME else float(after[last + 1])
+        # Least time within the band for a tool to count as settled [s]: half a period of 10 Hz.
+        return None if after[-1] - after[last] < 0.05 else float(after[last + 1])
 
     def _rms_over(self, chosen: np.ndarray) -> float:
         time, square = self.time[chosen], self.distance[chosen] ** 2

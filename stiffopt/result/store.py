@@ -151,12 +151,7 @@ def write_result(
     if leg is not None and stated is not None:
         document["leg"] = {"number": leg, "duration": stated.duration}
     if stated is not None:
-        document["title"] = stated.title
-        document["joints"] = [
-            {"name": name, "slides": bool(slides)}
-            for name, slides in zip(stated.robot.joint_names, stated.robot.prismatic, strict=True)
-        ]
-        document["seal"] = motion_seal(stated, directory)
+        document |= {"title": stated.title, **motion_facts(stated, directory)}
     named = {"problem": problem, "model": model, "effects": effects, "guess": guess}
     for key, file in named.items():
         if file is not None:
@@ -166,6 +161,16 @@ def write_result(
     path = Path(directory) / RESULT_FILE
     write_json(path, document)
     return path
+
+
+def motion_facts(stated: TrajectoryProblem, directory: str | Path) -> dict[str, Any]:
+    """Joints and seal of a certified motion, which its export needs; as of `motion_seal`."""
+    robot = stated.robot
+    joints = [
+        {"name": name, "slides": bool(slides)}
+        for name, slides in zip(robot.joint_names, robot.prismatic, strict=True)
+    ]
+    return {"joints": joints, "seal": motion_seal(stated, directory)}
 
 
 def motion_seal(stated: TrajectoryProblem, directory: str | Path) -> dict[str, Any]:

@@ -14,12 +14,6 @@ import numpy as np
 
 # Parts of the tool error beside its magnitude.
 ERROR_PARTS = ("along", "across", "orientation")
-# Share of the largest tool speed below which the path keeps the direction of its last movement.
-_MIN_DIRECTION_SPEED = 1e-4
-# Bound over the root mean square error: 95 % of a normal distribution.
-BOUND_FACTOR = 2.0
-# Mean square of a parameter that is uniform within its bound, over the bound's.
-UNIFORM_MEAN_SQUARE = 1.0 / 3.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -91,46 +85,27 @@ class ToolError:
         return {name: part[..., phase].max(axis=-1) for name, part in parts.items()}
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PropagatedError:
-    """Tool error by each uncertain parameter at its bound.
+@dataclass(frozen=True, kw_only=True)
+class LedError:
+    """Worst tool error that an exact lead leaves on uncertain arms.
 
     Parameters
     ----------
-    time : array (K,)
-        From the start of the plan [s].
-    duration : float
-        Arrival of the plan [s].
-    shares : dict of array (2, K, 3)
-        By parameter, base axes, on a softer and a stiffer arm: the error leads both [m].
-    mean : array (K, 3)
-        Error of the nominal arm, which no command corrects, base axes [m].
+    in_flight, after_arrival : float
+        Peaks of the position error, each on the worst arm for it [m].
+    shares : dict
+        By kind of source, in the sum of the squares of what each parameter does alone, where the
+        error is largest in flight.
     """
 
-    time: np.ndarray
-    duration: float
-    shares: dict[str, np.ndarray]
-    mean: np.ndarray
+    in_flight: float
+    after_arrival: float
+    shares: dict[str, float]
 
     @property
-    def bound(self) -> np.ndarray:
-        """Bound of the error at every instant (K,) [m]."""
-        squares = sum(
-            (np.mean(np.sum(own**2, axis=2), axis=0) for own in self.shares.values()),
-            np.zeros(len(self.time)),
-        )
-        spread = BOUND_FACTOR * np.sqrt(UNIFORM_MEAN_SQUARE * squares)
-        return np.asarray(np.linalg.norm(self.mean, axis=1) + spread)
-
-    @property
-    def in_flight(self) -> float:
-        """Largest bound until arrival [m]."""
-        return float(self.bound[self.time <= self.duration].max())
-
-    @property
-    def after_arrival(self) -> float:
-        """Largest bound from arrival on [m]."""
-        return float(self.bound[self.time >= self.duration].max())
+    def whole(self) -> float:
+        """Sum of both peaks [m]."""
+        return self.in_flight + self.after_arrival
 
 
 def join_tool_errors(errors: Sequence[ToolError]) -> ToolError:
@@ -156,7 +131,8 @@ def path_directions(places: np.ndarray) -> np.ndarray:
     """
     moved = np.gradient(places, axis=0) if len(places) > 1 else np.zeros_like(places)
     speed = np.linalg.norm(moved, axis=1)
-    moving = np.flatnonzero(speed > _MIN_DIRECTION_SPEED * speed.max(initial=0.0))
+    # Share of the largest tool speed below which the path keeps the direction of its last movement.
+    moving = np.flatnonzero(speed > 1e-4 * speed.max(initial=0.0))
     if not moving.size:
         return np.zeros_like(places)
     last = np.maximum(np.searchsorted(moving, np.arange(len(places)), side="right") - 1, 0)

@@ -15,9 +15,6 @@ from stiffopt.errors import OutOfValidityError, ProblemError
 
 # Relative rounding of times from other computations; no extrapolation.
 _TIME_SLACK = 1e-9
-# Shortest step over which positions are interpolated [s]: below, rounding at 3 rad gives more than
-# 0.05 rad/s^3 of jerk.
-_MIN_POSITION_STEP = 2e-4
 
 
 class JointMotion(Protocol):
@@ -156,7 +153,9 @@ class Trajectory:
         missing = wanted - np.einsum("kj,jin->kin", powers[:, :4], np.stack(first))
         last = np.einsum("jk,kin->jin", np.linalg.inv(powers[:, 4:]), missing)
         bent = np.einsum("jk,kin->jin", np.linalg.inv(powers[2:, 4:6]), missing[2:])
-        short = step[:, 0] < _MIN_POSITION_STEP
+        # Shortest step over which positions are interpolated [s]: below, rounding at 3 rad gives
+        # more than 0.05 rad/s^3 of jerk.
+        short = step[:, 0] < 2e-4
         last[:, short] = np.concatenate([bent, np.zeros_like(bent)])[:, short]
         position = np.concatenate([first, last])
         acceleration = [j * (j - 1) * position[j] / step**j for j in range(2, 8)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 # Array of floats or symbols.
@@ -58,6 +58,17 @@ class AddedTorque:
     in_spring: bool
     value: Callable[[MotionState], Quantity]
     label: str
+
+    def moved(self, places: Sequence[int]) -> AddedTorque:
+        """Return the torque in an arm that has these joints at other places."""
+
+        def value(state: MotionState) -> Quantity:
+            own = {each.name: getattr(state, each.name) for each in fields(state)}
+            return self.value(
+                MotionState(**{name: [all_[k] for k in places] for name, all_ in own.items()})
+            )
+
+        return replace(self, joint=int(places[self.joint]), value=value)
 
 
 def sum_added_torques(

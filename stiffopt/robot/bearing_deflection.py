@@ -1,7 +1,8 @@
-"""Displacement of the tool by the elastic output bearings of the joints, quasi-static.
+"""Displacement of the tool by elastic output bearings and bending links, quasi-static.
 
-Each bearing carries the wrench [F, M] of its joint but for the torque about the axis, which the
-drivetrain carries, and yields against it. Displacements are small: those of all bearings add up.
+A bearing yields against the wrench [F, M] of its joint but about the axis, where the drivetrain
+yields; a link against the mean of the wrenches of its own and the next joint. Displacements are
+small: those of all add up.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.robot.joint_load import joint_frames, joint_wrenches, shift_wrench, supports_tool
+from stiffopt.robot.joint_load import joint_frames, joint_wrenches, supports_tool
 
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
@@ -29,7 +30,7 @@ def bearing_deflections(
     acceleration: np.ndarray | None = None,
     force: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Displacement and rotation of the tool by the bearing of each joint.
+    """Displacement and rotation of the tool by the bearing of each joint and the link behind it.
 
     Parameters
     ----------
@@ -54,13 +55,19 @@ def bearing_deflections(
     wrench = joint_wrenches(robot, position, velocity, acceleration, force)
     axes, arm = joint_frames(robot, position)
     carrying = supports_tool(robot)
-    for j, bearing in enumerate(robot.bearings):
-        if bearing is None or not carrying[j]:
+    for j, mount in ((k, mount) for k in range(robot.n) for mount in robot.mounts[k]):
+        loads = mount.loads(j)
+        if not carrying[loads[-1]]:
             continue
-        away = bearing.compliance * shift_wrench(wrench[:, j], bearing.position)
-        moved, turned = (np.einsum("kis,ks->ki", axes[:, j], -own) for own in np.split(away, 2, 1))
-        lever = arm[:, j] - bearing.position * axes[:, j, :, 2]
-        found[:, j] = np.concatenate([moved + np.cross(turned, lever), turned], axis=1)
+        lever, load = arm[:, j] - axes[:, j] @ mount.place, np.zeros((len(position), 2, 3))
+        for source in loads:
+            own = wrench[:, source].reshape(-1, 2, 3) @ axes[:, source].swapaxes(1, 2)
+            own[:, 1] += np.cross(lever - arm[:, source], own[:, 0])
+            load += own / len(loads)
+        own = axes[:, j] @ mount.axes
+        away = -(load @ own * mount.compliance.reshape(2, 3)) @ own.swapaxes(1, 2)
+        moved, turned = away[:, 0], away[:, 1]
+        found[:, j] += np.concatenate([moved + np.cross(turned, lever), turned], axis=1)
     return found
 
 

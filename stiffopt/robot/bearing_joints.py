@@ -1,12 +1,11 @@
-"""Robot whose elastic output bearings are joints of their own, on linear springs.
+"""Robot whose elastic bearings and bending links are joints of their own, on linear springs.
 
-Each component of a bearing with a stiffness is one joint without a motor, after the driven joint:
-radial and axial displacement, then both tilts. Everything that holds for joints holds for them.
+Each component with a stiffness is one joint without a motor, after the driven joint: three
+displacements, then three rotations. Everything that holds for joints holds for them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -17,10 +16,22 @@ from stiffopt.robot.frames import LinkFrame
 from stiffopt.robot.joint_load import complete_axes
 
 if TYPE_CHECKING:
-    from stiffopt.drivetrain.bearing import OutputBearing
     from stiffopt.drivetrain.chain import Chain
     from stiffopt.robot.robot import Robot
 
+# Components of a mount and their joints.
+_COMPONENT_NAMES = (
+    "displacement x",
+    "displacement y",
+    "displacement z",
+    "tilt x",
+    "tilt y",
+    "twist",
+)
+_COMPONENT_JOINTS = (
+    *(pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ),
+    *(pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ),
+)
 # Of joints without a motor.
 _UNDRIVEN_JOINT_VALUES = {
     "torque_max": np.inf,
@@ -38,7 +49,7 @@ _UNDRIVEN_JOINT_VALUES = {
 
 
 def with_bearing_joints(robot: Robot) -> tuple[Robot, np.ndarray]:
-    """Return the robot with a joint for each component of its bearings, and their stiffness (m,).
+    """Return the robot with a joint for each elastic component, and their stiffness (m,).
 
     The stiffness of driven joints, which have their drivetrains, is 0 [N m/rad or N/m].
 
@@ -50,10 +61,11 @@ def with_bearing_joints(robot: Robot) -> tuple[Robot, np.ndarray]:
     springs: list[float] = []
     chains: list[Chain | None] = []
     model.gravity, model.name = robot.model.gravity, robot.name
-    # Last joint of each body, and the body's frame on it.
+    # Last joint of each body, and the body's frame on it; the same beyond a bending link.
     ends = {0: (0, pin.SE3.Identity())}
+    beyond: dict[int, tuple[int, pin.SE3]] = {}
     for i, body in enumerate(robot.tree.bodies, start=1):
-        before, frame = ends[body.parent]
+        before, frame = beyond.get(i, ends[body.parent])
         kind = (
             pin.JointModelPrismaticUnaligned if body.prismatic else pin.JointModelRevoluteUnaligned
         )
@@ -61,18 +73,31 @@ def with_bearing_joints(robot: Robot) -> tuple[Robot, np.ndarray]:
         last = model.addJoint(before, kind(body.axis), at, body.name)
         springs.append(0.0)
         chains.append(robot.chains[i - 1])
-        bearing, axes = robot.bearings[i - 1], complete_axes(body.axis)
-        here, frame = pin.SE3(axes, np.zeros(3)), pin.SE3.Identity()
-        if bearing is not None:
-            here.translation = bearing.position * axes[:, 2]
-            frame = here.inverse()
-            for name, joint, spring in _components(bearing):
-                last = model.addJoint(last, joint, here, f"bearing of {body.name}, {name}")
-                springs.append(spring)
-                chains.append(None)
-                here = pin.SE3.Identity()
+        axes, frame, bends = complete_axes(body.axis), pin.SE3.Identity(), False
         ends[i] = (last, frame)
-        model.appendBodyToJoint(last, robot.model.inertias[i], frame)
+        for number, mount in enumerate(robot.mounts[i - 1], start=1):
+            here = pin.SE3(axes @ mount.axes, axes @ mount.place)
+            at, frame = frame * here, here.inverse()
+            for name, joint, compliance in zip(
+                _COMPONENT_NAMES, _COMPONENT_JOINTS, mount.compliance, strict=True
+            ):
+                if compliance > 0.0:
+                    last = model.addJoint(last, joint(), at, f"{name} of {body.name}, {number}")
+                    springs.append(1.0 / float(compliance))
+                    chains.append(None)
+                    at = pin.SE3.Identity()
+            bends = mount.carries is not None
+            if mount.carries is None:
+                ends[i] = (last, frame)
+            else:
+                beyond[mount.carries + 1] = (last, frame)
+        inertia, mounted = robot.model.inertias[i], [ends[i]]
+        if bends:
+            # Half of a bending link moves with its outer end.
+            mounted.append((last, frame))
+            inertia = pin.Inertia(0.5 * inertia.mass, inertia.lever, 0.5 * inertia.inertia)
+        for joint, at in mounted:
+            model.appendBodyToJoint(joint, inertia, at)
 
     def move_frame(link: LinkFrame) -> LinkFrame:
         joint, frame = ends[link.joint]
@@ -92,22 +117,10 @@ def with_bearing_joints(robot: Robot) -> tuple[Robot, np.ndarray]:
         model=model,
         chains=tuple(chains),
         bearings=(),
+        links=(),
         shapes=(),
         tool=move_frame(robot.tool),
         flange=move_frame(robot.flange),
         **arrays,
     )
     return found, stiffness
-
-
-def _components(bearing: OutputBearing) -> Iterator[tuple[str, object, float]]:
-    """Name, joint and stiffness of the components that yield."""
-    for name, joint, stiffness in (
-        ("radial x", pin.JointModelPX(), bearing.radial_stiffness),
-        ("radial y", pin.JointModelPY(), bearing.radial_stiffness),
-        ("axial", pin.JointModelPZ(), bearing.axial_stiffness),
-        ("tilt x", pin.JointModelRX(), bearing.moment_stiffness),
-        ("tilt y", pin.JointModelRY(), bearing.moment_stiffness),
-    ):
-        if stiffness is not None:
-            yield name, joint, stiffness

@@ -14,6 +14,7 @@ import numpy as np
 from stiffopt.declaration import bounds, unit
 from stiffopt.drivetrain import catalogue
 from stiffopt.drivetrain.bearing import OutputBearing
+from stiffopt.drivetrain.elastic_mount import ElasticMount
 from stiffopt.drivetrain.tables import OwnEntries
 from stiffopt.errors import InputError, InputFileError, nearest
 from stiffopt.files import apply_changes, check_header, load_toml
@@ -172,6 +173,7 @@ def _assemble_robot(document: RobotFile, path: Path, urdf: Path, keep: Collectio
         tool = link_frame(model, place.link, place.offset, place.rpy)
     with locate_errors(path, "flange"):
         flange = _flange_frame(model, document.flange, place.link)
+    links = tuple(_build_link(s, j, model, flange, path) for j, s in enumerate(sections))
     model.name = document.name
     return Robot(
         name=document.name,
@@ -181,6 +183,7 @@ def _assemble_robot(document: RobotFile, path: Path, urdf: Path, keep: Collectio
         position_upper=upper,
         chains=chains,
         bearings=bearings if any(bearings) else (),
+        links=links if any(links) else (),
         tool=tool,
         flange=flange,
         sources=tuple(_list_sources(document)),
@@ -196,6 +199,26 @@ def _build_bearing(section: JointSection, path: Path) -> OutputBearing | None:
         return None
     with locate_errors(path, f"joint[{section.name}].bearing"):
         return section.bearing.bearing()
+
+
+def _build_link(
+    section: JointSection, joint: int, model: pin.Model, flange: LinkFrame, path: Path
+) -> ElasticMount | None:
+    """Return the springs of a bending link, up to the next joint towards the flange."""
+    if section.beam is None:
+        return None
+    with locate_errors(path, f"joint[{section.name}].beam"):
+        number = flange.joint
+        while number > 0 and model.parents[number] != joint + 1:
+            number = model.parents[number]
+        if number == 0:
+            raise InputError(
+                "no joint follows towards the flange: a beam is the link from a joint to the next."
+            )
+        bodies = body_tree(model).bodies
+        return section.beam.beam().mount(
+            bodies[joint].axis, bodies[number - 1].translation, number - 1
+        )
 
 
 def _stated_bodies(document: RobotFile, path: Path) -> dict[str, LinkBody]:
@@ -319,6 +342,8 @@ def _list_sources(document: RobotFile) -> Iterable[Source]:
         yield from _section_sources(joint, joint.name, "")
         if joint.bearing is not None:
             yield from _section_sources(joint.bearing, joint.name, "bearing")
+        if joint.beam is not None:
+            yield from _section_sources(joint.beam, joint.name, "beam")
         for element in joint.element:
             yield from _section_sources(element, joint.name, element.name)
 
@@ -337,7 +362,8 @@ def _section_sources(section: Cited, joint: str, element: str) -> Iterable[Sourc
         entry = catalogue.entry(name)
         provenance, source, estimated = entry.provenance, entry.source, entry.estimated
     keys = sorted(
-        section.model_fields_set - {"name", "type", "element", "bearing", "provenance", "source"}
+        section.model_fields_set
+        - {"name", "type", "element", "bearing", "beam", "provenance", "source"}
     )
     if keys:
         yield Source(joint, element, ", ".join(keys), provenance, source)

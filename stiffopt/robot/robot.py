@@ -13,6 +13,7 @@ import pinocchio as pin
 
 from stiffopt.drivetrain.bearing import OutputBearing
 from stiffopt.drivetrain.chain import Chain
+from stiffopt.drivetrain.elastic_mount import ElasticMount
 from stiffopt.drivetrain.tables import OwnEntries
 from stiffopt.errors import RobotError
 from stiffopt.robot.added_torque import AddedTorque
@@ -81,6 +82,8 @@ class Robot:
         Half width of the hysteresis loop of wind-up over torque [rad]; default none.
     bearings : tuple of OutputBearing or None
         Output bearing of each joint; None is rigid. Empty: all are.
+    links : tuple of ElasticMount or None
+        Bending of the link behind each joint; None is rigid. Empty: all are.
     held : tuple of HeldJoint
         Joints of the URDF that are held fixed.
     shapes : tuple of LinkShape
@@ -123,6 +126,7 @@ class Robot:
     urdf: Path | None = field(default=None, compare=False)
     payload: np.ndarray | None = None
     bearings: tuple[OutputBearing | None, ...] = ()
+    links: tuple[ElasticMount | None, ...] = ()
     held: tuple[HeldJoint, ...] = ()
     added_torques: tuple[AddedTorque, ...] = ()
     # Not compared: parts in use are in the chains, others have no effect.
@@ -135,8 +139,17 @@ class Robot:
 
     @property
     def tilts(self) -> bool:
-        """Return whether the output bearing of any joint is elastic."""
-        return any(bearing is not None for bearing in self.bearings)
+        """Return whether the output bearing of any joint or any link is elastic."""
+        return any(self.mounts)
+
+    @property
+    def mounts(self) -> tuple[tuple[ElasticMount, ...], ...]:
+        """Elastic mounts behind each joint, from the joint outwards: its bearing, its link."""
+        bearings = self.bearings or (None,) * self.n
+        return tuple(
+            (() if bearing is None else (bearing.mount,)) + (() if link is None else (link,))
+            for bearing, link in zip(bearings, self.links or (None,) * self.n, strict=True)
+        )
 
     @property
     def yields(self) -> bool:
@@ -239,15 +252,19 @@ class Robot:
         return replace(self, model=model, payload=factor * self.payload)
 
     def with_bearings_times(self, factors: np.ndarray | float) -> Robot:
-        """Copy with the stiffnesses of each output bearing times a factor, (n,) or one for all."""
+        """Copy with bearings and links of each joint stiffer by a factor, (n,) or one for all."""
         if not self.tilts:
             return self
-        own = np.broadcast_to(factors, len(self.bearings)).tolist()
+        own = np.broadcast_to(factors, self.n).tolist()
         return replace(
             self,
             bearings=tuple(
-                None if bearing is None else bearing.times(factor)
-                for bearing, factor in zip(self.bearings, own, strict=True)
+                each and each.times(factor)
+                for each, factor in zip(self.bearings, own, strict=bool(self.bearings))
+            ),
+            links=tuple(
+                each and each.times(factor)
+                for each, factor in zip(self.links, own, strict=bool(self.links))
             ),
         )
 
@@ -288,10 +305,35 @@ class Robot:
             model=models[0],
             chains=tuple(chain for chain, stays in zip(self.chains, left, strict=True) if stays),
             bearings=tuple(each for j, each in enumerate(self.bearings) if left[j]),
+            links=self._links_without(left),
             tool=replace(named_frame(models[1], "locked tool"), link=self.tool.link),
             flange=replace(named_frame(models[1], "locked flange"), link=self.flange.link),
             **arrays,
         )
+
+    def _links_without(self, left: np.ndarray) -> tuple[ElasticMount | None, ...]:
+        """Bending links of joints that are left (n,), up to the next joint that is."""
+        places = np.cumsum(left) - 1
+        found: list[ElasticMount | None] = []
+        for j in np.flatnonzero(left[: len(self.links)]):
+            link, following = self.links[j], None
+            if link is not None:
+                beyond = [k for k in range(self.n) if left[k] and link.carries in self._supports(k)]
+                following = min(beyond, default=None)
+            found.append(
+                None
+                if link is None or following is None
+                else replace(link, carries=int(places[following]))
+            )
+        return tuple(found)
+
+    def _supports(self, joint: int) -> set[int]:
+        """Joints (from 0) from the base to a joint, inclusive."""
+        found, number = set(), joint + 1
+        while number > 0:
+            found.add(number - 1)
+            number = int(self.model.parents[number])
+        return found
 
     def with_inertial_parameters(self, joint: int, parameters: np.ndarray) -> Robot:
         """Copy with other inertial parameters of a joint's body.

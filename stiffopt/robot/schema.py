@@ -41,6 +41,7 @@ from stiffopt.robot.elements import (
     build_element_section,
     build_section_key,
 )
+from stiffopt.robot.link_beam import LinkBeam
 from stiffopt.validation import Model, Section
 
 Vector = tuple[Length, Length, Length]
@@ -59,6 +60,14 @@ class BearingSection(Cited):
         given = {name: getattr(self, name) for name in declared(OutputBearing)}
         stated = {name: value for name, value in given.items() if value is not None}
         return OutputBearing(**{**found, **stated})
+
+
+class BeamSection(Cited):
+    """Bending link behind a joint."""
+
+    def beam(self) -> LinkBeam:
+        """Build the beam."""
+        return LinkBeam(**{name: getattr(self, name) for name in declared(LinkBeam)})
 
 
 class JointSection(Cited):
@@ -106,6 +115,10 @@ class JointSection(Cited):
     bearing: Annotated[
         BearingSection | None,
         Doc("Output bearing that tilts and yields across the joint's torsion; default rigid."),
+    ] = None
+    beam: Annotated[
+        BeamSection | None,
+        Doc("Bending of the link behind the joint, up to the next joint; default rigid."),
     ] = None
     element: Annotated[
         tuple[ElementSection, ...],
@@ -211,17 +224,23 @@ def _robot_file_of(kinds: tuple[type[Connection], ...]) -> type[RobotFile]:
     """`RobotFile` whose elements are of these kinds."""
     elements: Any = Union[tuple(build_element_section(kind) for kind in kinds)]  # noqa: UP007
     element: Any = Annotated[elements, Field(discriminator="type")]
-    keys: dict[str, Any] = {
-        name: build_section_key(field) for name, field in declared(OutputBearing).items()
-    }
-    bearing: Any = create_model(
-        "BearingSection", __base__=BearingSection, __doc__=BearingSection.__doc__, **keys
+    bearing, beam = (
+        _declared_section(BearingSection, OutputBearing),
+        _declared_section(BeamSection, LinkBeam),
     )
     joint: Any = _replace_key_types(
-        JointSection, element=tuple[element, ...], bearing=bearing | None
+        JointSection, element=tuple[element, ...], bearing=bearing | None, beam=beam | None
     )
     surface: Any = _surface_section()
     return _replace_key_types(RobotFile, joint=tuple[joint, ...], surface=dict[str, surface])
+
+
+def _declared_section(section: type[Section], part: type) -> Any:
+    """Return a section with the declared fields of a part."""
+    keys: dict[str, Any] = {
+        name: build_section_key(field) for name, field in declared(part).items()
+    }
+    return create_model(section.__name__, __base__=section, __doc__=section.__doc__, **keys)
 
 
 def _surface_section() -> type[SurfaceSection]:

@@ -40,9 +40,6 @@ _INITIAL_DURATION_BARRIER = 1e-3
 _INITIAL_PEAK_BARRIER, _INERTIA_CORRECTION_DECREASE = 1e-6, 0.1
 # IPOPT's options of the least distance of a start from bounds.
 _BOUND_PUSH_OPTIONS = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
-# Phases up to which the frontal solver is faster: delayed pivots bring the durations of many phases
-# into one front. 25 iterations of 31 phases take 0.36 s (MUMPS: 0.98 s), of 101 17.6 s (2.6 s).
-_MAX_FRONTAL_PHASES = 50
 # Intervals per piece of a fixed path's spline, at whose ends the rate of curvature jumps: with
 # fewer, limits are exceeded between the nodes.
 _INTERVALS_PER_PATH_PIECE = 3
@@ -150,7 +147,6 @@ def solver_options(problem: TrajectoryProblem, *, near: bool = False) -> IpoptOp
             np.ceil(method.max_iterations * max(1.0, phases / _ITERATION_LIMIT_PHASES))
         ),
         patience=0 if problem.plans_links else _INFEASIBLE_ITERATIONS,
-        linear_solver="mumps" if phases > _MAX_FRONTAL_PHASES else "auto",
         extra=extra,
     )
 

@@ -26,32 +26,12 @@ CURRENT_WORDS = ("current", "currents", "strom", "amps", "i")
 # Words that other signals of a joint share.
 _VAGUE_WORDS = ("axis", "joint", "a", "j", "state")
 _AMPERE_UNITS = ("a", "ma", "arms")
+# With shares of a torque that models or observers compute; names of MuJoCo and libfranka.
 _OTHER_SIGNAL_WORDS = (
-    "temperature",
-    "temp",
-    "temperatur",
-    "temperatures",
-    "voltage",
-    "voltages",
-    "acceleration",
-    "accel",
-    "acc",
-    "qdd",
-    "mode",
-    "status",
-    "error",
-    "err",
-    # Shares of a torque that models or observers compute; names of MuJoCo and libfranka.
-    "ext",
-    "external",
-    "gravity",
-    "coriolis",
-    "bias",
-    "passive",
-    "constraint",
-    "applied",
-    "contact",
-)
+    "temperature", "temp", "temperatur", "temperatures", "voltage", "voltages", "acceleration",
+    "accel", "acc", "qdd", "mode", "status", "error", "err", "ext", "external", "gravity",
+    "coriolis", "bias", "passive", "constraint", "applied", "contact",
+)  # fmt: skip
 # Words that make a kind together.
 _PAIRS_BY_KIND = {"torque": (("actuator", "force"), ("actuator", "forces"))}
 _BRACKET_PATTERN = re.compile(r"[\[(]\s*([^\])]+)\s*[\])](?=\s*\d*\s*$)")
@@ -64,19 +44,8 @@ _UNITS_BY_KIND = {
 }
 _WORD_PATTERN = re.compile(r"[a-zµ°]+|\d+")
 _SUFFIX_UNITS = (
-    "deg",
-    "rad",
-    "mrad",
-    "nm",
-    "mnm",
-    "ms",
-    "us",
-    "ns",
-    "rpm",
-    "%",
-    "counts",
-    "percent",
-)
+    "deg", "rad", "mrad", "nm", "mnm", "ms", "us", "ns", "rpm", "%", "counts", "percent",
+)  # fmt: skip
 
 
 def columns_of_kind(
@@ -88,7 +57,7 @@ def columns_of_kind(
     short = [n for n in names if kind == "torque" and split_words(n)[:1] == ["i"]]
     # Names in other languages are recognised by their units.
     foreign = [n for n in names if _kind_by_unit(n) == kind]
-    measured = [_without_set_points(every) for every in (fitting, foreign)]
+    measured = [[n for n in every if not may_be_set_point(n)] for every in (fitting, foreign)]
     # Measured torque takes precedence over current.
     torques = [[n for n in every if not _is_current(n)] for every in measured]
     plain = [
@@ -135,11 +104,6 @@ def _bracketed_unit(name: str) -> str:
     found = _BRACKET_PATTERN.search(name)
     unit = "" if found is None else found[1].strip().lower()
     return unit if unit in UNITS or not _ENTRY_PATTERN.fullmatch(unit) else ""
-
-
-def _without_set_points(names: Sequence[str]) -> list[str]:
-    """Return the columns whose names are not those of set points."""
-    return [name for name in names if not may_be_set_point(name)]
 
 
 def _is_current(name: str) -> bool:
@@ -203,7 +167,7 @@ def _order_by_joint(names: Sequence[str], joints: Sequence[str]) -> tuple[str, .
     n = len(joints)
     by_name = {}
     for joint in joints:
-        own = [name for name in names if _contains_joint(name, joint)]
+        own = [name for name in names if re.search(_word_pattern(joint), name, flags=re.IGNORECASE)]
         if len(own) == 1:
             by_name[joint] = own[0]
     if len(by_name) == n and len(set(by_name.values())) == n:
@@ -217,10 +181,6 @@ def _order_by_joint(names: Sequence[str], joints: Sequence[str]) -> tuple[str, .
         if all(k in numbered for k in range(first, first + n)):
             return tuple(numbered[k] for k in range(first, first + n))
     return tuple(names) if len(names) == n else None
-
-
-def _contains_joint(name: str, joint: str) -> bool:
-    return re.search(_word_pattern(joint), name, flags=re.IGNORECASE) is not None
 
 
 def _word_pattern(joint: str) -> str:

@@ -10,8 +10,6 @@ from stiffopt.recording.readers.columns import Table
 from stiffopt.recording.readers.read import MAX_MAGNITUDE
 from stiffopt.starter.column_names import TIME_WORDS, split_words
 
-# Largest share of rows out of order that is a logger's fault; more is another clock or order.
-_MAX_GARBLED_SHARE = 0.01
 # Fewest rows of a piece between gaps of as many rows: no filter has settled on fewer.
 _MIN_PIECE_ROWS = 20
 
@@ -34,7 +32,8 @@ def drop_garbled_rows(table: Table) -> tuple[Table, list[int]]:
         if np.isfinite(stamps).all():
             ordered = kept[longest_increasing(stamps)]
             ordered = ordered[_outside_short_pieces(table[time][ordered])]
-        if len(kept) - len(ordered) <= _MAX_GARBLED_SHARE * len(kept):
+        # More rows out of order are no logger's fault, but another clock or order.
+        if len(kept) - len(ordered) <= 0.01 * len(kept):
             kept = ordered
     dropped = np.setdiff1d(np.arange(len(senseless)), kept)
     if not len(dropped):

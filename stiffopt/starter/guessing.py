@@ -21,6 +21,7 @@ from stiffopt.starter.column_names import (
     split_words,
     stated_unit,
 )
+from stiffopt.units import to_si
 
 # Units without a known factor to SI, and the factor to ask for.
 FACTOR_REQUESTS = {
@@ -31,18 +32,16 @@ FACTOR_REQUESTS = {
 }
 # Counts of one turn of encoders that are read as they are: 12 to 16 bits.
 _COUNTS_PER_TURN = (4096, 8192, 16384, 32768, 65536)
-# Least reach of counts [counts]: whole degrees reach less.
-_MIN_COUNTS = 720.0
 # Units per rad and per rad/s, for comparing position changes with speeds.
 _ANGLE_UNITS_PER_RAD = {"": 1.0, "deg": np.degrees(1.0), "mrad": 1e3, "turn": 0.5 / np.pi}
-_SPEED_UNITS_PER_RAD_S = {"": 1.0, "deg/s": np.degrees(1.0)}
+_SPEED_UNITS_PER_RAD_S = {"": 1.0} | {
+    unit: 1.0 / to_si(f"1 {unit}", "angular velocity") for unit in ("deg/s", "rpm")
+}
 # Largest log ratio of values in the same unit; ratio of magnitudes above which columns may have
 # different units.
 _UNIT_LOG_TOLERANCE, _MIXED_UNIT_RATIO = 0.5, 10.0
 # Fewest rows of a motion.
 MIN_ROWS = 3
-# Median correlation of commands and positions below which these are other commands.
-_MIN_COMMAND_CORRELATION = 0.5
 # Largest plausible joint angle [rad].
 _MAX_JOINT_ANGLE = 40.0 * np.pi
 
@@ -220,7 +219,8 @@ def _guess_command_unit(
         _correlate(table[one], table[two])
         for one, two in zip(columns["command"], columns["position"], strict=True)
     ]
-    if float(np.median(alike)) < _MIN_COMMAND_CORRELATION:
+    # Median correlation of commands and positions below which these are other commands.
+    if float(np.median(alike)) < 0.5:
         return "", (
             "QUESTION: they do not go with the positions: increments, velocities or torques? Only"
             " commanded positions belong here"
@@ -344,7 +344,8 @@ def _guess_unit(
 def _is_counted(values: np.ndarray) -> bool:
     """Return True if positions (K, m) are whole numbers beyond those of degrees."""
     known = values[np.isfinite(values)]
-    return bool(known.size and np.all(known == np.round(known)) and np.ptp(known) > _MIN_COUNTS)
+    # Least reach of counts [counts]: whole degrees reach less.
+    return bool(known.size and np.all(known == np.round(known)) and np.ptp(known) > 720.0)
 
 
 def _column_values(table: Mapping[str, np.ndarray], names: Sequence[str]) -> np.ndarray:

@@ -21,9 +21,6 @@ _MAX_TOOL_SPEED, _MAX_JOINT_SPEED = 30.0, 60.0
 # Largest plausible joint torque [N m] or force [N]: the largest arms have 4e4 N m at their base and
 # 1e5 N at a prismatic joint.
 _MAX_CREDIBLE_TORQUE = 1e5
-# A placeholder exceeds this multiple of the largest joint demand, and this torque [N m] or, as
-# prismatic joints also press, this force [N].
-_MAX_TORQUE_RATIO, _MIN_PLACEHOLDER_TORQUE, _MIN_PLACEHOLDER_FORCE = 15.0, 200.0, 2000.0
 # Rounding in the triangle inequality of principal moments [-].
 _INERTIA_ROUNDING = 1.02
 # Fewest joints at which equal torque limits are a placeholder.
@@ -89,9 +86,11 @@ def torque_placeholders(arm: LoadedUrdf, demands: np.ndarray) -> tuple[Placehold
     found = []
     for j, (name, stated) in enumerate(arm.joints.items()):
         alike = demands[slides == slides[j]]
+        # A placeholder exceeds this multiple of the largest joint demand, and this torque [N m]
+        # or, as prismatic joints also press, this force [N].
         most = max(
-            _MAX_TORQUE_RATIO * float(np.max(alike)),
-            _MIN_PLACEHOLDER_FORCE if slides[j] else _MIN_PLACEHOLDER_TORQUE,
+            15.0 * float(np.max(alike)),
+            2000.0 if slides[j] else 200.0,
         )
         if stated["effort"] <= min(most, _MAX_CREDIBLE_TORQUE):
             continue

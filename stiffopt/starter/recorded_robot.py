@@ -21,12 +21,8 @@ from stiffopt.robot.urdf_xml import read_urdf_tree
 from stiffopt.starter.robot_file import robot_text
 from stiffopt.starter.writing import toml_list, toml_number, toml_string
 
-# Joint values of an MJCF, and their relative tolerance. Beside torques a change by a tenth is to be
-# reported, and a fit moves a value by some tolerances before it names an effect. Without torques
-# gains, friction and inertia are told from the motion together: on a real leg the error of held-out
-# motions was 4.4 mrad with 0.05, 2.5 mrad with 0.3 and 2.9 mrad without a tolerance.
+# Joint values of an MJCF.
 _JOINT_VALUES = ("coulomb", "viscous", "rotor_inertia")
-_TORQUE_TOLERANCE, _MOTION_TOLERANCE = 0.05, 0.3
 
 ROBOT_FILE = "robot.toml"
 _URDF_FILE, _CATALOGUE_FILE = "robot.urdf", "catalogue.toml"
@@ -52,7 +48,12 @@ class RecordedRobot:
         """Return lines of recordings.toml on an MJCF, for recordings with or without torques."""
         if self.robot.urdf is None or not is_mjcf(self.robot.urdf):
             return ()
-        return _mjcf_entries(self.robot, _TORQUE_TOLERANCE if torque else _MOTION_TOLERANCE)
+        # Relative tolerance of joint values. Beside torques a change by a tenth is to be reported,
+        # and a fit moves a value by some tolerances before it names an effect. Without torques
+        # gains, friction and inertia are told from the motion together: on a real leg the error of
+        # held-out motions was 4.4 mrad with 0.05, 2.5 mrad with 0.3 and 2.9 mrad without a
+        # tolerance.
+        return _mjcf_entries(self.robot, 0.05 if torque else 0.3)
 
 
 def store_robot(source: Path, folder: Path, tip: str | None = None) -> RecordedRobot:

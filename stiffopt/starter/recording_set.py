@@ -127,7 +127,10 @@ def _write_set(
                 path, "", f"lacks {', '.join(lacking)}, which {files[0].name} has."
             )
     runs: list[tuple[str, str, dict[str, np.ndarray]]] = []
-    parts, begun = _split_runs(tables, first.time, [*wanted, *first.asked])
+    # Names that were guessed are corrected in [signals]: the other columns must be there then.
+    every = [c for c in tables[files[0]] if all(c in table for table in tables.values())]
+    kept = every if layout else [*wanted, *first.asked]
+    parts, begun = _split_runs(tables, first.time, kept)
     notes += begun
     if len(parts) == 1:
         _, stem, table = parts[0]
@@ -204,7 +207,9 @@ def _split_runs(
     notes: list[str] = []
     taken = {_run_name(path) for path in tables}
     for path, table in tables.items():
-        own = list(_split_at_clock_resets(_select_columns(table, names), time))
+        own = list(
+            _split_at_clock_resets({name: table[name] for name in names if name in table}, time)
+        )
         called = (
             [_run_name(path)] if len(own) == 1 else _part_names(_run_name(path), len(own), taken)
         )
@@ -243,10 +248,6 @@ def _split_at_clock_resets(
         return
     for begin, end in itertools.pairwise(ends):
         yield {name: column[begin:end] for name, column in table.items()}
-
-
-def _select_columns(table: Mapping[str, np.ndarray], names: Sequence[str]) -> dict[str, np.ndarray]:
-    return {name: table[name] for name in names if name in table}
 
 
 def _find_files(data: Sequence[Path]) -> list[Path]:

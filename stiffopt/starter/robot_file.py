@@ -37,23 +37,14 @@ from stiffopt.starter.placeholders import (
 )
 from stiffopt.starter.writing import relative_path, toml_key, toml_list, toml_number, toml_string
 
-# Times to full speed and to full acceleration that set unstated limits [s].
-_ACCELERATION_TIME, _JERK_TIME = 0.25, 0.05
-# Guesses for unstated limits: least torque [N m], torque over demand [-], speed [rad/s], range of a
-# prismatic joint [m].
-_MIN_TORQUE_GUESS, _TORQUE_MARGIN, _DEFAULT_SPEED, _DEFAULT_SLIDE_RANGE = 5.0, 1.5, 2.0, 0.3
-_POSE_COUNT = 200
+# Time to full speed that sets an unstated acceleration limit [s].
+_ACCELERATION_TIME = 0.25
+# Guesses for unstated limits: speed [rad/s], range of a prismatic joint [m].
+_DEFAULT_SPEED, _DEFAULT_SLIDE_RANGE = 2.0, 0.3
 # Position limits beyond this may be in degrees [rad].
 _MAX_PLAUSIBLE_ANGLE = 12.0 * np.pi
-# Largest torque of usual strain-wave reducers [N m].
-_MAX_STRAIN_WAVE_TORQUE = 350.0
-_MAX_ALTERNATIVES = 3
-# Least distance of a link from the tool to be listed [m], and largest number listed.
-_MIN_TIP_DISTANCE, _MAX_SHOWN_TIPS = 1e-3, 6
 # Usual names of tool links.
 _TOOL_NAME_PATTERN = re.compile("tcp|tool|flange|effector", re.IGNORECASE)
-# Least relative change of masses by torque limits that is reported [-].
-_MIN_SCALE_CHANGE = 0.05
 _UNREAD_FORMATS = {".sdf": "an SDF", ".xacro": "xacro"}
 # Friction and rotor inertia in robot files, and in the model's.
 _DYNAMICS_KEYS = {"coulomb": "friction", "viscous": "damping", "rotor_inertia": "armature"}
@@ -141,7 +132,8 @@ def robot_text(
     ]
     if arm.held:
         held = ", ".join(f"{toml_key(h.name)} = {toml_number(h.value)}" for h in arm.held)
-        lines.append(f"lock = {{ {held} }}  # held: {_held_reasons(arm)}")
+        reasons = "; ".join(dict.fromkeys(h.why for h in arm.held))
+        lines.append(f"lock = {{ {held} }}  # held: {reasons}")
     lines.append(f"tool = {{ link = {toml_string(tool.link)}, offset = [0.0, 0.0, 0.0] }}  # [m]")
     if catalogue is not None:
         lines.append(f"catalogue = {toml_string(relative_path(catalogue, folder))}")
@@ -238,13 +230,11 @@ def _list_farther_links(arm: LoadedUrdf, tool: LinkFrame) -> Iterator[str]:
         for frame in frames
         if frame.joint == tool.joint
     }
-    ahead = sorted((way, name) for name, way in found.items() if way > _MIN_TIP_DISTANCE)
+    ahead = sorted((way, name) for name, way in found.items() if way > 1e-3)
     if ahead:
         named = [name for _, name in ahead if _TOOL_NAME_PATTERN.search(name)]
         best = named[-1] if named else ahead[0][1]
-        listed_ = ", ".join(
-            f"{name} ({1e3 * way:.0f} mm away)" for way, name in ahead[:_MAX_SHOWN_TIPS]
-        )
+        listed_ = ", ".join(f"{name} ({1e3 * way:.0f} mm away)" for way, name in ahead[:6])
         yield (
             f"Fixed to {tool.link} are also {listed_}: for the tool there, name one,"
             f" such as --tip {shlex.quote(best)}."
@@ -273,7 +263,8 @@ def _describe_mass_source(body: EstimatedBody) -> str:
             "housings and rods from joint to joint, since the URDF has no shapes, at"
             f" {ROD_DENSITY:g} kg/m^3"
         )
-    if abs(body.scale - 1.0) < _MIN_SCALE_CHANGE:
+    # Least relative change of masses by torque limits that is reported [-].
+    if abs(body.scale - 1.0) < 0.05:
         return said
     return f"{said}, times {body.scale:.2g} to match the torque limits"
 
@@ -316,11 +307,7 @@ def _random_poses(arm: LoadedUrdf) -> np.ndarray:
     slides = body_tree(arm.model).prismatic
     reach = np.where(slides, 0.5 * _DEFAULT_SLIDE_RANGE, np.pi)
     low, high = np.where(endless, -reach, low), np.where(endless, reach, high)
-    return np.random.default_rng(1).uniform(low, high, (_POSE_COUNT, len(low)))
-
-
-def _held_reasons(arm: LoadedUrdf) -> str:
-    return "; ".join(dict.fromkeys(h.why for h in arm.held))
+    return np.random.default_rng(1).uniform(low, high, (200, len(low)))
 
 
 def _joint_lines(
@@ -359,7 +346,7 @@ def _joint_lines(
                 where += "; this is weight and full acceleration with margin"
         yield f"{name} = {toml_number(value)}  # [{per}], {where}"
     yield f"acceleration_max = {toml_number(acceleration, 3)}  # estimated: full speed in 0.25 s"
-    yield f"jerk_max = {toml_number(acceleration / _JERK_TIME, 3)}  # estimated: that in 50 ms"
+    yield f"jerk_max = {toml_number(acceleration / 0.05, 3)}  # estimated: that in 50 ms"
     for name, key_ in _DYNAMICS_KEYS.items():
         # Friction in a URDF is a setting of simulators; that of an MJCF is set for each joint.
         if bare and arm.format == "URDF" and name != "rotor_inertia":
@@ -373,10 +360,8 @@ def _joint_lines(
 
 
 def _torque_limit(arm: LoadedUrdf, body: Body, demand: float) -> float:
-    """Return the torque limit of a joint; if not stated, its demand to two digits."""
-    return arm.joints[body.name]["effort"] or float(
-        f"{max(_TORQUE_MARGIN * demand, _MIN_TORQUE_GUESS):.2g}"
-    )
+    """Return the torque limit of a joint; if not stated, its demand and a half, at least 5 N m."""
+    return arm.joints[body.name]["effort"] or float(f"{max(1.5 * demand, 5.0):.2g}")
 
 
 def _reducer_lines(torque: float) -> Iterator[str]:
@@ -393,7 +378,7 @@ def _reducer_lines(torque: float) -> Iterator[str]:
         yield '# type = "reducer"'
         yield "# K1 = ...  # [N m/rad] up to T1; K2 up to T2, K3 above; T1, T2 [N m]"
         return
-    others = [name for name, _ in fitting[1 : 1 + _MAX_ALTERNATIVES]]
+    others = [name for name, _ in fitting[1:4]]
     yield "[[joint.element]]"
     yield 'name = "reducer"'
     yield 'type = "reducer"'
@@ -416,7 +401,8 @@ def reducers_for(torque: float) -> list[tuple[str, float]]:
     def order(entry: tuple[str, float, float]) -> tuple[bool, float, float]:
         # Cycloidal reducers are for large joints.
         name, peak, ratio = entry
-        return name.startswith("rv_") == (torque <= _MAX_STRAIN_WAVE_TORQUE), peak, -ratio
+        # Largest torque of usual strain-wave reducers [N m].
+        return name.startswith("rv_") == (torque <= 350.0), peak, -ratio
 
     return [(name, peak) for name, peak, _ in sorted(found, key=order)]
 

@@ -16,10 +16,6 @@ from stiffopt.recording.signals import Signals
 from stiffopt.robot.robot import Robot
 from stiffopt.starter.column_names import columns_of_kind, command_columns
 
-# Least rank correlation of a velocity with the rate of change of its position. By ranks, a few
-# garbled rows of a logger do not matter.
-_MIN_RATE_CORRELATION = 0.9
-
 
 def join_signal_files(tables: Mapping[Path, Table], robot: Robot) -> dict[Path, Table]:
     """Join tables of one signal each, with equally many rows, to one run; others are kept.
@@ -119,11 +115,11 @@ def _is_rate_of(rates: np.ndarray, values: np.ndarray) -> bool:
         known = np.isfinite(change) & np.isfinite(mean)
         if known.sum() > 2 and np.ptp(change[known]) > 0.0 and np.ptp(mean[known]) > 0.0:
             fits.append(float(spearmanr(change[known], mean[known]).statistic))
-    return bool(fits) and float(np.median(fits)) > _MIN_RATE_CORRELATION
+    # Least rank correlation of a velocity with the rate of change of its position. By ranks, a few
+    # garbled rows of a logger do not matter.
+    return bool(fits) and float(np.median(fits)) > 0.9
 
 
-# Number of messages searched for topics.
-_MAX_PROBED_MESSAGES = 2000
 _NAME_FIELDS = ("name", "names", "joint_names")
 _VALUE_FIELDS = ("position", "velocity", "effort", "torque", "current", "positions", "velocities",
           "efforts", "accelerations", "q", "qd", "tau")  # fmt: skip
@@ -143,7 +139,8 @@ def read_message_table(path: Path, joints: Sequence[str]) -> dict[str, np.ndarra
         No topic has a number for each joint; lists the topics found.
     """
     found: dict[str, list[str]] = {}
-    for topic, _, message in first_messages(path, _MAX_PROBED_MESSAGES):
+    # Number of messages searched for topics.
+    for topic, _, message in first_messages(path, 2000):
         # A gripper may publish on the topic of the arm.
         if not found.get(topic):
             found[topic] = _joint_fields(topic, message, joints)

@@ -26,9 +26,6 @@ from stiffopt.starter.table_layouts import read_message_table
 
 # Factors of angles to rad.
 _RADIANS_PER_UNIT = {"": 1.0, "rad": 1.0, "deg": np.pi / 180.0, "mrad": 1e-3}
-# Speed of a joint between two rows over its limit from which the file is wrong: a jump.
-_JUMP_RATIO = 20.0
-_REST_STEP = 1e-6  # largest step of a joint between two rows at rest [rad] or [m]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,14 +181,16 @@ def _checked_motion(
     """Return the motion from its first to its last movement, checked for jumps."""
     steps = np.abs(np.diff(position, axis=0))
     ratio = steps / np.diff(time)[:, None] / robot.velocity_max
-    if ratio.max() > _JUMP_RATIO:
+    # Speed of a joint between two rows over its limit from which the file is wrong: a jump.
+    if ratio.max() > 20.0:
         row, j = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
         raise InputFileError(
             path, f"row {row + 2}", f"{robot.joint_names[j]} jumps by "
             f"{steps[row, j]:.4g} rad within {1e3 * (time[row + 1] - time[row]):.4g} ms, "
             f"{ratio[row, j]:.3g} times its speed limit. Check the unit, or cut the file there."
         )  # fmt: skip
-    moving = np.flatnonzero((steps > _REST_STEP).any(axis=1))
+    # Largest step of a joint between two rows at rest [rad] or [m]
+    moving = np.flatnonzero((steps > 1e-6).any(axis=1))
     if not moving.size:
         raise InputFileError(path, "", "holds an arm at rest: no joint moves.")
     kept = slice(moving[0], moving[-1] + 2)

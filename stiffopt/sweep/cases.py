@@ -28,8 +28,6 @@ from stiffopt.robot.urdf_xml import mesh_files
 from stiffopt.sweep.schema import MAX_CASES, RangeSection, SweepFile
 from stiffopt.units import number_and_unit
 
-# Longest file name of common file systems [bytes].
-_MAX_NAME_BYTES = 255
 KINDS = ("trajectory", "preload", "recordings")
 
 Change = tuple[str, Any]
@@ -338,7 +336,8 @@ def _named_files(folder: Path, value: Any) -> list[Path]:
     found: dict[Path, None] = {}
     for name in sorted(_collect_texts(value)):
         # The system refuses longer names.
-        if "\0" in name or len(name.encode()) > _MAX_NAME_BYTES:
+        # Longest file name of common file systems [bytes].
+        if "\0" in name or len(name.encode()) > 255:
             continue
         place = folder / name
         if folder.is_relative_to(place.resolve()):

@@ -25,10 +25,6 @@ from stiffopt.units import number_and_unit
 CASES_FOLDER = "cases"
 # Folder of warm starts; removed when the sweep is complete.
 _WARM_FOLDER = "warm"
-# Largest warm-start file [bytes]: 16 million variables and multipliers.
-_MAX_WARM_SIZE = 2**27
-# Deaths of a worker that ran a case alone, after which the case counts as failed.
-_MAX_WORKER_DEATHS = 2
 
 
 @dataclass(frozen=True)
@@ -87,7 +83,7 @@ def run_sweep(
             # The warm start first: successors of a finished case need it.
             if end is not None:
                 atomic_write(queue.file(found["key"]), end)
-            _write_case(folder, found)
+            write_json(_case_file(folder, found["key"]), found)
             results[found["key"]] = found
             queue.done.add(found["key"])
             watch.report()
@@ -133,7 +129,8 @@ class _CaseQueue:
         before = self._before[case.key]
         while before is not None:
             path = self.file(before)
-            if is_regular(path.parent, path.name) and path.stat().st_size <= _MAX_WARM_SIZE:
+            # Largest warm-start file [bytes]: 16 million variables and multipliers.
+            if is_regular(path.parent, path.name) and path.stat().st_size <= 2**27:
                 return path.read_bytes()
             before = self._before[before]
         return None
@@ -170,7 +167,8 @@ def _solve_cases(queue: _CaseQueue, pool: Workers) -> Iterator[_SolvedCase]:
                 yield future.result()
             except pool.lost:
                 deaths[case.key] = deaths.get(case.key, 0) + lonely
-                if deaths[case.key] < _MAX_WORKER_DEATHS:
+                # Deaths of a worker that ran a case alone, after which the case counts as failed.
+                if deaths[case.key] < 2:
                     alone.append(case)
                 else:
                     text = "Its worker process died at each attempt, for example out of memory."
@@ -236,10 +234,6 @@ def _is_document(found: Any) -> TypeGuard[dict[str, Any]]:
     )
 
 
-def _write_case(folder: Path, found: dict[str, Any]) -> None:
-    write_json(_case_file(folder, found["key"]), found)
-
-
 def spread_order(cases: list[Case]) -> list[Case]:
     """Order cases so that early ones are far apart.
 
@@ -276,16 +270,10 @@ def _normalised_values(cases: list[Case]) -> np.ndarray:
     columns = []
     for k in range(len(cases[0].changes)):
         values = [case.changes[k][1] for case in cases]
-        numbers = [_number_or_nan(value) for value in values]
+        numbers = [number_and_unit(value)[0] for value in values]
         if not np.all(np.isfinite(numbers)):
             texts = sorted({str(value) for value in values})
             numbers = [float(texts.index(str(value))) for value in values]
         column = np.array(numbers)
         columns.append((column - column.min()) / (np.ptp(column) or 1.0))
     return np.stack(columns, axis=1) if columns else np.zeros((len(cases), 0))
-
-
-def _number_or_nan(value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float | str):
-        return np.nan
-    return number_and_unit(value)[0]

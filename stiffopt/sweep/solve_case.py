@@ -104,10 +104,13 @@ def case_document(case: Case, found: CaseResult, seconds: float) -> dict[str, An
 
 def _solve_trajectory(case: Case, warm: bytes | None) -> _CaseEnd:
     from stiffopt.certificate.objective_value import is_maximised
+    from stiffopt.problem.cycle_files import is_cycle
     from stiffopt.problem.files import load_problem
     from stiffopt.result.store import result_document
     from stiffopt.solver.family import ProblemFamily, WarmStart
 
+    if is_cycle(case.base):
+        return _solve_cycle(case), None
     problem = load_problem(case.base, case.settings, robots=_cached_robots(case)).problem
     family: ProblemFamily = _worker_cache.__dict__.setdefault("family", ProblemFamily())
     solution, end = family.solve(
@@ -142,6 +145,39 @@ def _solve_trajectory(case: Case, warm: bytes | None) -> _CaseEnd:
         is_maximised(problem),
     )
     return found, None if end is None else end.to_bytes()
+
+
+def _solve_cycle(case: Case) -> CaseResult:
+    from stiffopt.cycle.solve_cycle import solve_cycle
+    from stiffopt.problem.cycle_files import load_cycle
+    from stiffopt.result.cycle import cycle_document
+
+    if case.start:
+        raise InputError("starts: a cycle has one initial guess. Leave starts out.")
+    cycle = load_cycle(case.base, case.settings, robots=_cached_robots(case)).cycle
+    # Rests until the tool has settled and rivals come with the simulation.
+    simulated = case.baselines or any(leg.stop.until_settled for leg in cycle.legs)
+    found = solve_cycle(cycle, simulate=simulated)
+    if found.status is SolveStatus.INTERRUPTED:
+        raise KeyboardInterrupt
+    values: dict[str, tuple[float | int | str | None, str]] = {}
+    if found.objective is not None:
+        values["objective"] = (found.objective.value, found.objective.unit)
+        values["duration"] = (found.duration, "s")
+    values |= {
+        f"leg_{k}": (leg.arrival - leg.start, "s") for k, leg in enumerate(found.legs, start=1)
+    }
+    if found.duty is not None:
+        values["energy"] = (found.duty.energy, "J")
+        values |= {
+            f"rms_torque_{each.name}": (each.rms_torque, "N m") for each in found.duty.joints
+        }
+    if found.simulation is not None:
+        values["tool_error"] = (found.simulation.peak, "m")
+    if found.rivals and found.objective is not None:
+        best = min(each.objective for each in found.rivals)
+        values["ratio_to_better_baseline"] = (found.objective.value / best, "")
+    return CaseResult(str(found.status), found.message, values, cycle_document(found))
 
 
 def _cached_robots(case: Case) -> Callable[[str | Path], Robot]:

@@ -131,7 +131,7 @@ class SweepSummary:
             values = {start: value for start, value in own if value is not None}
             if not values:
                 continue
-            best = self._best_start(values, key=lambda start: values[start])
+            best = (max if self.maximised else min)(values, key=lambda start: values[start])
             spread = max(abs(value - values[best]) for value in values.values())
             near = [v for v in values.values() if abs(v - values[best]) <= 0.01 * abs(values[best])]
             worst = values[best] + (-spread if self.maximised else spread)
@@ -139,9 +139,6 @@ class SweepSummary:
                 values[best], worst, self.units["objective"], len(values), len(own), len(near), best
             )
         return spreads
-
-    def _best_start(self, starts: dict[int, float], key: Any) -> int:
-        return max(starts, key=key) if self.maximised else min(starts, key=key)
 
     @property
     def maximised(self) -> bool:

@@ -15,11 +15,11 @@ def test_every_gate_can_be_taken_out(gate):
 
 
 def test_a_gate_that_changes_a_result_is_noticed():
-    (local,) = (gate for gate in GATES if gate.name == "local")
-    for taken, notice in ((nullcontext(), {"local"}), (without_gate(local), set())):
+    (exempt,) = (gate for gate in GATES if gate.name == "nominal")
+    for taken, notice in ((nullcontext(), {"nominal"}), (without_gate(exempt), set())):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(joint_fit, "_is_locally_supported", lambda *_: True)
-            with taken, noticing([local]) as acted:
-                supported = joint_fit._is_locally_supported(None, [], 0)
+            patch.setattr(joint_fit, "_is_supported_by_nominal", lambda *_: True)
+            with taken, noticing([exempt]) as acted:
+                supported = joint_fit._is_supported_by_nominal(None, [], 0)
         assert acted == notice
         assert supported == bool(notice)

@@ -155,3 +155,4 @@ def test_answers_from_the_nominal_model_are_judged(without, findings, expected, 
     found = {"truth": truth, "without": without, "from_nominal": findings}
     assert from_nominal.outcome(found, "dFc", 2.0) == expected
     assert from_nominal.claims(found) == false
+    assert not any(from_nominal.claims(found, frozenset({"viscous"})))

@@ -10,14 +10,13 @@ from small_arms import ROOT
 
 from stiffopt.budget.budget import ORIENTATION, POSITION, ErrorModel, error_budget
 from stiffopt.budget.ellipsoids import magnitude_bound, semi_axes
-from stiffopt.budget.floor import error_shares, geometry_floor
+from stiffopt.budget.floor import geometry_floor
 from stiffopt.budget.measurements import TRACKER_DEVIATION, rank_measurements
 from stiffopt.budget.sources import States
 from stiffopt.cli import run
 from stiffopt.drivetrain.bearing import OutputBearing
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.exact.chain import exact_windup
-from stiffopt.result.tool_error import PropagatedError
 from stiffopt.robot.bearing_deflection import bearing_deflections
 from stiffopt.robot.files import load_robot
 from stiffopt.robot.tolerances import Tolerances
@@ -124,11 +123,11 @@ def test_torsion_and_payload_agree_with_sampled_arms():
     # The torque is linear in the payload.
     light = robot.with_payload_times(0.0).rigid_bodies().gravity_torque(pose)
     load = robot.rigid_bodies().gravity_torque(pose) - light
-    torque = light + (1.0 + 0.05 * random.standard_normal((2000, 1))) * load
+    torque = light + (1.0 + random.uniform(-0.1, 0.1, (2000, 1))) * load
     windup = np.stack(
         [exact_windup(c, t) for c, t in zip(robot.chains, torque.T, strict=True)], axis=1
     )
-    errors = -(windup / (1.0 + 0.1 * random.standard_normal(windup.shape))) @ jacobian.T
+    errors = -(windup / (1.0 + random.uniform(-0.2, 0.2, windup.shape))) @ jacobian.T
     assert found.mean[0] == pytest.approx(errors.mean(axis=0), rel=0.03, abs=1e-7)
     quantile = np.quantile(np.linalg.norm(errors[:, :3], axis=1), 0.95)
     assert found.bound(POSITION)[0] == pytest.approx(quantile, rel=0.03)
@@ -206,7 +205,7 @@ def test_tilt_of_bearings_agrees_with_sampled_arms():
     nothing = Tolerances(**{k: 0.0 for k, v in vars(Tolerances()).items() if isinstance(v, float)})
     found = budget(without_hysteresis(robot), poses, nothing, unsure)
     random = np.random.default_rng(4)
-    factors = 1.0 + 0.1 * random.standard_normal((300, 6))
+    factors = 1.0 + random.uniform(-0.2, 0.2, (300, 6))
     # The tilt is linear in the compliance, 1 / factor to first order 2 - factor.
     errors = np.array(
         [
@@ -235,22 +234,6 @@ def test_geometry_is_a_floor_of_the_commanded_error():
     assert floor == pytest.approx(np.quantile(np.linalg.norm(errors, axis=1), 0.95), rel=0.03)
     taught = replace(TOLERANCES, reference="start")
     assert geometry_floor(robot, taught, poses) == pytest.approx(0.0, abs=1e-12)
-
-
-def test_shares_of_the_commanded_error_join_the_joints():
-    along = np.ones((2, 3, 1)) * np.array([1.0, 0.0, 0.0])
-    error = PropagatedError(
-        time=np.array([0.0, 0.5, 1.0]),
-        duration=0.5,
-        shares={
-            "stiffness of joint 1": 3.0 * along,
-            "stiffness of joint 2": 4.0 * along,
-            "bearing of joint 1": 5.0 * along,
-            "servo": 0.0 * along,
-        },
-        mean=np.zeros((3, 3)),
-    )
-    assert error_shares(error) == pytest.approx({"stiffness": 0.5, "bearing": 0.5, "servo": 0.0})
 
 
 def test_arm_that_carries_no_weight_is_measured_under_a_horizontal_pull(tmp_path, capsys):

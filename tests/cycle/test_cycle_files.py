@@ -1,9 +1,12 @@
 """Files of cycles: legs, payloads, branches, and sentences on what cannot be."""
 
 import itertools
+import re
 
 import numpy as np
 import pytest
+from rail_arm import write_ur10_on_rail
+from small_arms import ROOT
 from small_cycles import GRIP, MOVES, write_cycle_file
 
 from stiffopt.cli import run
@@ -179,3 +182,19 @@ def test_continuous_joints_go_the_short_way_round():
     position, rotation = bodies.pose(robot.tool, there)
     found = solutions_of_pose(robot, position, rotation, here, lambda _: True)
     assert found[0] == pytest.approx(there, abs=1e-7)
+
+
+def test_a_rail_is_moved_where_that_is_quicker(tmp_path):
+    """Poses of a cycle are taken with the rail where its arm has less to turn."""
+    write_ur10_on_rail(tmp_path)
+    text = (ROOT / "problems" / "ur10_cycle.toml").read_text()
+    text = text.replace('robot = "ur10"', 'robot = "robot.toml"')
+    home = 'position = ["600 mm", "-300 mm", "400 mm"]\nrpy = ["180 deg", 0, 0]'
+    path = tmp_path / "cycle.toml"
+    path.write_text(re.sub(r"joints = \[.*\]", home, text))
+    cycle = load_cycle(path).cycle
+    bodies, tool = cycle.first.robot.rigid_bodies(), cycle.first.robot.tool
+    places = {each.name: each.joints for each in cycle.postures}
+    assert np.ptp([q[0] for q in places.values()]) > 0.05
+    assert all(-0.5 <= q[0] <= 0.5 for q in places.values())
+    assert bodies.pose(tool, places["home"])[0] == pytest.approx([0.6, -0.3, 0.4], abs=1e-6)

@@ -11,7 +11,8 @@ from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
 from stiffopt.result.cycle import JoinedMotion
-from stiffopt.result.duty import DutyHistory, DutyLimits, LifeRating, duty_of
+from stiffopt.result.duty import DutyHistory, DutyLimits, duty_of
+from stiffopt.result.life_rating import LifeRating
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.robot.files import load_robot
 
@@ -93,10 +94,13 @@ def test_limits_of_the_duty_name_joint_and_numbers():
     rating = LifeRating(torque=4.0, speed=1.0, life=3600.0 * 80.0, exponent=3.0)
     duty = duty_of([part], ["a"], np.array([60.0]), [rating])
     limits = DutyLimits(rms_torque=np.array([4.0]), reducer_life=3600.0 * 11.0, energy=6.0)
-    torque, life = limits.excesses(duty)
-    assert "rms torque of a, 5 N m, exceeds duty.rms_torque 4 N m" in torque
-    assert "lasts 10 h, below duty.reducer_life 11 h" in life
-    assert not DutyLimits().excesses(duty)
+    torque, life, work = limits.uses(duty)
+    assert "rms torque of a, 5 N m, exceeds duty.rms_torque 4 N m" in torque.text
+    assert "lasts 10 h, below duty.reducer_life 11 h" in life.text
+    # What grows with the integral: the square of the torque, the inverse of the life, the work.
+    shares = [each.share for each in (torque, life, work)]
+    assert shares == pytest.approx([25.0 / 16.0, 1.1, 5.0 / 6.0])
+    assert not DutyLimits().uses(duty)
 
 
 @pytest.mark.parametrize("by", ["peak", "rms", "sum"])

@@ -12,7 +12,9 @@ from small_cycles import GRIP, write_cycle_file
 
 from stiffopt.cli import run
 from stiffopt.cycle.solve_cycle import solve_cycle
-from stiffopt.export.format import read_seal
+from stiffopt.export.cycle_motion import read_stored
+from stiffopt.export.format import FORMATS, read_seal
+from stiffopt.files import read_table
 from stiffopt.problem.cycle_files import load_cycle
 
 
@@ -68,6 +70,22 @@ def test_table_and_export_are_one_continuous_motion(folder, tmp_path, capsys):
     capsys.readouterr()
     assert run(["check", str(tmp_path / "csv" / "motor.csv"), "--result", str(folder)]) == 0
     assert "All limits are met" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_programs_of_points_stop_at_events(folder):
+    stored, form = read_stored(folder), FORMATS["staubli-val3"]
+    motion = form.sample(stored, 20.0)
+    steps = form.steps(motion)
+    at = [k for k, step in enumerate(steps) if step.event]
+    assert [steps[k].event.kind for k in at] == ["grip", "release"]
+    for k in at:
+        assert steps[k - 1].stop
+        pose = motion.position[steps[k - 1].sample]
+        np.testing.assert_allclose(pose, stored.curve(steps[k].event.time), atol=1e-9)
+    legs = json.loads((folder / "cycle.json").read_text())["legs"]
+    rests = sum(step.rest for step in steps)
+    assert rests == pytest.approx(sum(leg["dwell"] for leg in legs), abs=0.05 * len(legs))
 
 
 @pytest.mark.slow
@@ -160,3 +178,41 @@ def test_a_guess_of_other_legs_is_refused(folder, tmp_path, capsys):
     assert run(arguments) == 2
     assert "the earlier cycle has 3 legs, this one 2" in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_a_sweep_varies_the_time_and_the_part_of_a_cycle(tmp_path, capsys):
+    write_cycle_file(tmp_path)
+    sweep = tmp_path / "sweep.toml"
+    sweep.write_text(
+        'schema = 1\nkind = "sweep"\nbase = "cycle.toml"\n[grid]\n"motion.duration" = [3.0, 3.4]\n'
+    )
+    out = tmp_path / "out"
+    arguments = ["sweep", str(sweep), "--out", str(out), "--workers", "1", "--quiet"]
+    assert run(arguments) == 0
+    columns = ["objective", "duration", "leg_1", "leg_2", "leg_3", "energy"]
+    table = read_table(out / "table.csv", columns)
+    legs = np.sum([table[f"leg_{k}"] for k in (1, 2, 3)], axis=0)
+    assert legs == pytest.approx([2.9, 3.3])
+    assert table["objective"][1] < table["objective"][0]
+
+
+@pytest.mark.slow
+def test_a_stored_cycle_is_simulated_again_with_other_servos_and_damping(folder, tmp_path, capsys):
+    stated = json.loads((folder / "cycle.json").read_text())
+    same, damped, slow = (tmp_path / name for name in ("same", "damped", "slow"))
+    assert run(["simulate", str(folder), "--out", str(same)]) == 0
+    assert run(["simulate", str(folder), "--out", str(damped), "--damping", "0.2"]) == 0
+    assert run(["simulate", str(folder), "--out", str(slow), "--bandwidth", "5"]) == 0
+    found, less, more = (
+        json.loads((each / "simulation.json").read_text()) for each in (same, damped, slow)
+    )
+    for leg, own in zip(stated["legs"], found["legs"], strict=True):
+        assert own["flight"] == pytest.approx(leg["tool_error"]["flight"], rel=0.02)
+    assert less["legs"][2]["flight"] < 0.6 * found["legs"][2]["flight"]
+    assert more["in_flight"] > 2.0 * found["in_flight"]
+    table = read_table(same / "simulation.csv", ["t", "distance"])
+    assert max(table["distance"]) >= found["in_flight"]
+    capsys.readouterr()
+    assert run(["simulate", str(folder), "--set", "uncertainty.stiffness=0.3"]) == 2
+    assert "Omit --set" in capsys.readouterr().err

@@ -9,7 +9,11 @@ from shipped_set import SHIPPED
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.judging import added_uncertainty
-from stiffopt.discovery.judging.added_uncertainty import add_band_deviation, excess_difference
+from stiffopt.discovery.judging.added_uncertainty import (
+    add_band_deviation,
+    excess_difference,
+    half_band_comparison,
+)
 from stiffopt.discovery.search.uncertainty import estimate_parameters
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import prepare_training
@@ -44,7 +48,7 @@ def test_correct_law_has_small_band_deviation(
     monkeypatch.setattr(added_uncertainty, "excess_difference", seen)
     there = LocatedEffect(effect=effect("coulomb"), joint=1)
     known = estimate_parameters(comparison, [there])
-    doubted = add_band_deviation(training, comparison, known)
+    doubted = add_band_deviation(comparison, half_band_comparison(training, comparison), known)
     constants = there.constants(training.constants)
     before, after = (each.parameters(0, constants)["dFc"] for each in (known, doubted))
     assert after[0] == before[0]

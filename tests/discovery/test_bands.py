@@ -3,59 +3,76 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from shipped_set import SHIPPED
+from test_unseen_joints import recorded
 
-from stiffopt.discovery.comparison import bands
-from stiffopt.discovery.comparison.bands import BANDS, choose_bands
+from stiffopt.discovery import prediction_bands
+from stiffopt.discovery.comparison.bands import BANDS, choose_fit_band
+from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
+from stiffopt.discovery.prediction_bands import choose_prediction_bands
+from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.training import Training, prepare_training
 from stiffopt.recording.recording_set import load_recordings
 from stiffopt.recording.run import RecordedRun
 
 
-def test_choose_bands_with_noisy_encoders_are_narrower() -> None:
+def _training() -> Training:
+    return prepare_training(load_recordings(SHIPPED), Settings())
+
+
+def _noisy(run: RecordedRun) -> RecordedRun:
+    noise = 2e-3 * np.random.default_rng(5).standard_normal(run.position.shape)
+    return replace(run, position=run.position + noise)
+
+
+def test_fit_band_with_noisy_encoders_is_not_wider() -> None:
     """A quantised motion is derived twice at the highest band that its noise bears, not beyond."""
     recordings = load_recordings(SHIPPED)
     robot = RobotModel(recordings)
     clean = [recordings.open(entry) for entry in recordings.with_role("train")]
-    rng = np.random.default_rng(5)
-
-    def noisy(run: RecordedRun) -> RecordedRun:
-        return replace(run, position=run.position + 2e-3 * rng.standard_normal(run.position.shape))
-
     usual = {"slow": 0.03, "fit": 12.0, "predict": 20.0}
-    wide = choose_bands(robot, clean, **usual)
-    narrow = choose_bands(robot, [noisy(run) for run in clean], **usual)
-    assert {wide.fit, *wide.predict} <= set(BANDS)
-    assert max(narrow.predict) < min(wide.predict)
-    assert narrow.fit <= wide.fit
+    wide = choose_fit_band(robot, clean, **usual)
+    assert {wide} <= set(BANDS)
+    assert choose_fit_band(robot, [_noisy(run) for run in clean], **usual) <= wide
 
 
-def test_choose_bands_limits_only_elastic_joints(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_prediction_bands_with_noisy_encoders_are_narrower(tmp_path: Path) -> None:
+    """The inertia of the model carries the noise into the torque."""
+    folder = recorded(tmp_path, [("train", (1.0, 1.3))], "nominal = { coulomb = [3.0, 2.5] }\n")
+    training = prepare_training(load_recordings(folder), Settings(cutoff=12.0))
+    noisy = replace(training, recorded=tuple(_noisy(run) for run in training.recorded))
+    wide, narrow = (choose_prediction_bands(each, [Extension()]) for each in (training, noisy))
+    assert max(narrow) < min(wide)
+
+
+def test_prediction_bands_limit_only_elastic_joints(monkeypatch: pytest.MonkeyPatch) -> None:
     """A rigid joint beside an elastic one follows what its own torque bears out."""
-    recordings = load_recordings(SHIPPED)
-    robot = RobotModel(recordings)
-    runs = [recordings.open(entry) for entry in recordings.with_role("train")]
     monkeypatch.setattr(
-        bands, "_cross_validation_errors", lambda *given: np.full(2, given[2] ** -2.0)
+        prediction_bands, "_torque_errors", lambda *given: np.full(2, given[2] ** -2.0)
     )
-    usual = {"slow": 0.03, "fit": 6.0, "predict": 6.0}
-    assert choose_bands(robot, runs, **usual).predict == (6.0, 6.0)
-    first, second = robot.constants.joints
-    rigid = replace(second, chain=None)
-    robot.constants = replace(robot.constants, joints=(first, rigid))
-    assert choose_bands(robot, runs, **usual).predict == (6.0, 35.0)
+    training = _training()
+    first, second = training.constants.joints
+    elastic = choose_prediction_bands(training, ())
+    joints = (first, replace(second, chain=None))
+    mixed = replace(training, constants=replace(training.constants, joints=joints))
+    assert elastic[0] == elastic[1]
+    assert choose_prediction_bands(mixed, ())[0] == elastic[0]
+    assert choose_prediction_bands(mixed, ())[1] > elastic[1]
 
 
-def test_choose_bands_with_little_motion_keeps_defaults() -> None:
+def test_bands_with_little_motion_keep_defaults() -> None:
     """Where nothing moves, the usual bands stay."""
     recordings = load_recordings(SHIPPED)
-    robot = RobotModel(recordings)
     run = recordings.open(recordings.with_role("train")[0])
     still = replace(run, position=np.tile(run.position[:1], (len(run.time), 1)))
-    chosen = choose_bands(robot, [still], slow=0.03, fit=12.0, predict=20.0)
-    assert (chosen.fit, set(chosen.predict)) == (12.0, {20.0})
+    robot = RobotModel(recordings)
+    assert choose_fit_band(robot, [still], slow=0.03, fit=12.0, predict=20.0) == 12.0
+    training = _training()
+    at_rest = replace(training, recorded=(replace(still, velocity=None),))
+    bands = choose_prediction_bands(at_rest, [Extension()])
+    assert set(bands) == {prediction_bands.PREDICTION_CUTOFF}

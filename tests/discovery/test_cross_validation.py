@@ -12,8 +12,8 @@ from shipped_set import SHIPPED
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.judging.friction_refit import _apply_steps, _MovingSamples, refit_friction
-from stiffopt.discovery.search import uncertainty
-from stiffopt.discovery.search.cross_validation import (
+from stiffopt.discovery.search.left_out_gain import (
+    LeftOutGain,
     _excess_share,
     drop_cancelling,
     select_predictive,
@@ -21,7 +21,6 @@ from stiffopt.discovery.search.cross_validation import (
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.uncertainty import estimate_parameters
 from stiffopt.discovery.settings import Settings
-from stiffopt.discovery.thresholds import MIN_HELD_OUT_SHARE
 from stiffopt.discovery.training import prepare_training
 from stiffopt.recording.recording_set import load_recordings
 
@@ -34,45 +33,37 @@ def test_present_effect_is_kept_and_absent_dropped() -> None:
     assert select_predictive(comparison, [load, there]) == [there]
 
 
-@pytest.mark.parametrize(
-    ("falls", "borne"),
-    [
-        ([3.0, 2.0, 4.0], True),  # of 100 in each
-        ([9.0, -0.1, -0.1], False),  # one part alone
-        ([9.0, 0.1, -9.0], False),  # as much lost as gained
-        ([0.2, 0.2, 0.2], False),  # next to nothing
-    ],
-)
-def test_finding_must_help_in_most_folds(falls: list[float], borne: bool) -> None:
-    """By the squares that it takes away in parts that no fit saw."""
-    without = np.full((3, 1), 100.0)
-    excess = _excess_share(without - np.array(falls)[:, None], without)
-    assert (excess >= 0.0) == borne
-    if borne:
-        assert excess == pytest.approx(0.03 - MIN_HELD_OUT_SHARE)
-
-
-@pytest.mark.parametrize("changed", [False, True])
-def test_effect_without_action_is_dropped(changed: bool) -> None:
-    """Columns that are zero everywhere act in no part, however the squares fall."""
-    acted = np.zeros(3, dtype=bool)
-    without = np.full((3, 1), 100.0)
-    assert _excess_share(0.9 * without, without, acted=acted, changed=changed) == -1.0
+def _gain(share: float, support: float) -> LeftOutGain:
+    return LeftOutGain(
+        removed=share, left_open=0.0, share=share, explained=share, channel=0, support=support
+    )
 
 
 @pytest.mark.parametrize(
-    ("falls", "change"),
+    ("share", "support", "after_model", "stays"),
     [
-        ([30.0, 20.0, 40.0, 30.0, 20.0, 40.0], True),  # of 100 in each
-        ([3.0, 2.0, 4.0, 3.0, 2.0, 4.0], False),  # as little as a model errs from part to part
-        ([70.0, 0.1, -0.1, 65.0, 0.1, -0.1], True),  # a stop, which is reached in two parts
-        ([99.0, 0.1, 0.1, 0.1, -0.1, 0.1], False),  # one part alone
+        (0.03, 0.99, False, True),
+        (0.03, 0.80, False, False),  # of one stretch alone
+        (0.00, 0.99, False, False),  # next to nothing
+        (0.60, 0.83, False, True),  # a drive at its limit in one stretch
+        (0.03, 0.99, True, False),  # as little as a model errs from part to part
+        (0.30, 0.99, True, True),
     ],
 )
-def test_change_must_exceed_open_residual(falls: list[float], change: bool) -> None:
-    without = np.full((6, 1), 100.0)
-    excess = _excess_share(without - np.array(falls)[:, None], without, changed=True)
-    assert (excess >= 0.0) == change
+def test_finding_must_help_in_folds_left_out(
+    share: float, support: float, after_model: bool, stays: bool
+) -> None:
+    """By the share of squares that it removes there, and by how evenly it does."""
+    comparison: Any = SimpleNamespace(after_model=after_model, unseen=np.zeros(2, dtype=bool))
+    law = LocatedEffect(effect=effect("load_friction"), joint=0, shapes=(0.02,))
+    assert (_excess_share(comparison, law, _gain(share, support)) >= 0.0) == stays
+
+
+def test_value_that_every_joint_has_needs_no_even_gain() -> None:
+    comparison: Any = SimpleNamespace(after_model=False, unseen=np.zeros(2, dtype=bool))
+    friction = LocatedEffect(effect=effect("coulomb"), joint=0)
+    assert _excess_share(comparison, friction, _gain(0.002, 0.6)) >= 0.0
+    assert _excess_share(comparison, friction, _gain(0.0, 0.4)) < 0.0
 
 
 def test_cancelling_effects_are_dropped() -> None:
@@ -143,34 +134,3 @@ def test_link_encoder_offset_is_not_refitted() -> None:
     found = [Selected(each, 1.0, 1.0, 1.0, (), 1) for each in (offset, there)]
     kept, _ = refit_friction(training, training.settings, (), comparison, found)
     assert [each.located for each in kept] == [offset, there]
-
-
-def test_collinear_amplitudes_are_insignificant_apart(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two columns that are nearly alike share what one of them alone would be sure of."""
-    draw = np.random.default_rng(1)
-    count = 800
-    first = draw.normal(size=count)
-    alike = np.column_stack([first, first + 0.1 * draw.normal(size=count)])
-    target = 0.5 * first + draw.normal(size=count)
-    monkeypatch.setattr(uncertainty, "number_stretches", lambda _: np.arange(count) // 40)
-
-    def sure(columns: np.ndarray) -> tuple[float, float]:
-        gram = columns.T @ columns + np.eye(columns.shape[1])
-        amplitudes = np.linalg.solve(gram, columns.T @ target)
-        comparison: Any = SimpleNamespace(
-            target=target,
-            priors=([], np.zeros(0)),
-            stack_columns=lambda _: columns,
-            fit=lambda _: SimpleNamespace(amplitudes=lambda: amplitudes),
-        )
-        name = ("coulomb", "asym_friction")[columns.shape[1] - 1]
-        located = LocatedEffect(effect=effect(name), joint=0)
-        assert len(located.effect.amplitudes) == columns.shape[1]
-        together, single = uncertainty.jackknife_significance(comparison, [located])
-        return float(together[0]), float(single[0])
-
-    alone, both = sure(alike[:, :1]), sure(alike)
-    assert alone[0] == pytest.approx(alone[1])
-    assert alone[1] > 5.0
-    assert both[0] > 5.0
-    assert both[1] < 0.5 * both[0]

@@ -1,15 +1,17 @@
 """A law that no catalogue has, from recordings to files and to the next diagnosis."""
 
+import html
 import re
 
 import numpy as np
 import pytest
 from diagnosed_folders import answered, command, written
 from simulated_sets import short_case
+from typed_laws import typed_torque
 
 from stiffopt.discovery.extended.model import load_extended
 from stiffopt.discovery.laws.law import law_of
-from stiffopt.discovery.user_effects import load_effects
+from stiffopt.discovery.user_effects import load_effects, sample_signals
 
 pytestmark = pytest.mark.slow
 
@@ -40,6 +42,25 @@ def test_page_has_the_equation_with_its_numbers_in_full():
     assert law["equation"].replace("+=", "").split()[0] in page
     assert f"A = {estimated.amplitudes[0]!r}" in page
     assert "Residual over the signals of the law" in page
+
+
+def test_the_equation_typed_from_the_page_gives_the_torque_of_the_model():
+    found = answered(SHARED_BEARING)
+    page = html.unescape((found.out / "report.html").read_text(encoding="utf-8"))
+    equation, numbers, meanings = re.search(
+        r'<div class="equation">([^<]*\+=[^<]*)</div>\s*<div class="equation">(.*?)</div>\s*'
+        r"<p>Here (.*?)\. SI units",
+        page,
+        re.DOTALL,
+    ).groups()
+    model = load_extended(found.out / "extended.toml")
+    (estimated,) = [e for e in model.extension.effects if law_of(e.effect) is not None]
+    law = law_of(estimated.effect)
+    signals = sample_signals(count=300)
+    typed = typed_torque(equation, numbers.split("<br>"), meanings.split("; "), signals)
+    columns = law.columns(signals, estimated.shapes)
+    own = sum(a * c for a, c in zip(estimated.amplitudes, columns, strict=True))
+    np.testing.assert_allclose(typed, own, rtol=1e-9, atol=1e-9 * np.abs(own).max())
 
 
 def test_next_diagnosis_starts_from_the_law():

@@ -1,10 +1,8 @@
-"""Every effect of the catalogue: linear, differentiable, dimensioned, dissipative."""
+"""Every effect of the catalogue: linear, dimensioned, dissipative."""
 
 import math
-from dataclasses import fields, replace
 from itertools import product
 
-import casadi as ca
 import numpy as np
 import pint
 import pytest
@@ -15,9 +13,7 @@ from stiffopt.discovery.catalogue import CATALOGUE, confused_with, effect
 from stiffopt.discovery.catalogue.common import WEIGHT
 from stiffopt.discovery.signals import JointConstants
 from stiffopt.discovery.user_effects import (
-    TERM_PARTS,
     constants_at,
-    evaluate_symbolically,
     find_faults,
     sample_signals,
     sample_signals_of,
@@ -92,12 +88,6 @@ REPORTED = {
 }
 ROBOT = sample_signals()
 BY_NAME = [pytest.param(e, id=e.name) for e in CATALOGUE]
-OF_JOINTS = [
-    pytest.param(e, id=e.name)
-    for e in CATALOGUE
-    if e.scope in ("joint", "run") and not e.couples_joints
-]
-MEMORY = ("hysteresis", "belt_creep")
 DISSIPATING = ("coulomb", "viscous", "stribeck", "load_friction", "position_friction")
 
 
@@ -107,13 +97,6 @@ def first_shapes(entry, signals):
 
 def sizes(entry, signals):
     return np.array([a.size(constants_at(entry, signals)) for a in entry.amplitudes])
-
-
-def symbols_of(signals):
-    names = [f.name for f in fields(signals) if isinstance(getattr(signals, f.name), np.ndarray)]
-    channels = {name: ca.SX.sym(name, len(signals.time)) for name in names}
-    numbers = np.concatenate([getattr(signals, name) for name in names])
-    return replace(signals, **channels), ca.vertcat(*channels.values()), numbers
 
 
 def test_catalogue_names_units_and_parameters_match_reference():
@@ -194,79 +177,6 @@ def test_terms_are_linear_in_amplitudes(index, factors, others, share):
     np.testing.assert_allclose(whole, parts, atol=1e-11 * 20.0 * scale, rtol=0.0)
 
 
-@pytest.mark.parametrize("entry", OF_JOINTS)
-def test_terms_with_symbols_match_arrays(entry):
-    short = sample_signals(count=20)
-    signals = sample_signals_of(entry, short)
-    symbolic, symbols, numbers = symbols_of(signals)
-    amplitudes, shapes = list(sizes(entry, signals)), first_shapes(entry, signals)
-    term = entry.term(symbolic, amplitudes, shapes)
-    expressions = [getattr(term, p) for p in TERM_PARTS if isinstance(getattr(term, p), ca.SX)]
-    function = ca.Function("term", [symbols], [ca.densify(ca.vertcat(*expressions))])
-    expected = stack_term(entry.term(signals, amplitudes, shapes))
-    np.testing.assert_allclose(
-        np.asarray(function(numbers)).ravel(), expected, atol=1e-12 * np.abs(expected).max()
-    )
-
-
-def test_robot_terms_accept_symbols_of_one_sample():
-    joints, parameters = ROBOT.body_regressor.shape[1:]
-    body, weight = ca.SX.sym("Y", joints, parameters), ca.SX.sym("g", joints, 3)
-    lever, tool = ca.SX.sym("J", 3, joints), ca.SX.sym("p", 1, 3)
-    arm = replace(
-        ROBOT.arm, body_regressor=body, weight=weight, tool_jacobian=lever, tool_position=tool
-    )
-    one = replace(ROBOT, arm=arm)
-    symbols = [body, weight, lever, tool]
-    k = 7
-    numbers = [
-        ROBOT.body_regressor[k],
-        ROBOT.weight[k],
-        ROBOT.tool_jacobian[k],
-        ROBOT.tool_position[k].reshape(1, 3),
-    ]
-    for name in ("payload", "base_tilt", "external_contact"):
-        entry = effect(name)
-        amplitudes, shapes = list(sizes(entry, ROBOT)), first_shapes(entry, ROBOT)
-        value = ca.Function("term", symbols, [entry.term(one, amplitudes, shapes).link_torque])
-        expected = entry.term(ROBOT, amplitudes, shapes).link_torque[k]
-        np.testing.assert_allclose(
-            np.asarray(value(*numbers)).ravel(), expected, rtol=1e-12, err_msg=name
-        )
-
-
-# Held shapes are numbers of joints, by which no derivative is taken.
-@pytest.mark.parametrize(
-    "entry", [e for e in BY_NAME if any(shape.fit != "held" for shape in e.values[0].shapes)]
-)
-def test_shape_derivatives_match_differences(entry):
-    signals = sample_signals_of(entry, ROBOT)
-    amplitudes = list(sizes(entry, signals))
-    for shapes in list(product(*(s.grid(constants_at(entry, signals)) for s in entry.shapes)))[::3]:
-        symbols = ca.MX.sym("p", len(shapes))
-        term = entry.term(signals, amplitudes, [symbols[i] for i in range(len(shapes))])
-        values = [ca.vec(v) for p in TERM_PARTS if isinstance(v := getattr(term, p), ca.MX)]
-        jacobian = np.asarray(
-            ca.Function("J", [symbols], [ca.jacobian(ca.vertcat(*values), symbols)])(list(shapes))
-        )
-        fixed = [p for p in TERM_PARTS if isinstance(getattr(term, p), ca.MX)]
-        for i, shape in enumerate(shapes):
-            # A place at zero is moved by a part of what the signals span.
-            step = 1e-6 * (abs(shape) or 1.0)
-
-            def moved(by, i=i, shapes=shapes, fixed=fixed):
-                at = list(shapes)
-                at[i] += by
-                changed = entry.term(signals, amplitudes, at)
-                return np.concatenate([np.ravel(getattr(changed, p), order="F") for p in fixed])
-
-            differences = (moved(step) - moved(-step)) / (2.0 * step)
-            largest = np.abs(differences).max()
-            # Next to a corner of a piecewise law the two sides of a difference disagree.
-            off = np.abs(jacobian[:, i] - differences) > 1e-5 * largest + 1e-10
-            assert np.mean(off) <= (0.02 if entry.name in ("k1_softening", "hysteresis") else 0.0)
-
-
 @pytest.mark.parametrize("name", DISSIPATING)
 def test_friction_dissipates(name):
     entry, signals = effect(name), ROBOT.of_joint(4)
@@ -344,14 +254,3 @@ def test_confused_effects_and_references_exist():
 def test_unknown_effect_suggests_nearest_name():
     with pytest.raises(InputError, match=r"'colomb'.*Did you mean 'coulomb'"):
         effect("colomb")
-
-
-def test_recurrence_terms_with_symbols_match_arrays():
-    for name in MEMORY:
-        entry, signals = effect(name), ROBOT.of_joint(4)
-        amplitudes, shapes = list(sizes(entry, signals)), first_shapes(entry, signals)
-        np.testing.assert_allclose(
-            evaluate_symbolically(entry, signals, amplitudes, shapes),
-            stack_term(entry.term(signals, amplitudes, shapes)),
-            rtol=1e-12,
-        )

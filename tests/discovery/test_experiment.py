@@ -14,9 +14,14 @@ from benchmarks.simulator import CaseSpec, simulate, write_case
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.experiment.collocation import improve_motion
 from stiffopt.discovery.experiment.design import ExperimentPlan, leading_pair, plan_experiment
-from stiffopt.discovery.experiment.motion import motion_limits, prepared_motion, random_motion
+from stiffopt.discovery.experiment.motion import (
+    DRAWS_PER_JOINT,
+    MotionLimits,
+    fourier_motion,
+    motion_limits,
+    prepared_motion,
+)
 from stiffopt.discovery.experiment.separation import Separation
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import SearchResult
@@ -75,9 +80,16 @@ def found() -> Found:
 @cache
 def plan() -> ExperimentPlan:
     own = found()
-    designed = plan_experiment(own.training, own.result, SETTINGS, (COULOMB, STRIBECK), seconds=8.0)
+    designed = plan_experiment(own.training, own.result, SETTINGS, (COULOMB, STRIBECK))
     assert designed is not None
     return designed
+
+
+def random_motion(
+    limits: MotionLimits, duration: float, random: np.random.Generator
+) -> Trajectory | None:
+    robot = found().training.robot
+    return fourier_motion(limits, robot, duration, random.normal(size=(robot.n, DRAWS_PER_JOINT)))
 
 
 def test_same_explanation_has_no_separation() -> None:
@@ -110,7 +122,7 @@ def test_separation_is_independent_of_design_sampling() -> None:
     """One motion sampled at 100 Hz, and told to be recorded at 200 Hz, counts as 200 Hz."""
     own = found()
     limits = motion_limits(own.training)
-    motion = random_motion(limits, own.training.robot, 5.0, np.random.default_rng(2))
+    motion = random_motion(limits, 5.0, np.random.default_rng(2))
     assert motion is not None
     run = prepared_motion(own.training, own.training.constants, motion, SETTINGS)
     separation = Separation(own.comparison, COULOMB, STRIBECK)
@@ -123,7 +135,7 @@ def test_random_motions_keep_the_limits_and_start_at_rest() -> None:
     own = found()
     limits, random = motion_limits(own.training), np.random.default_rng(5)
     for _ in range(5):
-        motion = random_motion(limits, own.training.robot, 4.0, random)
+        motion = random_motion(limits, 4.0, random)
         assert motion is not None
         assert limits.excess(own.training.robot, motion) <= 1.0
         times = np.linspace(0.0, motion.duration, 4001)
@@ -146,39 +158,21 @@ def test_designed_motion_beats_the_training_runs_within_the_limits() -> None:
     assert np.all(np.abs(torque) <= [j.torque_max for j in constants.joints])
 
 
-def test_collocation_improves_initial_motion() -> None:
+def test_variations_improve_on_random_motions() -> None:
+    """Also for an effect of several joints."""
     own = found()
-    separation = Separation(own.comparison, COULOMB, STRIBECK)
-    limits = motion_limits(own.training)
-    start = random_motion(limits, own.training.robot, 4.0, np.random.default_rng(1))
-    assert start is not None
+    crosstalk = effect("crosstalk", shapes=(2.0,))
+    separation = Separation(own.comparison, COULOMB, crosstalk)
+    limits, random = motion_limits(own.training), np.random.default_rng(1)
     values = []
-    for motion in (start, improved_from(separation, start)):
+    for _ in range(24):
+        motion = random_motion(limits, 5.0, random)
+        assert motion is not None
         run = prepared_motion(own.training, own.training.constants, motion, SETTINGS)
-        values.append(separation.of(run))
-    assert values[1] > 1.1 * values[0]
-
-
-def improved_from(separation: Separation, start: Trajectory) -> Trajectory:
-    own = found()
-    run = prepared_motion(own.training, own.training.constants, start, SETTINGS)
-    limits = motion_limits(own.training)
-    motion = improve_motion(separation, run, start, limits, seconds=20.0)
-    assert motion is not None
-    assert limits.excess(own.training.robot, motion) <= 1.0 / 0.95
-    return motion
-
-
-def test_collocation_rejects_terms_with_memory() -> None:
-    own = found()
-    creep = effect("belt_creep", shapes=(0.3,))
-    separation = Separation(own.comparison, effect("stiffness_linear"), creep)
-    motion = random_motion(
-        motion_limits(own.training), own.training.robot, 4.0, np.random.default_rng(1)
-    )
-    assert motion is not None
-    run = prepared_motion(own.training, own.training.constants, motion, SETTINGS)
-    assert improve_motion(separation, run, motion, motion_limits(own.training), seconds=5.0) is None
+        values.append(separation.of(run, step=own.training.runs[0].signals.dt))
+    designed = plan_experiment(own.training, own.result, SETTINGS, (COULOMB, crosstalk))
+    assert designed is not None
+    assert designed.separation > 1.1 * max(values)
 
 
 def test_experiment_sentence_and_file() -> None:

@@ -28,7 +28,7 @@ def training() -> Training:
     [
         (False, 0.0, 1.0, 1.0, 1.0),
         (False, 10.0, 1.0, 1.0, 0.5),  # as much open as explained
-        (True, 10.0, 1.0, 1.0, 0.75),  # a value that every joint has
+        (True, 10.0, 1.0, 1.0, 1.0),  # a value that every joint has
         (False, 0.0, 0.7, 1.0, 0.7),
         (False, 0.0, 1.0, 0.5, 0.5),
     ],
@@ -42,7 +42,9 @@ def test_probability_is_the_product_of_its_shares(
     again: float,
     probability: float,
 ) -> None:
-    gain = LeftOutGain(removed=10.0, left_open=left_open, share=0.5, support=support)
+    gain = LeftOutGain(
+        removed=10.0, left_open=left_open, share=0.5, explained=0.5, channel=1, support=support
+    )
     monkeypatch.setattr(conclusions, "left_out_gains", lambda *_: (gain,))
     located = LocatedEffect(effect=effect("coulomb"), joint=1, calibrated=calibrated)
     comparison = training.comparison()

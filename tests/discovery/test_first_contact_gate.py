@@ -14,6 +14,7 @@ from stiffopt.cli import run
 from stiffopt.discovery.comparison.channel_rows import known_noise
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepared_run import prepare_run
+from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.sanity.doubt import scale_line
 from stiffopt.discovery.sanity.gate import SanityGate
 from stiffopt.discovery.settings import Settings
@@ -82,10 +83,25 @@ def test_one_joint_that_is_still_a_current_is_named(tmp_path, capsys):
     assert "joint 2" in line
     file = folder / "recordings.toml"
     file.write_text(file.read_text() + '\n[signals.scale]\ntorque = [1.0, "A"]\n')
-    assert run(["recording", "check", str(folder)]) == 2
-    told = capsys.readouterr().err
+    assert run(["recording", "check", str(folder)]) == 0
+    told = capsys.readouterr().out
     assert "The torque of joint 2 is stated as a current in A" in told
-    assert 'or "" in place of its torque column' in told
+    assert "left out of a diagnosis" in told
+
+
+def test_a_current_without_a_known_factor_is_left_out_of_the_diagnosis(tmp_path):
+    """Its residual depends on the factor: nothing may be read from it, refusals neither."""
+
+    def scaled(_, columns):
+        columns["tau2"] = 3.0 * np.sign(np.sin(7.0 * columns["t"]))
+
+    folder = changed(tmp_path / "set", scaled)
+    file = folder / "recordings.toml"
+    file.write_text(file.read_text() + '\n[signals.scale]\ntorque = [1.0, "A"]\n')
+    found = diagnose(folder, experiment=False)
+    assert found.recordings.signals.torque[1] == ""
+    assert np.isnan(found.training.recorded[0].torque[:, 1]).all()
+    assert not any(each.located.joint == 2 for each in found.findings)
 
 
 def test_the_line_to_paste_for_currents_keeps_the_wrist_unknown(tmp_path, capsys):

@@ -1,12 +1,11 @@
 """Laws beyond the catalogue: grammar, files, and the search in a channel of known content."""
 
-import math
-import re
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from typed_laws import typed_torque
 
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, LocatedEffect
 from stiffopt.discovery.extended.model import load_extended
@@ -17,9 +16,10 @@ from stiffopt.discovery.law_search.free_function import best_sum, residual_table
 from stiffopt.discovery.law_search.open_channel import OpenChannel
 from stiffopt.discovery.law_search.search import search_channel
 from stiffopt.discovery.laws import operators
-from stiffopt.discovery.laws.forms import FORMS, SignalRange
+from stiffopt.discovery.laws.forms import FORMS
 from stiffopt.discovery.laws.law import Factor, Law, law_effect, law_of
 from stiffopt.discovery.laws.law_file import law_file_text
+from stiffopt.discovery.laws.shapes import SignalRange
 from stiffopt.discovery.laws.sources import SOURCE_KINDS, LawSource
 from stiffopt.discovery.laws.table import table_of
 from stiffopt.discovery.user_effects import (
@@ -30,6 +30,7 @@ from stiffopt.discovery.user_effects import (
     stack_term,
 )
 from stiffopt.errors import InputFileError
+from stiffopt.report.diagnosis.law_section import law_definitions, law_numbers
 
 EXTENT = SignalRange(low=-0.7, high=0.9, duration=6.0, rate=20.0, peaks=(0.7,))
 
@@ -78,23 +79,12 @@ def test_slopes_by_shapes_agree_with_differences(name: str) -> None:
 
 
 @pytest.mark.parametrize(("kind", "form"), EVERY)
-def test_the_equation_alone_gives_the_torque(kind: str, form: str) -> None:
-    signals = sample_signals()
+def test_the_text_of_the_page_alone_gives_the_torque(kind: str, form: str) -> None:
+    signals = sample_signals(count=300)
     law = law_with(kind, form)
     amplitudes = [1.37, -0.61, 0.4, 0.2][: law.amplitude_count]
-    text = law.equation.partition(" += ")[2]
-    # What another simulator has: symbols, numbers, and the definitions on the page.
-    space = {name: getattr(np, name) for name in ("tanh", "exp", "log", "abs", "sqrt", "sign")}
-    space |= {"cos": np.cos, "sin": np.sin, "pi": math.pi, "stop": operators.stop}
-    space["lag"] = lambda x, T: operators.lag(x, T, signals.dt)
-    space["sprung"] = lambda x, f, z: operators.sprung(x, f, z, signals.dt)
-    for factor in law.factors:
-        name = f"signal{len(space)}"
-        space[name] = np.asarray(factor.source.value(signals))
-        text = re.sub(rf"(?<![\w]){re.escape(factor.source.symbol)}(?!\w)", name, text)
-    space |= dict(zip(law.shape_names, law.shapes, strict=True))
-    space |= dict(zip(law.amplitude_names, amplitudes, strict=True))
-    typed = eval(text, space)
+    numbers = law_numbers(law, (*amplitudes, *law.shapes))
+    typed = typed_torque(law.equation, numbers, law_definitions(law), signals)
     columns = law.columns(signals)
     expected = sum(a * c for a, c in zip(amplitudes, columns, strict=True))
     assert typed == pytest.approx(expected, rel=1e-9, abs=1e-9 * np.abs(expected).max())
@@ -214,6 +204,36 @@ def test_a_form_becomes_more_general_where_the_data_ask_for_it() -> None:
         (factor,) = found.best.law.factors
         assert factor.form == form
     assert factor.shapes == pytest.approx((-0.2, 2.5), abs=0.1)
+
+
+def test_the_best_pairs_of_every_carrier_are_tried() -> None:
+    """A law of the load alone beside one in proportion to it, which explains much."""
+    found = search_channel(KnownChannel(lambda s: 9.0 * np.tanh(s.spring_torque[:, 4] / 6.0)))
+    assert found.best is not None
+    assert {f.source for f in found.best.law.factors} == {LawSource("load", 4)}
+
+
+@pytest.mark.parametrize("frequency", [0.3, 0.55, 0.9])
+def test_the_frequency_of_a_hidden_mode_is_searched(frequency: float) -> None:
+    def content(signals):
+        return operators.sprung(2.0 * signals.motor_acceleration[:, 4], frequency, 0.05, signals.dt)
+
+    found = search_channel(KnownChannel(content, noise=0.3))
+    assert found.best is not None
+    (factor,) = found.best.law.factors
+    assert factor.form == "sprung"
+    assert factor.shapes[0] == pytest.approx(frequency, rel=0.02)
+
+
+def test_the_order_of_a_motors_ripple_is_searched() -> None:
+    def content(signals):
+        return 4.0 * np.sin(190.4 * signals.motor_position[:, 4] + 0.3)
+
+    found = search_channel(KnownChannel(content))
+    assert found.best is not None
+    (factor,) = found.best.law.factors
+    assert factor.form == "harmonic"
+    assert factor.shapes[0] == pytest.approx(190.4, rel=1e-3)
 
 
 def test_an_overtone_is_found_beside_its_wave() -> None:

@@ -14,8 +14,8 @@ from stiffopt.discovery.comparison.channel_rows import ChannelNoise
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.search.cross_validation import FoldPredictions
 from stiffopt.discovery.search.left_out_gain import (
-    _FoldPredictions,
     _probability_of_gain,
     _smooth_squares,
     left_out_gains,
@@ -80,7 +80,7 @@ def test_nominal_values_out_of_bounds_do_not_stand_for_an_effect_left_out() -> N
     target = 5.0 * shape + draw.normal(size=len(shape))
     prior, limits = np.array([0.02, 1.0]), np.array([4.0, np.inf])
     fold = np.arange(len(shape)) * 6 // len(shape)
-    predictions = _FoldPredictions(columns, target, prior, limits, fold)
+    predictions = FoldPredictions(columns, target, prior, limits, fold)
     left = predictions.residual(np.array([True, False]))
     np.testing.assert_allclose(left, target - 0.8 * shape, atol=1e-6)
     both = predictions.residual(np.array([True, True]))

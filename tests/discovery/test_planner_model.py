@@ -144,7 +144,7 @@ factor = { value = 0.8, sd = 0.02 }
     assert deviation[2] == pytest.approx(0.025)
     assert np.isnan(np.delete(deviation, 2)).all()
     shares = bounds_from_deviations(Uncertainty(), deviation).shares(arm.n)
-    assert shares == pytest.approx([0.2, 0.2, 0.05, 0.2, 0.2, 0.2])
+    assert shares == pytest.approx([0.2, 0.2, 0.025 * np.sqrt(3.0), 0.2, 0.2, 0.2])
     assert np.isnan(planner_model(arm, own).stiffness_deviation).all()
     assert np.isnan(planner.payload_deviation)
 
@@ -167,7 +167,7 @@ def test_the_standard_deviation_of_a_payload_bounds_it_in_planning(
     unsure = bounds_from_deviations(
         Uncertainty(), planner.stiffness_deviation, planner.payload_deviation
     )
-    assert unsure.payload == pytest.approx(0.05)
+    assert unsure.payload == pytest.approx(0.025 * np.sqrt(3.0))
     assert np.isnan(planner_model(carrying, model).payload_deviation)
 
 

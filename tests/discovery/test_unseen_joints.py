@@ -9,7 +9,7 @@ from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.extended.model import load_extended
-from stiffopt.discovery.search.cross_validation import select_predictive
+from stiffopt.discovery.search.left_out_gain import select_predictive
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import prepare_training
 from stiffopt.recording.recording_set import load_recordings

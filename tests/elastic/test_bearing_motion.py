@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from stiffopt.baseline.rivals import quintic_law
 from stiffopt.drivetrain.bearing import OutputBearing
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.bearing_lead import LedPlan, bearing_lead
-from stiffopt.elastic.error_propagation import propagate_error
+from stiffopt.elastic.led_error import led_error
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.servo import Servo
 from stiffopt.elastic.simulate import simulate
@@ -105,24 +106,18 @@ def test_batch_of_uncertain_bearings_equals_single_simulations(tilting):
     assert _peak(found) == pytest.approx(_peak(expected), rel=0.02)
 
 
-def test_propagated_shares_of_bearings_equal_differences_of_simulated_arms(tilting):
-    # Slow and well damped, since the command leads bearings quasi-statically: what rings with it
-    # is no share of their uncertainty.
-    arm, plan = tilting[0].damped(0.2), _plan(1.0)
-    command = _command(arm, _led(arm, plan))
-    unsure = Uncertainty(stiffness=0.01, damping=0.0, payload=0.0, bearing_stiffness=0.02)
-    found = propagate_error(arm, plan, unsure, Servo())
-    motors, wanted = MotorMotion.of(command), MotorMotion.of(plan)
-    for j in range(3):
-        pair = [1.0 + side * 0.02 * np.eye(3)[j] for side in (-1.0, 1.0)]
-        errors = UncertainArms(arm, wanted).simulate(
-            [
-                Member(command=motors, departure=Departure(stiffness=np.ones(3), bearings=each))
-                for each in pair
-            ]
-        )
-        share = 0.5 * (errors.position[0] - errors.position[1])
-        own = np.mean(found.shares[f"bearing of joint {j + 1}"], axis=0)
-        assert _peak(own) == pytest.approx(_peak(share), rel=0.03)
-    # Three joints reach all three directions: the nominal tilt is led.
-    assert np.linalg.norm(found.mean, axis=1).max() < 1e-7
+def test_led_error_is_that_of_the_command_on_the_worst_bearings(tilting):
+    arm, plan = tilting[0], _plan(1.0)
+    command = MotorMotion.of(_command(arm, _led(arm, plan)))
+    servo = {"servo_bandwidth": 20.0, "servo_torque_feed_forward": 1.0}
+    unsure = Uncertainty(stiffness=0.0, damping=0.0, payload=0.0, bearing_stiffness=0.1, **servo)
+    arms = [
+        Departure(stiffness=np.ones(3), bearings=1.0 + 0.1 * np.array(signs))
+        for signs in product((-1.0, 1.0), repeat=3)
+    ]
+    members = [Member(command=command, departure=each) for each in arms]
+    errors = UncertainArms(arm, MotorMotion.of(plan)).simulate(members)
+    found = led_error(arm, plan, unsure, Servo())
+    assert found.shares == {"bearing": 1.0}
+    worst = errors.peaks(errors.flight)["position"].max()
+    assert found.in_flight == pytest.approx(worst, rel=0.02)

@@ -21,7 +21,7 @@ from stiffopt.elastic.uncertain_arms import (
     UncertainArms,
     simulate_uncertain_arms,
 )
-from stiffopt.elastic.uncertainty import Uncertainty, corners
+from stiffopt.elastic.uncertainty import ParameterBox, Uncertainty
 from stiffopt.robot.files import load_robot
 
 pytestmark = pytest.mark.skipif(native.library() is None, reason="needs the compiled core")
@@ -82,10 +82,11 @@ def test_compiled_batch_agrees_with_numpy(tmp_path, monkeypatch, soft):
     at = (0.3, 0.4)
     swinging = one_soft_joint(tmp_path) if soft == 1 else arm(tmp_path, "planar", at=at)
     unsure = Uncertainty(servo_feed_forward=0.98)
-    asked = []
+    box, asked = ParameterBox(unsure, swinging.robot), []
     for half in (0.2, 0.13):
         command, plan = (make((3.0, -4.0), half, at) for make in (bang, there_and_stop))
-        members = [Member(command=command, departure=each) for each in corners(unsure, 2, True)]
+        arms = [box.departure(each) for each in box.alike_corners()]
+        members = [Member(command=command, departure=each) for each in arms]
         asked.append(
             SimulationRequest(
                 UncertainArms(swinging, plan, worst=unsure.worst_servo(Servo())), members

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import product
+
 import numpy as np
 import pytest
 from elastic_arms import arm, bang, there_and_stop
 
+from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.servo import Servo
 from stiffopt.elastic.simulate import simulate
-from stiffopt.elastic.uncertain_arms import Member, UncertainArms
+from stiffopt.elastic.uncertain_arms import Member, UncertainArms, answer_together
 from stiffopt.elastic.uncertainty import (
     Departure,
+    ParameterBox,
     Uncertainty,
     bounds_from_deviations,
-    corners,
-    departure_at_bounds,
-    draw_departures,
-    one_at_a_time,
 )
+from stiffopt.elastic.worst_arms import worst_levels
 from stiffopt.errors import InputError, ProblemError, RobotError
 
 
@@ -32,12 +34,13 @@ def test_batch_deviations_agree_with_full_simulation(tmp_path):
     command = bang((3.0, -4.0), 0.2, (0.3, 0.4))
     plan = there_and_stop((3.0, -4.0), 0.2, (0.3, 0.4))
     unsure = Uncertainty(servo_feed_forward=0.98)
-    arms = [
-        Departure.none(2),
-        departure_at_bounds(unsure, np.array([-1.0, -1.0]), -1.0, 1.0, 0.0),
-        departure_at_bounds(unsure, np.array([1.0, -1.0]), 1.0, -1.0, 0.0),
-        departure_at_bounds(unsure, np.array([0.0, 0.0]), 0.0, 0.0, 1.0),
+    levels = [
+        [-1.0, -1.0, 0.0, 0.0, -1.0, 1.0, -1.0],
+        [1.0, -1.0, 0.0, 0.0, 1.0, -1.0, -1.0],
+        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
     ]
+    box = ParameterBox(unsure, elastic.robot)
+    arms = [Departure.none(2), *(box.departure(np.array(each)) for each in levels)]
     members = [Member(command=command, departure=each) for each in arms]
     swings = UncertainArms(elastic, plan, worst=unsure.worst_servo(Servo())).simulate(members)
     for k, each in enumerate(arms):
@@ -81,30 +84,53 @@ def test_heavier_payload_increases_windup(tmp_path):
         elastic.robot.with_payload_times(-0.1)
 
 
-def test_corners_and_draws_are_within_bounds():
-    unsure = Uncertainty(stiffness=(0.1, 0.3), seed=3)
-    found = corners(unsure, 2, True)
+def test_corners_and_draws_are_within_bounds(tmp_path):
+    unsure, robot = Uncertainty(stiffness=(0.1, 0.3), seed=3), planar(tmp_path).robot
+    box = ParameterBox(unsure, robot)
+    found = [box.departure(each) for each in box.alike_corners()]
     assert len(found) == 16
     assert {tuple(each.stiffness) for each in found} == {(0.9, 0.7), (1.1, 1.3)}
     assert {each.payload for each in found} == {0.9, 1.1}
-    assert len(corners(unsure, 2, False, servo=False)) == 4
-    assert [list(each.stiffness) for each in one_at_a_time(unsure, 2)] == [[0.9, 1.0], [1.0, 0.7]]
-    arms = draw_departures(unsure, 2, True)
+    assert {each.servo for each in found} == {0.0, 1.0}
+    empty = ParameterBox(unsure, replace(robot, payload=None), servo=False)
+    assert len(empty.alike_corners()) == 4
+    nominal, modelled = box.departure(box.nominal), Departure.none(2)
+    assert nominal.factors() == modelled.factors()
+    arms = box.drawn()
     stiffness = np.array([each.stiffness for each in arms])
     assert len(arms) == 60
     assert np.all(np.abs(stiffness - 1.0) <= [0.1, 0.3])
     assert np.all(np.std(stiffness, axis=0) > [0.04, 0.12])
-    again = np.array([each.stiffness for each in draw_departures(unsure, 2, True)])
-    assert np.array_equal(stiffness, again)
+    assert np.array_equal(stiffness, np.array([each.stiffness for each in box.drawn()]))
     assert "stiffness -10 % of J1, -30 % of J2" in found[0].label
+
+
+def test_worst_arms_are_the_worst_corners_of_all(tmp_path):
+    elastic = planar(tmp_path)
+    plan = there_and_stop((3.0, -4.0), 0.2, (0.3, 0.4))
+    command, unsure = MotorMotion.of(plan), Uncertainty(draws=200)
+    many = UncertainArms(elastic, plan)
+    box = ParameterBox(unsure, elastic.robot, servo=False)
+    (worst,) = answer_together([worst_levels(many, command, box)])
+    every = np.zeros((16, len(box.nominal)))
+    every[:, box.free] = list(product((-1.0, 1.0), repeat=4))
+
+    def peaks(arms):
+        error = many.simulate([Member(command=command, departure=each) for each in arms])
+        return [error.peaks(phase)["position"].max() for phase in (error.flight, error.after)]
+
+    found = peaks([box.departure(each) for each in worst])
+    assert found == pytest.approx(peaks([box.departure(each) for each in every]))
+    # Arms within the box may be worse than its corners, but hardly.
+    assert np.all(1.02 * np.array(found) >= peaks(box.drawn()))
 
 
 def test_standard_deviations_give_stiffness_bounds():
     unsure = bounds_from_deviations(Uncertainty(), np.array([np.nan, 0.03, 0.8]))
-    assert unsure.stiffness == pytest.approx((0.2, 0.06, 0.99))
+    assert unsure.stiffness == pytest.approx((0.2, 0.03 * np.sqrt(3.0), 0.99))
     assert unsure.payload == Uncertainty().payload
     heavy = bounds_from_deviations(Uncertainty(), np.array([np.nan, np.nan]), 0.03)
-    assert heavy.payload == pytest.approx(0.06)
+    assert heavy.payload == pytest.approx(0.03 * np.sqrt(3.0))
     assert heavy.stiffness == Uncertainty().stiffness
 
 

@@ -8,14 +8,16 @@ import json
 import re
 from dataclasses import replace
 from importlib import resources
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from scipy.interpolate import BPoly
 from synthetic_solution import assessment, solution
 
 from stiffopt.cli import run
 from stiffopt.export.format import FORMATS, read_seal
-from stiffopt.export.motion import read_motion
+from stiffopt.export.motion import MotionEvent, read_motion
 from stiffopt.files import write_csv
 from stiffopt.problem.files import load_problem
 from stiffopt.result.provenance import inputs_hash
@@ -91,7 +93,13 @@ def write_motion(folder, far=FAR, time=None, change=None):
 
 
 # Arm of each maker whose programs are written, by its format.
-MODELS = {"krl-rsi": "kr6_demo", "abb-egm": "irb_demo", "fanuc-stream": "lrmate_demo"}
+MODELS = {
+    "krl-rsi": "kr6_demo",
+    "abb-egm": "irb_demo",
+    "fanuc-stream": "lrmate_demo",
+    "yaskawa-job": "gp7_demo",
+    "staubli-val3": "tx2_60_demo",
+}
 
 
 def write_result_of_arm(folder, to):
@@ -258,6 +266,84 @@ def test_programs_approach_the_start_and_take_absolute_positions(folder, to, pro
     np.testing.assert_allclose(angles, np.degrees(swing(time)[0]), atol=1e-5)
 
 
+PULSES = [1341.4, -1907.7, 1593.0, 1023.0, 980.0, 455.0]
+VELOCITY_MAX = np.array([10.0, 10.0, 10.0, 15.0, 20.0, 30.0])
+
+
+def there_and_back(folder):
+    """Motion of `folder`, a rest of 0.3 s in which the gripper closes, and the way back."""
+    stored = read_motion(folder)
+    time = np.append(export_times(DURATION), DURATION + 0.3 + export_times(DURATION))
+    there, back = swing(export_times(DURATION)), swing(DURATION - export_times(DURATION))
+    rows = [np.vstack([a, s * b]) for a, b, s in zip(there, back, (1, -1, 1), strict=True)]
+    curve = BPoly.from_derivatives(time, np.stack(rows, axis=1))
+    events = (MotionEvent(time=DURATION, kind="grip", mass=2.5),)
+    robot = replace(stored.problem.robot, velocity_max=VELOCITY_MAX)
+    problem = replace(stored.problem, robot=robot)
+    return replace(stored, curve=curve, link=None, events=events, problem=problem)
+
+
+def test_yaskawa_job_has_moves_rest_and_gripper(folder):
+    write_result_of_arm(folder, "yaskawa-job")
+    (name, text), *_ = FORMATS["yaskawa-job"].with_pulses(PULSES).export(
+        there_and_back(folder), 40.0
+    ).items()  # fmt: skip
+    lines = text.split("\r\n")
+    assert name == f"{lines[1].removeprefix('//NAME ')}.JBI"
+    points = {key: np.array(row.split(","), dtype=int) for key, row in
+              (line.split("=") for line in lines if re.match(r"C\d{5}=", line))}  # fmt: skip
+    assert f"///NPOS {len(points)},0,0,0,0,0" in lines
+    code = lines[lines.index("NOP") + 1 : lines.index("END")]
+    assert all(len(line) <= 33 for line in code)
+    moves = [line.split() for line in code if line.startswith("MOVJ")]
+    assert [move[1] for move in moves] == list(points)
+    # At the speeds of the job, the fastest joint passes the points in the planned time.
+    angles = np.radians(np.array(list(points.values())) / PULSES)
+    speeds = np.array([float(move[2].removeprefix("VJ=")) for move in moves[1:]]) / 100.0
+    seconds = np.max(np.abs(np.diff(angles, axis=0)) / VELOCITY_MAX, axis=1) / speeds
+    assert np.sum(seconds) == pytest.approx(2 * DURATION, abs=5e-3)
+    grip = code.index("DOUT OT#(1) ON")
+    assert code[grip - 1] == "'grip, then 2.5 kg"
+    assert code[grip - 2].endswith("PL=0")
+    assert float(code[grip + 1].removeprefix("TIMER T=")) == pytest.approx(0.3, abs=0.01)
+    at_grip = points[code[grip - 2].split()[1]]
+    np.testing.assert_allclose(at_grip / PULSES, np.degrees(FAR), atol=2e-3)
+
+
+def test_val3_application_has_moves_rest_and_gripper(folder):
+    write_result_of_arm(folder, "staubli-val3")
+    texts = FORMATS["staubli-val3"].export(there_and_back(folder), 40.0)
+    trees = {name.split("/")[1]: ElementTree.fromstring(text) for name, text in texts.items()}
+    named = [each.get("file") for each in trees["pick___and_plac.pjx"].iter() if each.get("file")]
+    assert sorted([*named, "pick___and_plac.pjx"]) == sorted(trees)
+    arrays = {each.get("name"): list(each) for each in trees["pick___and_plac.dtx"].iter()
+              if each.get("name")}  # fmt: skip
+    angles = np.array([[float(row.get(f"j{j}")) for j in range(1, 7)] for row in arrays["jMotion"]])
+    (code,) = (each.text.split("\n") for each in trees["start.pgx"].iter() if "Code" in each.tag)
+    code = [line.strip() for line in code]
+    moves = [line for line in code if line.startswith("movej")]
+    assert moves == [f"movej(jMotion[{k}],tTool,mMotion[{k}])" for k in range(len(angles))]
+    assert len(arrays["mMotion"]) == len(angles)
+    middle = code.index("close(tTool)")
+    assert code[middle - 1] == code[middle + 1] == "waitEndMove()"
+    assert float(code[middle + 2][6:-1]) == pytest.approx(0.3, abs=5e-3)
+    at_grip = [line for line in code[:middle] if line.startswith("movej")]
+    np.testing.assert_allclose(angles[len(at_grip) - 1], np.degrees(FAR), atol=1e-5)
+    assert arrays["mMotion"][len(at_grip) - 1].get("blend") == "off"
+    assert {each.get("blend") for each in arrays["mMotion"][1 : len(at_grip) - 1]} == {"joint"}
+
+
+def test_val3_data_are_checked(folder, capsys):
+    write_result_of_arm(folder, "staubli-val3")
+    out = folder / "out"
+    assert run(["export", str(folder), "--to", "staubli-val3", "--out", str(out)]) == 0
+    data = out / "pick___and_plac" / "pick___and_plac.dtx"
+    assert run(["check", str(data), "--result", str(folder)]) == 0
+    data.write_text(data.read_text().replace('j2="-5', 'j2="-6', 1))
+    assert run(["check", str(data), "--result", str(folder)]) == 2
+    assert "was changed after its export" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("to", list(MODELS))
 def test_programs_go_to_arms_of_their_maker_only(folder, to, capsys):
     assert run(["export", str(folder), "--to", to]) == 2
@@ -286,11 +372,25 @@ def test_csv_has_the_joints_names(folder, tmp_path):
         (["--to", "csv", "--rate", "nan"], "above 0"),
         (["--to", "mjcf"], "with the formats abb-egm, csv, fanuc-stream, krl-rsi"),
         (["--to", "abb"], "Allowed: abb-egm, csv"),
+        (["--to", "yaskawa-job", "--pulses", "1,2"], "6 numbers"),
+        (["--to", "yaskawa-job", "--pulses", "a"], "separated by commas"),
+        (["--to", "csv", "--pulses", "1"], "CSV takes no pulses"),
     ],
 )
 def test_values_outside_a_format_are_refused(folder, arguments, words, capsys):
     assert run(["export", str(folder), *arguments]) == 2
     assert words in capsys.readouterr().err
+
+
+def test_a_job_needs_pulses_and_shares_of_speed_need_limits(folder, capsys):
+    write_result_of_arm(folder, "yaskawa-job")
+    assert run(["export", str(folder), "--to", "yaskawa-job"]) == 2
+    assert "Give the pulses per degree of axes S, L, U, R, B and T" in capsys.readouterr().err
+    stored = read_motion(folder)
+    robot = replace(stored.problem.robot, velocity_max=np.full(6, np.inf))
+    unlimited = replace(stored, problem=replace(stored.problem, robot=robot))
+    with pytest.raises(ValueError, match="has no velocity limit"):
+        FORMATS["yaskawa-job"].with_pulses(PULSES).export(unlimited)
 
 
 @pytest.mark.parametrize("name", ["urscript", "krl-rsi"])

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from rail_arm import write_ur10_on_rail
 from scipy.spatial.transform import Rotation
-from small_arms import ROOT
 
 from stiffopt.certificate.assess import joint_windup
 from stiffopt.certificate.rigid_body import rigid_body_history
@@ -45,16 +45,6 @@ to = {{ position = ["{x} mm", "50 mm", "180 mm"] }}
 
 [[minimise]]
 objective = "duration"
-"""
-RAIL = """<link name="cart"><inertial><mass value="50"/>
-<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
-<joint name="rail" type="prismatic"><parent link="world"/><child link="cart"/><axis xyz="0 1 0"/>
-<limit lower="-0.5" upper="0.5" effort="2000" velocity="1"/></joint>"""
-RAIL_JOINT = """[[joint]]
-name = "rail"
-torque_max = 2000.0
-velocity_max = 1.0
-acceleration_max = 5.0
 """
 ARMS = {"er3a_c60": ("link_6", 330), "ur10": ("flange", 600)}
 
@@ -249,13 +239,7 @@ def test_a_posture_that_collides_comes_last(choose, tmp_path):
 @pytest.mark.slow
 def test_a_rail_is_used(tmp_path):
     """The arm on a slide along the feed deflects less than the arm that stands."""
-    data = ROOT / "stiffopt" / "robot" / "data" / "ur10"
-    urdf, robot = ((data / name).read_text() for name in ("robot.urdf", "robot.toml"))
-    urdf = urdf.replace('<parent link="world"/>', '<parent link="cart"/>', 1)
-    urdf = urdf.replace('<link name="world"/>', f'<link name="world"/>{RAIL}', 1)
-    robot = robot.replace("[[joint]]", f"{RAIL_JOINT}\n[[joint]]", 1)
-    (tmp_path / "robot.urdf").write_text(urdf)
-    (tmp_path / "robot.toml").write_text(robot)
+    write_ur10_on_rail(tmp_path)
     link, x = ARMS["ur10"]
     peaks = {}
     for name in ("ur10", "robot.toml"):

@@ -231,6 +231,7 @@ def test_a_path_is_read_as_waypoints_and_a_speed(tmp_path):
     [
         ('type = "lin"', 'type = "circ"', "`through` belongs to"),
         ('blend = "30 mm"', "", "where it would have to stop"),
+        ('blend = "30 mm"', 'blend = "500 mm"', r"path\.segment\[1\].*blends take"),
         ("[motion]\n", f"[motion]\nstart = {POSE}\nend = {POSE}\n", "Remove start"),
         ('speed = "0.2 m/s"', 'speed = "0 m/s"', "speed"),
     ],

@@ -7,41 +7,17 @@ import numpy as np
 import pytest
 import small_arms
 from shaped_arms import MESH, load, with_shapes, write_stl
-from small_arms import SLIDE, SPATIAL, write_problem
+from small_arms import write_problem
 
 from stiffopt.certificate.assess import assess
 from stiffopt.problem.files import load_problem
 from stiffopt.report.scene.document import compact_mesh, edges_around, scene_document, scene_json
-from stiffopt.report.scene.poses import (
-    Poses,
-    joint_frames,
-    poses_along,
-    tool_jacobian,
-    tool_positions,
-)
+from stiffopt.report.scene.poses import Poses, poses_along
 from stiffopt.report.scene.still import still_figure
 from stiffopt.result.trajectory import Trajectory
+from stiffopt.robot.batched_kinematics import tool_jacobians
 from stiffopt.robot.cell import Box, Cell, MeshObstacle, Plane
-from stiffopt.robot.frames import LinkFrame
 from stiffopt.robot.link_shapes import LinkShape
-
-
-@pytest.mark.parametrize("text", [SPATIAL, SLIDE], ids=["spatial", "slide"])
-def test_frames_and_jacobians_match_pinocchio(tmp_path, text):
-    arm = load(tmp_path, text)
-    q = np.random.default_rng(3).uniform(-1, 1, (5, arm.n))
-    rotations, origins = joint_frames(arm.tree, q)
-    bodies = arm.rigid_bodies()
-    for k, angles in enumerate(q):
-        for j in range(arm.n):
-            at, turn = bodies.pose(LinkFrame(j + 1, np.zeros(3), np.eye(3)), angles)
-            np.testing.assert_allclose(origins[k, j], at, atol=1e-12)
-            np.testing.assert_allclose(rotations[k, j], turn, atol=1e-12)
-        np.testing.assert_allclose(
-            tool_positions(arm.tree, arm.tool, q)[k], bodies.pose(arm.tool, angles)[0], atol=1e-12
-        )
-        jacobian = tool_jacobian(arm.tree, arm.tool, q)[k]
-        np.testing.assert_allclose(jacobian, bodies.jacobian(arm.tool, angles)[:3], atol=1e-12)
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +39,7 @@ def test_windup_gives_the_deflection_and_shares_add_up(moved):
     problem, motion = moved
     poses = poses_along(problem, motion)
     assert set(poses.bend) == {"dynamic", "static", "process", "total"}
-    jacobian = tool_jacobian(problem.robot.tree, problem.robot.tool, poses.position)
+    _, jacobian = tool_jacobians(problem.robot.tree, problem.robot.tool, poses.position)
     for part, bend in poses.bend.items():
         vectors = np.einsum("kij,kj->ki", jacobian, bend)
         size = np.linalg.norm(vectors, axis=1)

@@ -156,15 +156,15 @@ def test_without_the_compiled_core_it_is_mumps(monkeypatch):
     assert IpoptOptions().for_ipopt()["linear_solver"] == "mumps"
 
 
-def phases_with_durations(random, phases, nodes=60):
+def phases_with_durations(random, phases, nodes=60, pivot=4.0):
     """A chain of nodes; each phase's nodes meet its duration, the durations have a given sum."""
     count = phases * nodes
     whole = np.zeros((count + phases + 1, count + phases + 1))
     for k in range(count):
-        whole[k, k] = 4.0 + random.uniform()
+        whole[k, k] = pivot * (1.0 + random.uniform())
         whole[k, count + k // nodes] = random.normal()
         if k + 1 < count:
-            whole[k, k + 1] = random.normal()
+            whole[k, k + 1] = 0.25 * pivot * random.normal()
     for phase in range(phases):
         whole[count + phase, count + phase] = 100.0
         whole[count + phase, -1] = 1.0
@@ -183,3 +183,15 @@ def test_fronts_do_not_grow_with_the_number_of_phases(made):
         assert np.abs(matrix @ x - right).max() < 1e-10
         fronts.append(front)
     assert fronts[1] <= fronts[0] + 2
+
+
+def test_large_entries_with_the_border_delay_no_pivot(made):
+    """Pivots are small against a duration's entries alone, which has a scale of its own."""
+    random = np.random.default_rng(3)
+    matrix = phases_with_durations(random, 8, pivot=1e-9)
+    right = random.normal(size=len(matrix))
+    flag, x, negative, front = solved_with_front(made, matrix, right)
+    assert flag == 0
+    assert negative == np.sum(np.linalg.eigvalsh(matrix) < 0.0)
+    assert np.abs(matrix @ x - right).max() < 1e-13 * np.abs(x).max()
+    assert front < 12

@@ -96,5 +96,11 @@ def test_command_line_writes_command_and_report(tmp_path, capsys):
     assert document["kept"]
     command = read_table(out / "command.csv", ["t", "q1", "link1"])
     assert command["link1"][-1] == pytest.approx(positions[-1, 0], abs=1e-5)
+    assert run(["export", str(out), "--to", "ros2"]) == 0
+    assert run(["check", str(out / "joint_trajectory.yaml")]) == 0
+    capsys.readouterr()
+    (out / "command.csv").write_text((out / "command.csv").read_text().replace("1", "2", 1))
+    assert run(["export", str(out), "--to", "csv"]) == 2
+    assert "was changed since" in capsys.readouterr().err
     assert "The motion as given" in (out / "report.html").read_text()
     assert run(["improve", str(file)]) == 2

@@ -8,8 +8,13 @@ from ruckig import InputParameter, Ruckig
 from ruckig import Trajectory as RuckigTrajectory
 
 from stiffopt.baseline.toppra_motion import toppra_baseline
+from stiffopt.certificate.rigid_body import rigid_body_history
 from stiffopt.path.path_timing import PathDemands, fastest_timing
+from stiffopt.path.timed_path import timed_motion
 from stiffopt.problem.limit import Limits
+from stiffopt.problem.limits.joint_curve import curve_at
+from stiffopt.problem.objective import Objective
+from stiffopt.problem.trajectory import Target, TrajectoryProblem
 from stiffopt.result.joint_path import JointPath
 from stiffopt.robot.files import load_robot
 
@@ -42,6 +47,29 @@ def test_duration_is_that_of_toppra_where_only_its_limits_are_asked():
         reference = toppra_baseline(arm, limits, path, intervals=2000).fastest
         law = fastest_timing(arm, limits, path, PathDemands(eased=False))
         assert law.duration == pytest.approx(reference, rel=5e-3)
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+def test_certified_duration_is_that_of_toppra_where_torque_and_tool_speed_limit(seed):
+    """Torque and tool speed are kept between the stages too: nothing is backed off as a whole."""
+    arm = load_robot("er3a_c60")
+    limits = {"jerk": FREE, "acceleration": FREE, "tool_speed": 1.0}
+    lower, upper = np.clip([arm.position_lower, arm.position_upper], -2.0, 2.0)
+    waypoints = np.random.default_rng(seed).uniform(0.6 * lower, 0.6 * upper, (5, 6))
+    problem = TrajectoryProblem(
+        robot=arm,
+        start=Target(joints=waypoints[0]),
+        end=Target(joints=waypoints[-1]),
+        duration=(0.01, np.inf),
+        objectives=(Objective(name="duration"),),
+        limits=Limits({**Limits.of(arm).values, **limits}),
+        boundary_acceleration="free",
+        path=waypoints,
+    )
+    reference = toppra_baseline(arm, problem.limits, problem.path, intervals=2000).fastest
+    found = timed_motion(problem)
+    assert found.assessment.feasible(5e-3)
+    assert found.assessment.duration == pytest.approx(reference, rel=5e-3)
 
 
 def test_duration_on_a_straight_path_is_that_of_an_s_curve():
@@ -85,3 +113,20 @@ def test_speed_of_the_path_and_of_the_tool_are_kept_where_asked():
     slow_part = law(time)[:, 0] < path.knots[1]
     assert max(np.array(speed)[slow_part]) <= 0.3 * 1.005
     assert max(speed) == pytest.approx(0.6, rel=1e-2)
+
+
+def test_torque_of_the_drives_falls_with_their_speed():
+    arm = load_robot("ur10")
+    own, path = Limits.of(arm), JointPath.through(WAYPOINTS)
+    speeds = np.stack([np.zeros(6), own.velocity])
+    torques = np.stack([own.torque, 0.45 * own.torque])
+    free = {**own.values, "jerk": FREE, "acceleration": FREE}
+    limits = Limits({**free, "torque_map": (speeds, torques)})
+    law = fastest_timing(arm, limits, path, PathDemands(eased=False))
+    motion, time = path.follow(law), np.linspace(0.0, law.duration, 4001)
+    torque = rigid_body_history(arm, *(motion(time, k) for k in range(3))).link_torque
+    torque = torque + arm.rotor_inertia * motion(time, 2)
+    used = np.abs(torque) / curve_at((speeds, torques), np.abs(motion(time, 1)))
+    assert 0.97 < used.max() < 1.005
+    plain = fastest_timing(arm, Limits(free), path, PathDemands(eased=False))
+    assert law.duration > plain.duration

@@ -17,6 +17,7 @@ from stiffopt.problem.resolve import resolve
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver import robust_plan
 from stiffopt.solver.input_shaping import windows_for_arms
+from stiffopt.solver.simulated_solution import with_simulation
 from stiffopt.solver.solve import solve, solve_with_state
 
 DEVIATION = 'objective = "tool_deviation"'
@@ -167,3 +168,19 @@ def test_interruption_of_shaping_keeps_the_solution(averaged, monkeypatch):
     found = solve(averaged[0], throw=False)
     assert found.status is SolveStatus.INTERRUPTED
     assert found.assessment.feasible(CERTIFICATE_TOLERANCE)
+
+
+@pytest.mark.slow
+def test_fastest_motion_has_a_command_where_an_uncertainty_is_stated(tmp_path):
+    """Motors that lead the motion at the limits of the plan would exceed their own."""
+    fastest = load(
+        tmp_path, minimise='objective = "duration"', duration="{ lower = 0.1, upper = 5.0 }"
+    )
+    assert not fastest.plans_links
+    asked = replace(fastest, uncertainty=Uncertainty(draws=50))
+    bare, led = (solve(each) for each in (fastest, asked))
+    assert bare.duration < led.duration < 1.15 * bare.duration
+    assert with_simulation(asked, led).compensation.command is not None
+    arm = elastic_arm(asked, bare.assessment.position[0])
+    refused, _ = compensate_motion(asked, arm, PlannedMotion.of("bare", bare.assessment, True))
+    assert refused.excess[0].value > 0.1

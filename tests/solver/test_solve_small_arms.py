@@ -218,6 +218,24 @@ def test_a_speed_map_is_kept_at_every_instant(tmp_path):
     assert np.max(motion.velocity[:, 0] / allowed) <= 1 + EXCESS
 
 
+def test_torque_falls_with_speed_as_the_motors_curve(tmp_path):
+    """From 25 N m at rest to 10 N m at 3 rad/s in the first joint: the motion runs along it."""
+    rows = ["v1,t1,v2,t2", "0.0,25.0,0.0,60.0", "3.0,10.0,6.0,60.0"]
+    (tmp_path / "curve.csv").write_text("\n".join(rows))
+    _, solution = solved(
+        tmp_path,
+        duration="{ lower = 0.2, upper = 2.0 }",
+        minimise='objective = "duration"',
+        limits="torque_by_speed = 'curve.csv'",
+        method="intervals = 48",
+    )
+    motion = solution.assessment
+    speed, torque = np.abs(motion.velocity[:, 0]), np.abs(motion.torque[:, 0])
+    used = torque / np.interp(speed, [0.0, 3.0], [25.0, 10.0])
+    assert 0.98 < np.max(used) <= 1 + EXCESS
+    assert np.max(used[speed > 1.0]) > 0.98
+
+
 def test_a_process_force_loads_the_springs(tmp_path):
     problem, solution = solved(
         tmp_path,

@@ -225,12 +225,13 @@ def test_repeated_stamps_are_not_counted_as_steps(tmp_path):
         ("rad", 1.0, "", False),
         ("rad", 57.3, "deg/s", False),
         ("mrad", 57.3, "deg/s", False),
+        ("deg", 9.549, "rpm", False),
         ("rad", 1000.0, "", True),
         ("counts", 57.3, "", True),
     ],
 )
 def test_speed_unit_is_guessed_from_positions(position, factor, unit, unsure, tmp_path):
-    each = {"rad": 1.0, "mrad": 1e3, "counts": 1e6}[position]
+    each = {"rad": 1.0, "deg": 57.3, "mrad": 1e3, "counts": 1e6}[position]
     columns = [each * v for v in VALUES[:2]] + [factor * np.gradient(v, TIME) for v in VALUES[:2]]
     names = ["t", f"q1 [{position}]", f"q2 [{position}]", "qd1", "qd2", *NAMES[3:]]
     found = guessed(tmp_path, lines(names, [TIME, *columns, *VALUES[2:]]))

@@ -79,6 +79,7 @@ def test_own_ros_export_is_read_back(arm, tmp_path):
         which="motor",
         joint_names=arm.joint_names,
         prismatic=arm.prismatic,
+        velocity_max=arm.velocity_max,
         time=TIME,
         position=POSITION,
         velocity=0.0 * POSITION,

@@ -94,7 +94,6 @@ def effects_of_runs(
 
     Parameters
     ----------
-    effects : sequence of Effect
     runs : sequence of str
         Names of the training runs.
     after : sequence of str
@@ -115,7 +114,6 @@ def changes_in(effects: Sequence[Effect], runs: Sequence[str]) -> tuple[Effect, 
 
     Parameters
     ----------
-    effects : sequence of Effect
     runs : sequence of str
         Names of all runs of that state.
     """

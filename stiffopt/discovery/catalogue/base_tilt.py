@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 
-from stiffopt.discovery.catalogue.common import component
-from stiffopt.discovery.effect import Amplitude, Effect, FittedEffect, RobotChange, Shape, Term
+from stiffopt.discovery.effect import (
+    Amplitude,
+    Effect,
+    FittedEffect,
+    Reported,
+    RobotChange,
+    Shape,
+    Term,
+    Values,
+)
 from stiffopt.discovery.signals import JointConstants, RobotConstants, RobotSignals
 from stiffopt.robot.robot import Robot
-from stiffopt.symbolic import Quantity
 
 # Typical tilt [rad]: between a base that is not level and one on a slanted plate.
 _TYPICAL_TILT = 0.05
@@ -20,9 +25,7 @@ _MAX_AMPLITUDE = 4.0
 _ALONG_GRAVITY = 1.0 - 1e-9
 
 
-def base_tilt_term(
-    signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def base_tilt_term(signals: RobotSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return the torques of gravity rotated against the base.
 
     For a rotation of the base by the angle r about a unit vector n normal to gravity g, and with
@@ -33,15 +36,9 @@ def base_tilt_term(
     axes = tilt_axes(gravity)
     size = 1.0 + 0.25 * sum(shape * shape for shape in shapes)
     along = 0.5 * sum(a * s for a, s in zip(amplitudes, shapes, strict=True))
-    torque: Quantity = 0.0
-    for k in range(3):
-        across = sum(
-            amplitude * float(np.cross(axis, gravity)[k])
-            for amplitude, axis in zip(amplitudes, axes, strict=True)
-        )
-        change = -(across + along * float(gravity[k])) / size
-        torque = torque + change * component(signals.weight, k)
-    return Term(link_torque=torque)
+    turned = sum(a * axis for a, axis in zip(amplitudes, axes, strict=True))
+    change = -(np.cross(turned, gravity) + along * gravity) / size
+    return Term(link_torque=signals.weight @ change)
 
 
 def tilt_axes(gravity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -56,7 +53,7 @@ def tilt_axes(gravity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return first, second if second.sum() > 0.0 else -second
 
 
-def tilted_gravity(amplitudes: Sequence[float], gravity: np.ndarray) -> np.ndarray:
+def tilted_gravity(amplitudes: Values, gravity: np.ndarray) -> np.ndarray:
     """Return gravity (3,) in the axes of the tilted base [m/s^2]."""
     vector = _rotation_vector(amplitudes, gravity)
     angle = float(np.linalg.norm(vector))
@@ -66,7 +63,7 @@ def tilted_gravity(amplitudes: Sequence[float], gravity: np.ndarray) -> np.ndarr
     return np.asarray(gravity * np.cos(angle) - np.cross(axis, gravity) * np.sin(angle))
 
 
-def _rotation_vector(amplitudes: Sequence[float], gravity: np.ndarray) -> np.ndarray:
+def _rotation_vector(amplitudes: Values, gravity: np.ndarray) -> np.ndarray:
     """Return the rotation of the base [rad] about base axes (3,)."""
     turned = sum(a * axis for a, axis in zip(amplitudes, tilt_axes(gravity), strict=True))
     half_tangent = 0.5 * float(np.linalg.norm(turned))
@@ -74,9 +71,7 @@ def _rotation_vector(amplitudes: Sequence[float], gravity: np.ndarray) -> np.nda
     return np.asarray(share * turned)
 
 
-def _report_tilt(
-    amplitudes: Sequence[float], shapes: Sequence[float], constants: RobotConstants
-) -> Mapping[str, float]:
+def _report_tilt(amplitudes: Values, shapes: Values, constants: RobotConstants) -> Reported:
     gravity = np.asarray(constants.gravity, dtype=float)
     vector = _rotation_vector(amplitudes, gravity)
     along = np.abs(gravity) >= _ALONG_GRAVITY * np.linalg.norm(gravity)
@@ -87,9 +82,7 @@ def _report_tilt(
     }
 
 
-def _describe_remedy(
-    amplitudes: Sequence[float], shapes: Sequence[float], constants: RobotConstants
-) -> str:
+def _describe_remedy(amplitudes: Values, shapes: Values, constants: RobotConstants) -> str:
     gravity = np.asarray(constants.gravity, dtype=float)
     angle = np.degrees(np.linalg.norm(_rotation_vector(amplitudes, gravity)))
     values = ", ".join(f"{value:.3f}" for value in tilted_gravity(amplitudes, gravity))
@@ -123,24 +116,16 @@ BASE_TILT = Effect(
     term=base_tilt_term,
     amplitudes=tuple(
         Amplitude(
-            name=name,
-            unit="rad",
-            scale=_TYPICAL_TILT,
-            lower=-_MAX_AMPLITUDE / _TYPICAL_TILT,
-            upper=_MAX_AMPLITUDE / _TYPICAL_TILT,
+            name,
+            "rad",
+            _TYPICAL_TILT,
+            -_MAX_AMPLITUDE / _TYPICAL_TILT,
+            _MAX_AMPLITUDE / _TYPICAL_TILT,
         )
         for name in ("rx", "ry")
     ),
     shapes=tuple(
-        Shape(
-            name=name,
-            unit="rad",
-            starts=(0.0,),
-            lower=-_MAX_AMPLITUDE,
-            upper=_MAX_AMPLITUDE,
-            usual=0.0,
-            fit="secant",
-        )
+        Shape(name, "rad", (0.0,), -_MAX_AMPLITUDE, _MAX_AMPLITUDE, 0.0, fit="secant")
         for name in ("about_x", "about_y")
     ),
     report=_report_tilt,

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 
-from stiffopt.discovery.catalogue.common import Constants, winds_up, working_compliance
+from stiffopt.discovery.catalogue.common import winds_up, working_compliance
 from stiffopt.discovery.catalogue.recurrence import first_order_lag
 from stiffopt.discovery.catalogue.robot_change import (
     TORQUE_SHARES,
@@ -14,30 +12,25 @@ from stiffopt.discovery.catalogue.robot_change import (
     with_chain,
     with_series_spring,
 )
-from stiffopt.discovery.effect import Amplitude, Effect, FittedEffect, RobotChange, Shape, Term
+from stiffopt.discovery.effect import (
+    Amplitude,
+    Effect,
+    FittedEffect,
+    RobotChange,
+    Shape,
+    Term,
+    Values,
+)
 from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.robot.robot import Robot
-from stiffopt.symbolic import Quantity
 
 
-def belt_creep_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def belt_creep_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return the wind-up C_now s + C_creep y, dy/dt = (s - y)/tau_r."""
     s = signals.spring_torque
     # A belt has settled under the load at the begin of the run.
     slow = first_order_lag(s, np.exp(-signals.dt / shapes[0]))
     return Term(deflection=amplitudes[0] * s + amplitudes[1] * slow)
-
-
-def _report_belt(
-    amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
-) -> Mapping[str, float]:
-    return {"C": amplitudes[0] + amplitudes[1], "tau_r": shapes[0]}
-
-
-def _may_have_belt(constants: JointConstants) -> bool:
-    return winds_up(constants) and constants.belt is not False
 
 
 def put_belt_in_series(
@@ -64,13 +57,13 @@ BELT_CREEP = Effect(
     change_robot=put_belt_in_series,
     term=belt_creep_term,
     amplitudes=(
-        Amplitude(name="C_now", unit="rad/(N m)", scale=working_compliance, lower=0.0, upper=2.0),
-        Amplitude(name="C_creep", unit="rad/(N m)", scale=working_compliance, lower=0.0, upper=2.0),
+        Amplitude("C_now", "rad/(N m)", working_compliance, 0.0, 2.0),
+        Amplitude("C_creep", "rad/(N m)", working_compliance, 0.0, 2.0),
     ),
-    shapes=(Shape(name="tau_r", unit="s", starts=(0.03, 0.1, 0.3, 1.0), lower=0.01, upper=5.0),),
-    report=_report_belt,
+    shapes=(Shape("tau_r", "s", (0.03, 0.1, 0.3, 1.0), 0.01, 5.0),),
+    report=lambda a, s, constants: {"C": a[0] + a[1], "tau_r": s[0]},
     units={"C": "rad/(N m)"},
-    applies=_may_have_belt,
+    applies=lambda constants: winds_up(constants) and constants.belt is not False,
     lags=True,
     separate="Run one path fast and slowly: creep shows in the difference, a plain change of"
     " stiffness and hysteresis do not.",

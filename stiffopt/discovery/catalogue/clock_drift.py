@@ -2,30 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from stiffopt.discovery.catalogue.time_shift import shift_slope
-from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
+from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term, Values
 from stiffopt.discovery.signals import RobotSignals
-from stiffopt.symbolic import Quantity
 
 # Largest relative difference of two clocks: 1 % is a rate in the place of another; crystals agree
 # to 1e-4.
 _MAX_RATE_DIFFERENCE = 0.01
 
 
-def clock_drift_term(
-    signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def clock_drift_term(signals: RobotSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return tau(t - d - e t) - tau(t) of all joints, linear in e about the shape, and in d."""
     elapsed = signals.time - signals.time[0]
-    drift = shift_slope(
-        signals.drive_torque,
-        signals.dt,
-        shapes[0],
-        _MAX_RATE_DIFFERENCE * float(elapsed[-1]),
-        growth=elapsed,
-    )
+    drift = shift_slope(signals.drive_torque, signals.dt, shapes[0], elapsed)
     return Term(drive_torque=amplitudes[0] * drift - amplitudes[1] * signals.drive_torque_rate)
 
 
@@ -42,17 +31,17 @@ CLOCK_DRIFT = Effect(
     confused_with=("time_delay",),
     term=clock_drift_term,
     amplitudes=(
-        Amplitude(name="e", unit="", scale=1e-3, lower=-10.0, upper=10.0, own=True),
-        Amplitude(name="d", unit="s", scale=5e-3, lower=-10.0, upper=10.0),
+        Amplitude("e", "", 1e-3, -10.0, 10.0, own=True),
+        Amplitude("d", "s", 5e-3, -10.0, 10.0),
     ),
     shapes=(
         Shape(
-            name="about",
-            unit="",
-            starts=(-4e-3, -1e-3, 1e-3, 4e-3),
-            lower=-_MAX_RATE_DIFFERENCE,
-            upper=_MAX_RATE_DIFFERENCE,
-            usual=1e-5,
+            "about",
+            "",
+            (-4e-3, -1e-3, 1e-3, 4e-3),
+            -_MAX_RATE_DIFFERENCE,
+            _MAX_RATE_DIFFERENCE,
+            1e-5,
         ),
     ),
     linear_about=True,

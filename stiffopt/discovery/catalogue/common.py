@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
-from stiffopt.discovery.effect import Amplitude
+from stiffopt.discovery.effect import Amplitude, Values
 from stiffopt.discovery.signals import JointConstants
-from stiffopt.symbolic import Quantity, is_symbolic
+from stiffopt.symbolic import Quantity
 
 # Scale of a term without a linear parameter. It is 1 where the shapes hold exactly: a refined fit
 # fixes it at 1 and reports only the shapes.
-WEIGHT = Amplitude(name="weight", unit="", scale=1.0, lower=0.0, upper=1.5)
+WEIGHT = Amplitude("weight", "", 1.0, 0.0, 1.5)
 
 # Prefix of run names in names of amplitudes of effects of runs.
 RUN_PREFIX = "of "
@@ -25,11 +25,6 @@ CHANGED_SCALE_RATIO = 3.0
 # joint of a wrist carries a thirteenth of its rating. From the square of the ratio on it is a
 # placeholder.
 _MAX_RATED_OVER_CARRIED = 15.0
-
-
-def component(signal: Quantity, index: int) -> Quantity:
-    """Return one entry along the last axis of arrays (K, n, m), or column of a symbol (n, m)."""
-    return signal[:, index] if is_symbolic(signal) else signal[..., index]
 
 
 # ---- typical sizes from the constants of a joint
@@ -97,7 +92,6 @@ def on_wrist(constants: JointConstants) -> bool:
     return constants.joint > 3
 
 
-Reported = Mapping[str, float]
 Constants = Any
 
 
@@ -105,15 +99,10 @@ def amplitudes_of_runs(
     runs: Iterable[str], scale: float, lower: float, upper: float
 ) -> tuple[Amplitude, ...]:
     """Return one relative amplitude per run with its typical size, and its bounds over that."""
-    return tuple(
-        Amplitude(name=f"{RUN_PREFIX}{run}", unit="", scale=scale, lower=lower, upper=upper)
-        for run in runs
-    )
+    return tuple(Amplitude(f"{RUN_PREFIX}{run}", "", scale, lower, upper) for run in runs)
 
 
-def deviation_from_state(
-    amplitudes: Sequence[Quantity], states: Sequence[str], run: int
-) -> Quantity:
+def deviation_from_state(amplitudes: Values, states: Sequence[str], run: int) -> Quantity:
     """Return the deviation of a run from the mean of the runs of its state."""
     own = [a for a, state in zip(amplitudes, states, strict=True) if state == states[run]]
     return amplitudes[run] - sum(own) / len(own)

@@ -2,54 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-import numpy as np
-
-from stiffopt.discovery.catalogue.common import component
-from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
-from stiffopt.discovery.signals import (
-    JointConstants,
-    JointSignals,
-    RobotConstants,
-    RobotSignals,
-)
-from stiffopt.symbolic import Quantity, is_symbolic, smooth_abs
+from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term, Values
+from stiffopt.discovery.signals import RobotConstants, RobotSignals
+from stiffopt.symbolic import smooth_abs
 
 # Height over which the contact force sets in [m].
 _CONTACT_ROUNDING = 1e-4
 
 
-def wrist_coupling_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
-    """Return link angle th + c th_before; by virtual work the previous joint carries c s."""
-    return Term(
-        deflection=-amplitudes[0] * signals.previous_position,
-        previous_torque=amplitudes[0] * signals.spring_torque,
-    )
-
-
-def external_contact_term(
-    signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def external_contact_term(signals: RobotSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return -J^T n k max(z - tool height, 0) of a level surface under the tool."""
-    depth = shapes[0] - component(signals.tool_position, 2)
+    depth = shapes[0] - signals.tool_position[..., 2]
     pressed = 0.5 * (depth + smooth_abs(depth, _CONTACT_ROUNDING))
-    jacobian = signals.tool_jacobian
-    lever = jacobian[2, :].T if is_symbolic(jacobian) else jacobian[:, 2, :]
-    return Term(link_torque=-amplitudes[0] * _joint_torques(pressed, lever))
-
-
-def _joint_torques(force: Quantity, lever: Quantity) -> Quantity:
-    """Return the product of a force (K,) and levers (K, n), arrays or symbols."""
-    if is_symbolic(lever) or not is_symbolic(force):
-        return lever * (force if is_symbolic(lever) else force[:, None])
-    return lever * (force @ np.ones((1, lever.shape[1])))
-
-
-def _has_previous_joint(constants: JointConstants) -> bool:
-    return constants.joint > 1
+    lever = signals.tool_jacobian[:, 2, :]
+    return Term(link_torque=-amplitudes[0] * lever * pressed[:, None])
 
 
 def _start_heights(constants: RobotConstants) -> tuple[float, ...]:
@@ -68,9 +34,13 @@ WRIST_COUPLING = Effect(
     remedy="Check the coupling ratio of {where} in the controller's wrist parameters, and"
     " correct it by {c}.",
     needs=("sensor", "moves", "before"),
-    term=wrist_coupling_term,
-    amplitudes=(Amplitude(name="c", unit="", scale=0.01, lower=-5.0, upper=5.0),),
-    applies=_has_previous_joint,
+    # By virtual work the previous joint carries a share of the torque.
+    term=lambda signals, a, s: Term(
+        deflection=-a[0] * signals.previous_position,
+        previous_torque=a[0] * signals.spring_torque,
+    ),
+    amplitudes=(Amplitude("c", "", 0.01, -5.0, 5.0),),
+    applies=lambda constants: constants.joint > 1,
     log_prior=lambda constants: 0.0 if constants.joint > 4 else -1.0,
     separate="Move the joint before while this one stands: an error of its own gear or encoder"
     " does not follow.",
@@ -86,8 +56,8 @@ EXTERNAL_CONTACT = Effect(
     remedy="Look for what the tool touches below {z}, and record again without it.",
     needs=("torque", "moves", "tool_frame"),
     term=external_contact_term,
-    amplitudes=(Amplitude(name="k", unit="N/m", scale=2e4, lower=0.0, upper=50.0),),
-    shapes=(Shape(name="z", unit="m", starts=_start_heights, lower=-10.0, upper=10.0),),
+    amplitudes=(Amplitude("k", "N/m", 2e4, 0.0, 50.0),),
+    shapes=(Shape("z", "m", _start_heights, -10.0, 10.0),),
     separate="Visit one place several times from above, and places beside it: a payload acts"
     " everywhere, a contact only below its height.",
 )

@@ -6,25 +6,19 @@ both angles. A model with one rotor and friction per joint has neither.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-
 from stiffopt.discovery.catalogue.common import (
-    Constants,
     dry_friction,
     motor_inertia,
     viscous_friction,
 )
-from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
-from stiffopt.discovery.signals import JointConstants, JointSignals, smooth_sign
-from stiffopt.symbolic import Quantity
+from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term, Values
+from stiffopt.discovery.signals import JointSignals, smooth_sign
 
 # Smallest share of the previous joint in the motor's turning; gears of wrists have 1.
 _MIN_SHARE = 0.5
 
 
-def coupled_drive_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def coupled_drive_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return Fc sg(w) + Fv w + J dw/dt of a motor, w = v_j + c v_before, on both joints."""
     share = shapes[0]
     speed = signals.motor_velocity + share * signals.previous_velocity
@@ -32,21 +26,6 @@ def coupled_drive_term(
     dry, viscous, inertia = amplitudes
     torque = dry * smooth_sign(speed) + viscous * speed + inertia * rate
     return Term(drive_torque=torque, previous_torque=share * torque)
-
-
-def _after_another_wrist_joint(constants: JointConstants) -> bool:
-    return constants.joint > 4
-
-
-def _turns_with_both(shapes: Sequence[float], constants: Constants) -> bool:
-    """Return True where the previous joint turns the motor; otherwise it is an ordinary drive."""
-    return abs(shapes[0]) >= _MIN_SHARE
-
-
-def _report_drive(
-    amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
-) -> Mapping[str, float]:
-    return {**dict(zip(("Fc", "Fv", "J"), amplitudes, strict=True)), "c": shapes[0]}
 
 
 COUPLED_DRIVE = Effect(
@@ -63,14 +42,15 @@ COUPLED_DRIVE = Effect(
     confused_with=("coulomb", "viscous", "rotor_inertia"),
     term=coupled_drive_term,
     amplitudes=(
-        Amplitude(name="Fc", unit="N m", scale=dry_friction, lower=0.0, upper=10.0),
-        Amplitude(name="Fv", unit="N m s/rad", scale=viscous_friction, lower=0.0, upper=10.0),
-        Amplitude(name="J", unit="kg m^2", scale=motor_inertia, lower=0.0, upper=10.0),
+        Amplitude("Fc", "N m", dry_friction, 0.0, 10.0),
+        Amplitude("Fv", "N m s/rad", viscous_friction, 0.0, 10.0),
+        Amplitude("J", "kg m^2", motor_inertia, 0.0, 10.0),
     ),
-    shapes=(Shape(name="c", unit="", starts=(1.0, -1.0), lower=-1.5, upper=1.5),),
-    report=_report_drive,
-    applies=_after_another_wrist_joint,
-    possible=_turns_with_both,
+    shapes=(Shape("c", "", (1.0, -1.0), -1.5, 1.5),),
+    report=lambda a, s, constants: {**dict(zip(("Fc", "Fv", "J"), a, strict=True)), "c": s[0]},
+    applies=lambda constants: constants.joint > 4,
+    # Otherwise it is an ordinary drive.
+    possible=lambda shapes, constants: abs(shapes[0]) >= _MIN_SHARE,
     log_prior=lambda constants: -1.0,
     separate="Move both wrist joints together and against each other at one speed: the friction of"
     " their sum vanishes in one of the two.",

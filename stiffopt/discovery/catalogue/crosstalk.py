@@ -2,34 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 
-from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
+from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term, Values
 from stiffopt.discovery.signals import JointConstants, RobotSignals
-from stiffopt.symbolic import Quantity
 
 # Typical share of the other torque; and joints of an arm that are tried.
 _TYPICAL_SHARE, _MAX_JOINTS = 0.05, 12
 
 
-def crosstalk_term(
-    signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def crosstalk_term(signals: RobotSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return a share of the drive torque of another joint, whose number is the shape.
 
     Between whole numbers the weights of both joints fade smoothly.
     """
-    drive = np.asarray(signals.drive_torque)
-    into = np.eye(drive.shape[1])[signals.link]
-    torque: Quantity = 0.0
-    for joint in range(drive.shape[1]):
-        away = np.fmin(np.abs(shapes[0] - (joint + 1.0)), 1.0)
-        weight = 0.5 * (1.0 + np.cos(np.pi * away))
-        if joint != signals.link:
-            torque = torque + amplitudes[0] * weight * np.outer(drive[:, joint], into)
-    return Term(drive_torque=torque)
+    drive, own = np.asarray(signals.drive_torque), signals.link
+    joints = np.arange(1, drive.shape[1] + 1)
+    weights = 0.5 * (1.0 + np.cos(np.pi * np.fmin(np.abs(shapes[0] - joints), 1.0)))
+    weights[own] = 0.0
+    return Term(drive_torque=amplitudes[0] * np.outer(drive @ weights, joints == own + 1))
 
 
 def _other_joints(constants: JointConstants) -> tuple[float, ...]:
@@ -37,19 +28,7 @@ def _other_joints(constants: JointConstants) -> tuple[float, ...]:
     return tuple(float(joint) for joint in every if joint != constants.joint) or (1.0,)
 
 
-def _has_other_joints(constants: JointConstants) -> bool:
-    return constants.joints > 1
-
-
-def _report_crosstalk(
-    amplitudes: Sequence[float], shapes: Sequence[float], constants: JointConstants
-) -> Mapping[str, float]:
-    return {"c": amplitudes[0], "from_joint": float(round(shapes[0]))}
-
-
-def _describe_remedy(
-    amplitudes: Sequence[float], shapes: Sequence[float], constants: JointConstants
-) -> str:
+def _describe_remedy(amplitudes: Values, shapes: Values, constants: JointConstants) -> str:
     return (
         f"The torque of joint {constants.joint} contains {100.0 * amplitudes[0]:.1f} % of that of"
         f" joint {shapes[0]:.0f}: check the wiring and the assignment of both torque channels, or"
@@ -70,19 +49,10 @@ CROSSTALK = Effect(
     needs=("torque", "torque_sensor", "moves"),
     confused_with=("wrist_coupling", "coupled_drive"),
     term=crosstalk_term,
-    amplitudes=(Amplitude(name="c", unit="", scale=_TYPICAL_SHARE, lower=-20.0, upper=20.0),),
-    shapes=(
-        Shape(
-            name="from_joint",
-            unit="",
-            starts=_other_joints,
-            lower=1.0,
-            upper=float(_MAX_JOINTS),
-            fit="held",
-        ),
-    ),
-    report=_report_crosstalk,
-    applies=_has_other_joints,
+    amplitudes=(Amplitude("c", "", _TYPICAL_SHARE, -20.0, 20.0),),
+    shapes=(Shape("from_joint", "", _other_joints, 1.0, float(_MAX_JOINTS), fit="held"),),
+    report=lambda a, s, constants: {"c": a[0], "from_joint": float(round(s[0]))},
+    applies=lambda constants: constants.joints > 1,
     # Rare beside couplings of gears, which act between neighbours.
     log_prior=lambda constants: -2.0,
     remedy=_describe_remedy,

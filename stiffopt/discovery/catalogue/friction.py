@@ -6,8 +6,6 @@ Bittencourt and Axelsson (2014) for load and temperature.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from stiffopt.discovery.catalogue.common import (
@@ -18,7 +16,7 @@ from stiffopt.discovery.catalogue.common import (
     viscous_friction,
 )
 from stiffopt.discovery.catalogue.robot_change import add_to_nominal_value
-from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
+from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term, Values
 from stiffopt.discovery.settings import SIGN_SPEED
 from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.symbolic import Quantity, smooth_abs
@@ -40,23 +38,7 @@ def rounded_load(signals: JointSignals, share: Quantity) -> Quantity:
     return smooth_abs(signals.spring_torque, rounding) - rounding
 
 
-def coulomb_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
-    """Return dry friction dFc sg(w)."""
-    return Term(drive_torque=amplitudes[0] * signals.motor_direction)
-
-
-def viscous_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
-    """Return viscous friction dFv w."""
-    return Term(drive_torque=amplitudes[0] * signals.motor_velocity)
-
-
-def stribeck_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def stribeck_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return A exp(-|w/vs|^n) sg(w); n = 2 after Gauss, n = 1 after Tustin."""
     w = signals.motor_velocity
     speed, power = shapes
@@ -64,35 +46,27 @@ def stribeck_term(
     return Term(drive_torque=amplitudes[0] * fall * signals.motor_direction)
 
 
-def load_friction_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def load_friction_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return friction mu |s| sg(w) of the load, its magnitude rounded at zero."""
     load = rounded_load(signals, shapes[0])
     return Term(drive_torque=amplitudes[0] * load * signals.motor_direction)
 
 
-def asym_friction_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def asym_friction_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return dFc + dFv |w| while moving in either direction, zero at rest."""
     w = signals.motor_velocity
     side = signals.motor_direction
     return Term(drive_torque=amplitudes[0] * side * side + amplitudes[1] * w * side)
 
 
-def position_friction_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def position_friction_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return friction A exp(-((q - q0)/width)^2 / 2) sg(w) at an angle."""
     place, width = shapes
     bump = np.exp(-0.5 * ((signals.link_position - place) / width) ** 2)
     return Term(drive_torque=amplitudes[0] * bump * signals.motor_direction)
 
 
-def thermal_friction_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def thermal_friction_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return the change by exp(-b (T - T0)) - 1 of viscous and a share of dry friction."""
     constants, w = signals.constants, signals.motor_velocity
     fall = np.exp(-shapes[0] * signals.temperature_rise) - 1.0
@@ -112,15 +86,11 @@ def start_slow_speeds(constants: JointConstants) -> tuple[float, ...]:
     return tuple(float(v) for v in np.geomspace(0.02, highest, 5))
 
 
-def _is_within_stroke(shapes: Sequence[float], constants: JointConstants) -> bool:
+def _is_within_stroke(shapes: Values, constants: JointConstants) -> bool:
     """Return True for a tight place within the stroke and narrower than half of it."""
     low, high = constants.stroke
     place, width = shapes
     return bool(low <= place <= high and width <= 0.5 * (high - low))
-
-
-def _start_places(constants: JointConstants) -> tuple[float, ...]:
-    return along_stroke(constants, 10)
 
 
 def is_definite_load(share: float, constants: JointConstants) -> bool:
@@ -130,12 +100,12 @@ def is_definite_load(share: float, constants: JointConstants) -> bool:
 
 # The rounding has no datasheet value and hardly shows; it affects mu.
 LOAD_ROUNDING = Shape(
-    name="rounding",
-    unit="",
-    starts=lambda constants: (_LOAD_ROUNDING_SHARE * carried_share(constants),),
-    lower=1e-7,
-    upper=0.1,
-    usual=_LOAD_ROUNDING_SHARE,
+    "rounding",
+    "",
+    lambda constants: (_LOAD_ROUNDING_SHARE * carried_share(constants),),
+    1e-7,
+    0.1,
+    _LOAD_ROUNDING_SHARE,
 )
 
 COULOMB = Effect(
@@ -148,20 +118,15 @@ COULOMB = Effect(
     title="Coulomb friction",
     nominal="coulomb",
     nominal_words="dry friction",
-    phrase=(
-        "{dFc} more dry friction than the model",
-        "{dFc} less dry friction than the model",
-    ),
+    phrase=("{dFc} more dry friction than the model", "{dFc} less dry friction than the model"),
     remedy="Enter Coulomb friction {new} for {where}, and look at what rubs or binds there:"
     " grease, seals, brake.",
     needs=("torque", "moves", "reverses"),
     confused_with=("stribeck", "hysteresis", "position_friction"),
     reference="ArmstrongEtAl1994",
     change_robot=add_to_nominal_value,
-    term=coulomb_term,
-    amplitudes=(
-        Amplitude(name="dFc", unit="N m", scale=half_dry_friction, lower=-2.0, upper=10.0),
-    ),
+    term=lambda signals, a, s: Term(drive_torque=a[0] * signals.motor_direction),
+    amplitudes=(Amplitude("dFc", "N m", half_dry_friction, -2.0, 10.0),),
     separate="Move at three speeds or more, in both directions: Coulomb friction does not change"
     " with speed.",
 )
@@ -185,10 +150,8 @@ VISCOUS = Effect(
     confused_with=("thermal_friction", "time_delay"),
     reference="ArmstrongEtAl1994",
     change_robot=add_to_nominal_value,
-    term=viscous_term,
-    amplitudes=(
-        Amplitude(name="dFv", unit="N m s/rad", scale=viscous_friction, lower=-1.0, upper=5.0),
-    ),
+    term=lambda signals, a, s: Term(drive_torque=a[0] * signals.motor_velocity),
+    amplitudes=(Amplitude("dFv", "N m s/rad", viscous_friction, -1.0, 5.0),),
     separate="Hold constant speeds up to the fastest, once cold and once warm: a delay shows only"
     " while the torque changes, heat only from run to run.",
 )
@@ -207,10 +170,10 @@ STRIBECK = Effect(
     confused_with=("hysteresis",),
     reference="ArmstrongEtAl1994",
     term=stribeck_term,
-    amplitudes=(Amplitude(name="A", unit="N m", scale=half_dry_friction, lower=0.0, upper=4.0),),
+    amplitudes=(Amplitude("A", "N m", half_dry_friction, 0.0, 4.0),),
     shapes=(
-        Shape(name="vs", unit="rad/s", starts=start_slow_speeds, lower=0.005, upper=0.5),
-        Shape(name="n", unit="", starts=(1.0, 2.0), lower=0.5, upper=2.5),
+        Shape("vs", "rad/s", start_slow_speeds, 0.005, 0.5),
+        Shape("n", "", (1.0, 2.0), 0.5, 2.5),
     ),
     report=lambda amplitudes, shapes, constants: {"A": amplitudes[0], "vs": shapes[0]},
     separate="Ramp slowly through 0.01 to 0.3 rad/s without reversing: hysteresis depends on the"
@@ -230,7 +193,7 @@ LOAD_FRICTION = Effect(
     needs=("torque", "moves", "reverses"),
     reference="BittencourtAxelsson2014",
     term=load_friction_term,
-    amplitudes=(Amplitude(name="mu", unit="", scale=0.1, lower=0.0, upper=6.0),),
+    amplitudes=(Amplitude("mu", "", 0.1, 0.0, 6.0),),
     shapes=(LOAD_ROUNDING,),
     report=lambda amplitudes, shapes, constants: {"mu": amplitudes[0]},
     possible=lambda shapes, constants: is_definite_load(shapes[0], constants),
@@ -254,8 +217,8 @@ ASYM_FRICTION = Effect(
     reference="ArmstrongEtAl1994",
     term=asym_friction_term,
     amplitudes=(
-        Amplitude(name="dFc", unit="N m", scale=half_dry_friction, lower=-2.0, upper=2.0),
-        Amplitude(name="dFv", unit="N m s/rad", scale=viscous_friction, lower=-1.0, upper=1.0),
+        Amplitude("dFc", "N m", half_dry_friction, -2.0, 2.0),
+        Amplitude("dFv", "N m s/rad", viscous_friction, -1.0, 1.0),
     ),
     separate="Stop for a second in several postures: a torque offset and a gravity error act at"
     " rest too, friction between the directions does not.",
@@ -273,10 +236,10 @@ POSITION_FRICTION = Effect(
     needs=("torque", "moves", "reverses"),
     reference="ArmstrongEtAl1994",
     term=position_friction_term,
-    amplitudes=(Amplitude(name="A", unit="N m", scale=dry_friction, lower=0.0, upper=3.0),),
+    amplitudes=(Amplitude("A", "N m", dry_friction, 0.0, 3.0),),
     shapes=(
-        Shape(name="q0", unit="rad", starts=_start_places, lower=-20.0, upper=20.0),
-        Shape(name="width", unit="rad", starts=(0.12, 0.3, 0.7), lower=0.05, upper=1.5),
+        Shape("q0", "rad", lambda constants: along_stroke(constants, 10), -20.0, 20.0),
+        Shape("width", "rad", (0.12, 0.3, 0.7), 0.05, 1.5),
     ),
     possible=_is_within_stroke,
     separate="Sweep the whole stroke slowly both ways: a gravity error keeps its sign, friction"
@@ -296,11 +259,8 @@ THERMAL_FRICTION = Effect(
     confused_with=("time_delay",),
     reference="BittencourtAxelsson2014",
     term=thermal_friction_term,
-    amplitudes=(
-        WEIGHT,
-        Amplitude(name="share", unit="", scale=0.3, lower=0.0, upper=3.3),
-    ),
-    shapes=(Shape(name="b", unit="1/K", starts=(0.01, 0.03, 0.06), lower=1e-4, upper=0.1),),
+    amplitudes=(WEIGHT, Amplitude("share", "", 0.3, 0.0, 3.3)),
+    shapes=(Shape("b", "1/K", (0.01, 0.03, 0.06), 1e-4, 0.1),),
     # The share lost a kelvin at T0, also where the weight is not 1.
     report=lambda amplitudes, shapes, constants: {"b": amplitudes[0] * shapes[0]},
     separate="Repeat one motion cold and after half an hour of work: viscous friction alone stays"

@@ -8,7 +8,7 @@ mixed models (Laird and Ware 1982), deviations of runs are random, not parameter
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -20,9 +20,9 @@ from stiffopt.discovery.catalogue.common import (
     viscous_friction,
 )
 from stiffopt.discovery.catalogue.friction import rounded_load
-from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
+from stiffopt.discovery.effect import Amplitude, Effect, Reported, Shape, Term, Values
 from stiffopt.discovery.signals import JointConstants, JointSignals
-from stiffopt.symbolic import Quantity, smooth_abs
+from stiffopt.symbolic import smooth_abs
 
 # Typical relative deviation of friction between runs.
 _TYPICAL_SHARE = 0.2
@@ -37,8 +37,8 @@ def _drift_term(
     seen: Sequence[str],
     states: Sequence[str],
     signals: JointSignals,
-    amplitudes: Sequence[Quantity],
-    shapes: Sequence[Quantity],
+    amplitudes: Values,
+    shapes: Values,
 ) -> Term:
     """Return the deviation of a recorded run from the mean; zero in any other run."""
     if signals.run not in seen:
@@ -50,11 +50,8 @@ def _drift_term(
 
 
 def _report_spread(
-    states: Sequence[str],
-    amplitudes: Sequence[float],
-    shapes: Sequence[float],
-    constants: JointConstants,
-) -> Mapping[str, float]:
+    states: Sequence[str], amplitudes: Values, shapes: Values, constants: JointConstants
+) -> Reported:
     free = len(amplitudes) - len(set(states))
     off = [float(deviation_from_state(amplitudes, states, run)) for run in range(len(amplitudes))]
     spread = float(np.sqrt(np.sum(np.square(off)) / free)) if free else 0.0
@@ -65,20 +62,15 @@ def _report_spread(
 
 
 def _sampling_error(
-    states: Sequence[str],
-    amplitudes: Sequence[float],
-    shapes: Sequence[float],
-    constants: JointConstants,
-) -> Mapping[str, float]:
+    states: Sequence[str], amplitudes: Values, shapes: Values, constants: JointConstants
+) -> Reported:
     """Return the sampling error of the spread from so few runs [N m], [N m s/rad]."""
     found = _report_spread(states, amplitudes, shapes, constants)
     free = max(len(amplitudes) - len(set(states)), 1)
     return {k: v / np.sqrt(2.0 * free) for k, v in found.items()}
 
 
-def _any_friction_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def _any_friction_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return friction by several powers of the speed and by the load."""
     w = signals.motor_velocity
     speed = smooth_abs(w, _SPEED_ROUNDING)
@@ -99,20 +91,14 @@ ANY_FRICTION = Effect(
     reference="BittencourtAxelsson2014",
     term=_any_friction_term,
     amplitudes=(
-        *(
-            Amplitude(name=f"c{power:g}", unit="", scale=2.0, lower=-50.0, upper=50.0)
-            for power in _SPEED_POWERS
-        ),
-        Amplitude(name="mu", unit="", scale=0.1, lower=-6.0, upper=6.0),
+        *(Amplitude(f"c{power:g}", "", 2.0, -50.0, 50.0) for power in _SPEED_POWERS),
+        Amplitude("mu", "", 0.1, -6.0, 6.0),
     ),
 )
 
 
 def _drift_within_term(
-    runs: Sequence[str],
-    signals: JointSignals,
-    amplitudes: Sequence[Quantity],
-    shapes: Sequence[Quantity],
+    runs: Sequence[str], signals: JointSignals, amplitudes: Values, shapes: Values
 ) -> Term:
     """Return dry friction piecewise linear over the time of each run."""
     if signals.run not in runs:
@@ -132,10 +118,6 @@ def friction_within_runs(runs: Sequence[str]) -> Effect:
 
     A hose pinched by another joint or a brake that drags at times also differs between runs, since
     runs have other motions.
-
-    Parameters
-    ----------
-    runs : sequence of str
     """
     return Effect(
         name="friction_within_runs",
@@ -159,7 +141,6 @@ def friction_drift(
 
     Parameters
     ----------
-    runs : sequence of str
     seen : bool
         True where runs of these names are those of the amplitudes.
     states : sequence of str, optional
@@ -185,7 +166,7 @@ def friction_drift(
         reference="LairdWare1982",
         term=partial(_drift_term, tuple(runs) if seen else (), states),
         amplitudes=amplitudes_of_runs(runs, _TYPICAL_SHARE, -5.0, 25.0),
-        shapes=(Shape(name="viscous", unit="", starts=(0.0, 0.5, 1.0), lower=0.0, upper=1.0),),
+        shapes=(Shape("viscous", "", (0.0, 0.5, 1.0), 0.0, 1.0),),
         report=partial(_report_spread, states),
         drawn=partial(_sampling_error, states),
         units={"dFc_spread": "N m", "dFv_spread": "N m s/rad"},

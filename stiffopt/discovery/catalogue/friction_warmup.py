@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from stiffopt.discovery.catalogue.common import dry_friction, viscous_friction
 from stiffopt.discovery.catalogue.warming import TIME_CONSTANT, warmed_share
-from stiffopt.discovery.effect import Amplitude, Effect, Term
+from stiffopt.discovery.effect import Amplitude, Effect, Term, Values
 from stiffopt.discovery.signals import JointSignals
-from stiffopt.symbolic import Quantity
 
 
-def friction_warmup_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def friction_warmup_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return (dFc sg(w) + dFv w) times the change since the begin of the run."""
     law = amplitudes[0] * signals.motor_direction + amplitudes[1] * signals.motor_velocity
     return Term(drive_torque=law * warmed_share(signals, shapes[0]))
@@ -35,19 +30,9 @@ FRICTION_WARMUP = Effect(
     confused_with=("thermal_friction", "friction_drift"),
     term=friction_warmup_term,
     amplitudes=(
+        Amplitude("dFc", "N m", lambda constants: 0.3 * dry_friction(constants), -4.0, 10.0),
         Amplitude(
-            name="dFc",
-            unit="N m",
-            scale=lambda constants: 0.3 * dry_friction(constants),
-            lower=-4.0,
-            upper=10.0,
-        ),
-        Amplitude(
-            name="dFv",
-            unit="N m s/rad",
-            scale=lambda constants: 0.3 * viscous_friction(constants),
-            lower=-4.0,
-            upper=10.0,
+            "dFv", "N m s/rad", lambda constants: 0.3 * viscous_friction(constants), -4.0, 10.0
         ),
     ),
     shapes=(TIME_CONSTANT,),

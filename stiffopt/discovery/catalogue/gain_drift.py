@@ -8,20 +8,15 @@ torque gain. Runs are in the order of the set: the trend is per run.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Literal
 
 import numpy as np
 
-from stiffopt.discovery.catalogue.common import (
-    Constants,
-    amplitudes_of_runs,
-    deviation_from_state,
-)
-from stiffopt.discovery.effect import Effect, Term
+from stiffopt.discovery.catalogue.common import Constants, amplitudes_of_runs, deviation_from_state
+from stiffopt.discovery.effect import Effect, Reported, Term, Values
 from stiffopt.discovery.signals import JointSignals, RobotSignals
-from stiffopt.symbolic import Quantity
 
 # Typical relative deviation of a torque constant: 20 to 30 K of warming.
 _TYPICAL_DEVIATION = 0.03
@@ -31,8 +26,8 @@ def _drift_term(
     seen: Sequence[str],
     states: Sequence[str],
     signals: JointSignals | RobotSignals,
-    amplitudes: Sequence[Quantity],
-    shapes: Sequence[Quantity],
+    amplitudes: Values,
+    shapes: Values,
 ) -> Term:
     """Return the deviation of a recorded run from the mean of its state; zero in any other run."""
     if signals.run not in seen:
@@ -41,9 +36,7 @@ def _drift_term(
     return Term(drive_torque=off * signals.drive_torque)
 
 
-def _report_trend(
-    amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
-) -> Mapping[str, float]:
+def _report_trend(amplitudes: Values, shapes: Values, constants: Constants) -> Reported:
     """Return the change from run to run, by a straight line, and the spread of all runs."""
     values, count = np.asarray(amplitudes, dtype=float), len(amplitudes)
     trend = float(np.polyfit(np.arange(count), values, 1)[0]) if count > 1 else 0.0
@@ -64,7 +57,6 @@ def gain_drift(
     ----------
     scope : {"joint", "robot"}
         One torque constant, or that of all joints alike.
-    runs : sequence of str
     seen : bool
         True where runs of these names are those of the amplitudes.
     states : sequence of str, optional

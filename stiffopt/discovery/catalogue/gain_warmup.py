@@ -2,22 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from stiffopt.discovery.catalogue.warming import TIME_CONSTANT, warmed_share
 from stiffopt.discovery.effect import Amplitude, Effect, Term
-from stiffopt.discovery.signals import JointSignals
-from stiffopt.symbolic import Quantity
-
-
-def gain_warmup_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
-    """Return the drive torque times eps and the change since the begin of the run."""
-    return Term(
-        drive_torque=amplitudes[0] * signals.drive_torque * warmed_share(signals, shapes[0])
-    )
-
 
 GAIN_WARMUP = Effect(
     name="gain_warmup",
@@ -31,8 +17,10 @@ GAIN_WARMUP = Effect(
     " temperature",
     needs=("torque", "torque_sensor", "moves"),
     confused_with=("friction_warmup", "gain_drift", "common_gain_drift"),
-    term=gain_warmup_term,
-    amplitudes=(Amplitude(name="eps", unit="", scale=0.03, lower=-10.0, upper=10.0),),
+    term=lambda signals, a, s: Term(
+        drive_torque=a[0] * signals.drive_torque * warmed_share(signals, s[0])
+    ),
+    amplitudes=(Amplitude("eps", "", 0.03, -10.0, 10.0),),
     shapes=(TIME_CONSTANT,),
     report=lambda amplitudes, shapes, constants: {"eps": amplitudes[0]},
     separate="Hold the arm still under its weight for some minutes: the torque of a constant weight"

@@ -2,28 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 
 from stiffopt.discovery.catalogue.common import (
     CHANGED_SCALE_RATIO,
     Constants,
-    component,
     motor_inertia,
     ratio_or_zero,
 )
 from stiffopt.discovery.catalogue.robot_change import add_to_body, add_to_nominal_value
-from stiffopt.discovery.effect import Amplitude, Effect, FittedEffect, RobotChange, Term
+from stiffopt.discovery.effect import (
+    Amplitude,
+    Effect,
+    FittedEffect,
+    Reported,
+    RobotChange,
+    Term,
+    Values,
+)
 from stiffopt.discovery.signals import (
     PARAMETERS_PER_BODY,
     JointConstants,
-    JointSignals,
     RobotConstants,
     RobotSignals,
 )
 from stiffopt.robot.robot import Robot
-from stiffopt.symbolic import Quantity, is_symbolic
+from stiffopt.symbolic import Quantity
 
 # Typical error of a centre of mass [m].
 _TYPICAL_DISTANCE = 0.1
@@ -31,44 +35,16 @@ _TYPICAL_DISTANCE = 0.1
 _CHANGED_DISTANCE_RATIO = 3.0
 
 
-def rotor_inertia_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
-    """Return the torque dJ dw/dt."""
-    return Term(drive_torque=amplitudes[0] * signals.motor_acceleration)
-
-
-def body_term(signals: RobotSignals, amplitudes: Sequence[Quantity], body: int) -> Term:
+def body_term(signals: RobotSignals, amplitudes: Values, body: int) -> Term:
     """Return the torques of changed inertial parameters of one body."""
     torque: Quantity = 0.0
     for k, amplitude in enumerate(amplitudes):
         # Columns are evaluated on demand: skip those of zero amplitude.
-        if is_symbolic(amplitude) or amplitude:
-            torque = torque + amplitude * component(
-                signals.body_regressor, PARAMETERS_PER_BODY * body + k
+        if amplitude:
+            torque = (
+                torque + amplitude * signals.body_regressor[..., PARAMETERS_PER_BODY * body + k]
             )
     return Term(link_torque=torque)
-
-
-def payload_term(
-    signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
-    """Return the torques of a mass dm at c of the last link, with inertia about its joint."""
-    return body_term(signals, amplitudes, signals.last_link)
-
-
-def inertial_error_term(
-    signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
-    """Return the torques of mass, first moment and inertia of the located link."""
-    return body_term(signals, amplitudes, signals.link)
-
-
-def change_payload(
-    robot: Robot, found: FittedEffect, joint: int, constants: JointConstants
-) -> RobotChange:
-    """Return the robot with another payload in its last link."""
-    return add_to_body(robot, found, joint, "Payload")
 
 
 def change_body(
@@ -78,17 +54,13 @@ def change_body(
     return add_to_body(robot, found, joint, "Masses")
 
 
-def _report_payload(
-    amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
-) -> Mapping[str, float]:
+def _report_payload(amplitudes: Values, shapes: Values, constants: Constants) -> Reported:
     mass, *moments = amplitudes[:4]
     places = (ratio_or_zero(moment, mass) for moment in moments)
     return {"dm": mass, **dict(zip(("cx", "cy", "cz"), places, strict=True))}
 
 
-def _report_link(
-    amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
-) -> Mapping[str, float]:
+def _report_link(amplitudes: Values, shapes: Values, constants: Constants) -> Reported:
     mass, *moments = amplitudes[:4]
     xx, _, yy, _, _, zz = amplitudes[4:]
     return {
@@ -97,10 +69,6 @@ def _report_link(
         "dI": float(np.linalg.norm((xx, yy, zz))),
         **dict(zip(("dmcx", "dmcy", "dmcz"), moments, strict=True)),
     }
-
-
-def _typical_rotor_change(constants: JointConstants) -> float:
-    return 0.25 * motor_inertia(constants)
 
 
 def _typical_mass(constants: RobotConstants) -> float:
@@ -114,36 +82,30 @@ def _typical_moment(constants: RobotConstants) -> float:
 def _moment_amplitudes(*names: str) -> tuple[Amplitude, ...]:
     return tuple(
         Amplitude(
-            name=name,
-            unit="kg m",
-            scale=_typical_moment,
-            lower=-40.0,
-            upper=40.0,
-            changed=CHANGED_SCALE_RATIO * _CHANGED_DISTANCE_RATIO,
+            name,
+            "kg m",
+            _typical_moment,
+            -40.0,
+            40.0,
+            CHANGED_SCALE_RATIO * _CHANGED_DISTANCE_RATIO,
         )
         for name in names
     )
 
 
-def _typical_inertia(constants: RobotConstants) -> float:
-    return _TYPICAL_DISTANCE * _typical_moment(constants)
-
-
 # Inertia about the origin of the body's joint, in the order of the regressor.
 _INERTIA_AMPLITUDES = tuple(
     Amplitude(
-        name=name,
-        unit="kg m^2",
-        scale=_typical_inertia,
-        lower=-40.0,
-        upper=40.0,
-        changed=CHANGED_SCALE_RATIO * _CHANGED_DISTANCE_RATIO**2,
+        name,
+        "kg m^2",
+        lambda constants: _TYPICAL_DISTANCE * _typical_moment(constants),
+        -40.0,
+        40.0,
+        CHANGED_SCALE_RATIO * _CHANGED_DISTANCE_RATIO**2,
     )
     for name in ("dIxx", "dIxy", "dIyy", "dIxz", "dIyz", "dIzz")
 )
-_MASS_AMPLITUDE = Amplitude(
-    name="dm", unit="kg", scale=_typical_mass, lower=-40.0, upper=40.0, changed=CHANGED_SCALE_RATIO
-)
+_MASS_AMPLITUDE = Amplitude("dm", "kg", _typical_mass, -40.0, 40.0, CHANGED_SCALE_RATIO)
 
 ROTOR_INERTIA = Effect(
     name="rotor_inertia",
@@ -153,23 +115,20 @@ ROTOR_INERTIA = Effect(
     signature="motor torque off in proportion to the motor's own acceleration, alike in every"
     " posture",
     nominal="rotor_inertia",
-    phrase=(
-        "{dJ} more rotor inertia than the model",
-        "{dJ} less rotor inertia than the model",
-    ),
+    phrase=("{dJ} more rotor inertia than the model", "{dJ} less rotor inertia than the model"),
     remedy="Enter rotor inertia {new} for {where}, at the joint's output, and check the"
     " motor's data sheet.",
     needs=("torque", "moves"),
     change_robot=add_to_nominal_value,
-    term=rotor_inertia_term,
+    term=lambda signals, a, s: Term(drive_torque=a[0] * signals.motor_acceleration),
     amplitudes=(
         Amplitude(
-            name="dJ",
-            unit="kg m^2",
-            scale=_typical_rotor_change,
-            lower=-2.0,
-            upper=40.0,
-            changed=CHANGED_SCALE_RATIO,
+            "dJ",
+            "kg m^2",
+            lambda constants: 0.25 * motor_inertia(constants),
+            -2.0,
+            40.0,
+            CHANGED_SCALE_RATIO,
         ),
     ),
     separate="Accelerate hard in several postures: the inertia of links changes with posture and"
@@ -192,8 +151,8 @@ PAYLOAD = Effect(
     needs=("torque", "moves"),
     confused_with=("torque_gain", "inertial_error", "base_tilt", "joint_zero", "encoder_offset"),
     shifts_weight=True,
-    change_robot=change_payload,
-    term=payload_term,
+    change_robot=lambda robot, found, joint, constants: add_to_body(robot, found, joint, "Payload"),
+    term=lambda signals, a, s: body_term(signals, a, signals.last_link),
     amplitudes=(_MASS_AMPLITUDE, *_moment_amplitudes("mcx", "mcy", "mcz"), *_INERTIA_AMPLITUDES),
     report=_report_payload,
     units={"cx": "m", "cy": "m", "cz": "m"},
@@ -215,7 +174,7 @@ INERTIAL_ERROR = Effect(
     confused_with=("torque_gain", "joint_zero"),
     shifts_weight=True,
     change_robot=change_body,
-    term=inertial_error_term,
+    term=lambda signals, a, s: body_term(signals, a, signals.link),
     amplitudes=(_MASS_AMPLITUDE, *_moment_amplitudes("dmcx", "dmcy", "dmcz"), *_INERTIA_AMPLITUDES),
     report=_report_link,
     units={"dmc": "kg m", "dI": "kg m^2"},

@@ -2,33 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from stiffopt.discovery.effect import Amplitude, Effect, FittedEffect, RobotChange, Term
+from stiffopt.discovery.effect import Amplitude, Effect, FittedEffect, RobotChange, Term, Values
 from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.robot.robot import Robot
-from stiffopt.symbolic import Quantity
 
 
-def joint_damping_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def joint_damping_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return wind-up -dD (w - v) D'(s): the damper takes part of the torque from the spring."""
     rate = signals.motor_velocity - signals.link_velocity
     slope = signals.constants.compliance(signals.spring_torque)
     return Term(deflection=-amplitudes[0] * rate * slope)
-
-
-def _nominal_damping(constants: JointConstants) -> float:
-    return constants.joint_damping
-
-
-def _has_known_damping(constants: JointConstants) -> bool:
-    """Return True where links vibrate: without a damping value they are modelled quasi-static."""
-    return constants.elastic and constants.joint_damping > 0.0
 
 
 def change_damping(
@@ -53,19 +40,17 @@ JOINT_DAMPING = Effect(
     " frequency that the model has",
     title="joint damping",
     nominal="joint_damping",
-    phrase=(
-        "{dD} more joint damping than the model",
-        "{dD} less joint damping than the model",
-    ),
+    phrase=("{dD} more joint damping than the model", "{dD} less joint damping than the model"),
     remedy="Enter joint damping {new} for {where}.",
     needs=("windup", "moves"),
     confused_with=("hysteresis",),
     change_robot=change_damping,
     term=joint_damping_term,
     amplitudes=(
-        Amplitude(name="dD", unit="N m s/rad", scale=_nominal_damping, lower=-1.0, upper=20.0),
+        Amplitude("dD", "N m s/rad", lambda constants: constants.joint_damping, -1.0, 20.0),
     ),
-    applies=_has_known_damping,
+    # Without a damping value links are modelled quasi-static.
+    applies=lambda constants: constants.elastic and constants.joint_damping > 0.0,
     separate="Stop sharply and stand still for a second, with and without load: damping takes the"
     " same share of every period, hysteresis most of small ones, a soft joint vibrates slower.",
 )

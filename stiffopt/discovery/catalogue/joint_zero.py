@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from stiffopt.discovery.catalogue.common import component
-from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
+from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term, Values
 from stiffopt.discovery.signals import HARMONICS_PER_JOINT, JointConstants, RobotSignals
 from stiffopt.symbolic import Quantity
 
@@ -15,13 +12,9 @@ from stiffopt.symbolic import Quantity
 _TYPICAL_ZERO, _MAX_ZERO = 0.1, np.pi
 # Angles about which a search begins [rad]; a secant converges from the next of them.
 _INITIAL_ZEROS = (0.0, 1.5, -1.5, 3.0)
-# Regularises sin(x)/x at zero [rad].
-_TINY_ANGLE = 1e-9
 
 
-def joint_zero_term(
-    signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def joint_zero_term(signals: RobotSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return the torques at q + x less those at q, x at the located joint, linear about the shape.
 
     Torques are harmonics of x up to the second: x is split into an amplitude, and a shape in the
@@ -31,26 +24,19 @@ def joint_zero_term(
     torque: Quantity = 0.0
     for order in (1, 2):
         half = 0.5 * order * about
-        sine = order * _sine_ratio(order * about)
+        sine = order * np.sinc(order * about / np.pi)
         # (cos x - 1)/x = -sin(x/2) sin(x/2)/(x/2)
-        cosine = -order * np.sin(half) * _sine_ratio(half)
+        cosine = -order * np.sin(half) * np.sinc(half / np.pi)
         for k, ratio in enumerate((sine, cosine), start=2 * order - 2):
-            torque = torque + amplitudes[0] * ratio * component(signals.zero_harmonics, first + k)
+            torque = torque + amplitudes[0] * ratio * signals.zero_harmonics[..., first + k]
     return Term(link_torque=torque)
-
-
-def _sine_ratio(angle: Quantity) -> Quantity:
-    shifted = angle + _TINY_ANGLE
-    return np.sin(shifted) / shifted
 
 
 def _turns(constants: JointConstants) -> bool:
     return not constants.prismatic
 
 
-def _describe_remedy(
-    amplitudes: Sequence[float], shapes: Sequence[float], constants: JointConstants
-) -> str:
+def _describe_remedy(amplitudes: Values, shapes: Values, constants: JointConstants) -> str:
     offsets = ["0"] * constants.joints
     offsets[constants.joint - 1] = f"{amplitudes[0]:.5f}"
     return (
@@ -67,6 +53,7 @@ JOINT_ZERO = Effect(
     scope="joint",
     couples_joints=True,
     shifts_weight=True,
+    moves_zero=True,
     equation="s += f(q + dq, v, a) - f(q, v, a)",
     signature="weight of the joint and of those before it off as if the joint stood at another"
     " angle, the same in every run",
@@ -76,24 +63,10 @@ JOINT_ZERO = Effect(
     term=joint_zero_term,
     amplitudes=(
         Amplitude(
-            name="dq",
-            unit="rad",
-            scale=_TYPICAL_ZERO,
-            lower=-_MAX_ZERO / _TYPICAL_ZERO,
-            upper=_MAX_ZERO / _TYPICAL_ZERO,
+            "dq", "rad", _TYPICAL_ZERO, -_MAX_ZERO / _TYPICAL_ZERO, _MAX_ZERO / _TYPICAL_ZERO
         ),
     ),
-    shapes=(
-        Shape(
-            name="about",
-            unit="rad",
-            starts=_INITIAL_ZEROS,
-            lower=-_MAX_ZERO,
-            upper=_MAX_ZERO,
-            usual=0.0,
-            fit="secant",
-        ),
-    ),
+    shapes=(Shape("about", "rad", _INITIAL_ZEROS, -_MAX_ZERO, _MAX_ZERO, 0.0, fit="secant"),),
     report=lambda amplitudes, shapes, constants: {"dq": amplitudes[0]},
     applies=_turns,
     remedy=_describe_remedy,

@@ -9,8 +9,6 @@ linear dependence.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from stiffopt.discovery.catalogue.common import WEIGHT, dry_friction, viscous_friction
@@ -22,9 +20,8 @@ from stiffopt.discovery.catalogue.friction import (
     rounded_speed,
     start_slow_speeds,
 )
-from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
-from stiffopt.discovery.signals import JointConstants, JointSignals
-from stiffopt.symbolic import Quantity
+from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term, Values
+from stiffopt.discovery.signals import JointSignals
 
 # Exponent of the speed, as measured there.
 _SPEED_EXPONENT = 1.3
@@ -32,9 +29,7 @@ _SPEED_EXPONENT = 1.3
 _TEMPERATURE_RANGE = 20.0
 
 
-def lubricated_friction_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def lubricated_friction_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return load friction, increased where the film is thin, and falling viscous friction."""
     of_load, of_load_slow, slow, slow_by_kelvin, weight = amplitudes
     speed, exponent, rounding = shapes
@@ -45,10 +40,6 @@ def lubricated_friction_term(
     level = of_load * load + (of_load_slow * load + slow + slow_by_kelvin * rise) * thin
     viscous = viscous_friction(signals.constants) * (viscosity - 1.0)
     return Term(drive_torque=level * signals.motor_direction + weight * viscous * w)
-
-
-def _typical_slope(constants: JointConstants) -> float:
-    return 0.5 * dry_friction(constants) / _TEMPERATURE_RANGE
 
 
 LUBRICATED_FRICTION = Effect(
@@ -66,15 +57,22 @@ LUBRICATED_FRICTION = Effect(
     reference="BittencourtAxelsson2014",
     term=lubricated_friction_term,
     amplitudes=(
-        Amplitude(name="mu", unit="", scale=0.1, lower=0.0, upper=6.0),
-        Amplitude(name="mu_slow", unit="", scale=0.1, lower=0.0, upper=6.0, own=True),
-        Amplitude(name="A", unit="N m", scale=half_dry_friction, lower=0.0, upper=4.0),
-        Amplitude(name="A_T", unit="N m/K", scale=_typical_slope, lower=0.0, upper=4.0, own=True),
+        Amplitude("mu", "", 0.1, 0.0, 6.0),
+        Amplitude("mu_slow", "", 0.1, 0.0, 6.0, own=True),
+        Amplitude("A", "N m", half_dry_friction, 0.0, 4.0),
+        Amplitude(
+            "A_T",
+            "N m/K",
+            lambda constants: 0.5 * dry_friction(constants) / _TEMPERATURE_RANGE,
+            0.0,
+            4.0,
+            own=True,
+        ),
         WEIGHT,
     ),
     shapes=(
-        Shape(name="vs", unit="rad/s", starts=start_slow_speeds, lower=0.005, upper=0.5),
-        Shape(name="b", unit="1/K", starts=(0.03,), lower=1e-4, upper=0.1),
+        Shape("vs", "rad/s", start_slow_speeds, 0.005, 0.5),
+        Shape("b", "1/K", (0.03,), 1e-4, 0.1),
         LOAD_ROUNDING,
     ),
     report=lambda amplitudes, shapes, constants: {

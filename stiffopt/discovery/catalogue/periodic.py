@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from stiffopt.discovery.catalogue.common import CHANGED_SCALE_RATIO, Constants
-from stiffopt.discovery.effect import Amplitude, Effect, Report, Shape, Term
-from stiffopt.discovery.signals import JointConstants, JointSignals
+from stiffopt.discovery.effect import Amplitude, Effect, Report, Reported, Shape, Term, Values
+from stiffopt.discovery.signals import JointSignals
 from stiffopt.symbolic import Quantity
 
 _GEAR_ORDERS = (1, 2, 4)
@@ -33,9 +33,7 @@ def _is_absent(*amplitudes: Quantity) -> bool:
     return all(isinstance(each, float) and each == 0.0 for each in amplitudes)
 
 
-def transmission_error_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def transmission_error_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return the error of the ratio at 1, 2 and 4 times the rotor angle.
 
     The drive carries the load through the instantaneous ratio 1 - TE'(th), by virtual work.
@@ -54,9 +52,7 @@ def transmission_error_term(
     return Term(deflection=error, drive_torque=-signals.spring_torque * slope)
 
 
-def torque_ripple_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def torque_ripple_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return ripple at 1 and 6 times the electrical angle."""
     constants = signals.constants
     turns = (constants.pole_pairs or 1.0) * constants.ratio
@@ -71,9 +67,7 @@ def torque_ripple_term(
     return Term(drive_torque=ripple)
 
 
-def rotor_ripple_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def rotor_ripple_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return torque waves over the rotor turn, as many as the shape gives."""
     turns = shapes[0] * signals.constants.ratio
     turn = turns * signals.motor_position
@@ -81,16 +75,8 @@ def rotor_ripple_term(
     return Term(drive_torque=_sampled_share(signals, turns) * wave)
 
 
-def _report_wave(
-    amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
-) -> Mapping[str, float]:
-    return {"B": float(np.hypot(amplitudes[0], amplitudes[1])), "waves": shapes[0]}
-
-
 def _report_harmonics(letter: str, orders: Sequence[int]) -> Report:
-    def report(
-        amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
-    ) -> Mapping[str, float]:
+    def report(amplitudes: Values, shapes: Values, constants: Constants) -> Reported:
         return {
             f"{letter}{order}": float(np.hypot(amplitudes[2 * k], amplitudes[2 * k + 1]))
             for k, order in enumerate(orders)
@@ -99,32 +85,16 @@ def _report_harmonics(letter: str, orders: Sequence[int]) -> Report:
     return report
 
 
-def _typical_ripple(constants: JointConstants) -> float:
-    return 0.02 * constants.torque_rated
-
-
 def _wave_amplitude(name: str) -> Amplitude:
     """Return the amplitude of one wave of the motor torque."""
     return Amplitude(
-        name=name,
-        unit="N m",
-        scale=_typical_ripple,
-        lower=-20.0,
-        upper=20.0,
-        changed=CHANGED_SCALE_RATIO,
+        name,
+        "N m",
+        lambda constants: 0.02 * constants.torque_rated,
+        -20.0,
+        20.0,
+        CHANGED_SCALE_RATIO,
     )
-
-
-def _has_gear(constants: JointConstants) -> bool:
-    return constants.ratio > 1.0
-
-
-def _has_gear_and_poles(constants: JointConstants) -> bool:
-    return constants.ratio > 1.0 and constants.pole_pairs is not None
-
-
-def _has_gear_without_poles(constants: JointConstants) -> bool:
-    return constants.ratio > 1.0 and constants.pole_pairs is None
 
 
 TRANSMISSION_ERROR = Effect(
@@ -139,13 +109,13 @@ TRANSMISSION_ERROR = Effect(
     reference="TuttleSeering1996",
     term=transmission_error_term,
     amplitudes=tuple(
-        Amplitude(name=f"{wave}{order}", unit="rad", scale=1e-4, lower=-10.0, upper=10.0)
+        Amplitude(f"{wave}{order}", "rad", 1e-4, -10.0, 10.0)
         for order in _GEAR_ORDERS
         for wave in ("sin", "cos")
     ),
     report=_report_harmonics("A", _GEAR_ORDERS),
     units={f"A{order}": "rad" for order in _GEAR_ORDERS},
-    applies=_has_gear,
+    applies=lambda constants: constants.ratio > 1.0,
     separate="Turn slowly at two constant speeds: the waves keep their order of the rotor angle,"
     " a resonance keeps its frequency, ripple comes with the pole pairs.",
 )
@@ -165,7 +135,7 @@ TORQUE_RIPPLE = Effect(
     ),
     report=_report_harmonics("B", _RIPPLE_ORDERS),
     units={f"B{order}": "N m" for order in _RIPPLE_ORDERS},
-    applies=_has_gear_and_poles,
+    applies=lambda constants: constants.ratio > 1.0 and constants.pole_pairs is not None,
     separate="Turn slowly at two constant speeds in both directions: ripple leaves the link angle"
     " where it is, an error of the gear moves it.",
 )
@@ -187,16 +157,12 @@ ROTOR_RIPPLE = Effect(
     # Strain-wave gears have two a turn, motors their poles and slots.
     shapes=(
         Shape(
-            name="waves",
-            unit="",
-            starts=(1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 14.0, 24.0),
-            lower=0.5,
-            upper=60.0,
+            "waves", "", (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 14.0, 24.0), 0.5, 60.0
         ),
     ),
-    report=_report_wave,
+    report=lambda a, s, constants: {"B": float(np.hypot(a[0], a[1])), "waves": s[0]},
     units={"B": "N m"},
-    applies=_has_gear_without_poles,
+    applies=lambda constants: constants.ratio > 1.0 and constants.pole_pairs is None,
     separate="Turn slowly at two constant speeds: the waves keep their number a turn, a resonance"
     " keeps its frequency.",
 )

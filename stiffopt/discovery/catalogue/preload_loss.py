@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
@@ -19,12 +19,20 @@ from stiffopt.discovery.catalogue.robot_change import (
     with_chain,
     with_series_spring,
 )
-from stiffopt.discovery.effect import Amplitude, Effect, FittedEffect, RobotChange, Shape, Term
-from stiffopt.discovery.signals import JOINT_SIGNAL_NAMES, JointConstants, JointSignals
+from stiffopt.discovery.effect import (
+    Amplitude,
+    Effect,
+    FittedEffect,
+    Reported,
+    RobotChange,
+    Shape,
+    Term,
+    Values,
+)
+from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.exact.chain import windup_shares
 from stiffopt.robot.robot import Robot
-from stiffopt.symbolic import Quantity
 
 # Smallest slip torque of a loosened connection over the largest torque of the joint.
 _SLIP_MARGIN = 1.1
@@ -34,9 +42,7 @@ _MIN_INTACT_SHARE = 0.999
 _MIN_PRESSURE_RATIO = 5e-4
 
 
-def preload_loss_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def preload_loss_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return the wind-up c ((|s| + tp)^b - tp^b) sgn(s) of contacts that load presses together."""
     constants, s = signals.constants, signals.spring_torque
     rated = constants.torque_rated
@@ -47,8 +53,8 @@ def preload_loss_term(
 
 
 def _report_pressure_and_windup(
-    amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
-) -> Mapping[str, float]:
+    amplitudes: Values, shapes: Values, constants: Constants
+) -> Reported:
     """Return the torque that presses as the preload left does, and the wind-up added at rated load.
 
     Recordings that hardly turn the torque around tell the wind-up, not the pressure.
@@ -122,28 +128,9 @@ def _find_weakest_connection(chain: Chain, torque: float) -> int | None:
 
 def _added_windup(found: FittedEffect, constants: JointConstants, torques: np.ndarray) -> float:
     """Return the mean wind-up that a loss of preload adds [rad]."""
-    still = dict.fromkeys(JOINT_SIGNAL_NAMES, np.zeros_like(torques))
-    loaded = {
-        "spring_torque": torques,
-        "windup": constants.windup(torques),
-        "drive_torque": torques,
-    }
-    signals = JointSignals(
-        time=np.arange(len(torques), dtype=float),
-        dt=1.0,
-        session_time=still["windup"],
-        previous_position=still["windup"],
-        previous_velocity=still["windup"],
-        previous_acceleration=still["windup"],
-        constants=constants,
-        **(still | loaded),
-    )
+    signals = JointSignals.of_known(constants, 0.0 * torques, spring_torque=torques)
     term = preload_loss_term(signals, found.amplitudes, found.shapes)
     return float(np.mean(np.asarray(term.deflection)))
-
-
-def _start_pressures(constants: JointConstants) -> tuple[float, ...]:
-    return tuple(carried_share(constants) * share for share in (0.005, 0.05, 0.5))
 
 
 PRELOAD_LOSS = Effect(
@@ -158,10 +145,18 @@ PRELOAD_LOSS = Effect(
     confused_with=("belt_creep",),
     change_robot=lose_preload,
     term=preload_loss_term,
-    amplitudes=(Amplitude(name="c", unit="", scale=1.0, lower=0.0, upper=20.0),),
+    amplitudes=(Amplitude("c", "", 1.0, 0.0, 20.0),),
     shapes=(
-        Shape(name="left", unit="", starts=_start_pressures, lower=1e-7, upper=10.0),
-        Shape(name="power", unit="", starts=(0.35, 0.65), lower=0.3, upper=0.9),
+        Shape(
+            "left",
+            "",
+            lambda constants: tuple(
+                carried_share(constants) * share for share in (0.005, 0.05, 0.5)
+            ),
+            1e-7,
+            10.0,
+        ),
+        Shape("power", "", (0.35, 0.65), 0.3, 0.9),
     ),
     report=_report_pressure_and_windup,
     units={"tp": "N m", "windup": "rad"},

@@ -2,26 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from stiffopt.discovery.catalogue.common import viscous_friction
 from stiffopt.discovery.catalogue.friction import rounded_speed
-from stiffopt.discovery.effect import Amplitude, Effect, Term
-from stiffopt.discovery.signals import JointConstants, JointSignals
-from stiffopt.symbolic import Quantity
+from stiffopt.discovery.effect import Amplitude, Effect, Term, Values
+from stiffopt.discovery.signals import JointSignals
 
 
-def quadratic_drag_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def quadratic_drag_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return drag D w |w|."""
     w = signals.motor_velocity
     return Term(drive_torque=amplitudes[0] * w * rounded_speed(w))
-
-
-def _typical_drag(constants: JointConstants) -> float:
-    """Return the drag that equals half the viscous friction at the fastest speed."""
-    return 0.5 * viscous_friction(constants) / max(constants.fastest, 1e-3)
 
 
 QUADRATIC_DRAG = Effect(
@@ -41,7 +31,14 @@ QUADRATIC_DRAG = Effect(
     reference="BittencourtAxelsson2014",
     term=quadratic_drag_term,
     amplitudes=(
-        Amplitude(name="D", unit="N m s^2/rad^2", scale=_typical_drag, lower=-1.5, upper=10.0),
+        Amplitude(
+            "D",
+            "N m s^2/rad^2",
+            # Half the viscous friction at the fastest speed.
+            lambda constants: 0.5 * viscous_friction(constants) / max(constants.fastest, 1e-3),
+            -1.5,
+            10.0,
+        ),
     ),
     separate="Hold at least four constant speeds up to the fastest, both ways: torque over speed is"
     " a straight line for viscous friction, a parabola for drag.",

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 from stiffopt.discovery.catalogue.time_shift import delay_term
 from stiffopt.discovery.effect import Amplitude, Effect, Shape
 
@@ -24,16 +22,11 @@ RUN_CLOCK = Effect(
     ),
     needs=("torque", "torque_sensor", "moves", "runs"),
     confused_with=("time_delay",),
-    term=partial(delay_term, _MAX_OFFSET),
-    amplitudes=(Amplitude(name="d", unit="s", scale=0.02, lower=-10.0, upper=10.0),),
+    term=delay_term,
+    amplitudes=(Amplitude("d", "s", 0.02, -10.0, 10.0),),
     shapes=(
         Shape(
-            name="about",
-            unit="s",
-            starts=(-0.08, -0.02, -0.005, 0.005, 0.02, 0.08),
-            lower=-_MAX_OFFSET,
-            upper=_MAX_OFFSET,
-            usual=1e-4,
+            "about", "s", (-0.08, -0.02, -0.005, 0.005, 0.02, 0.08), -_MAX_OFFSET, _MAX_OFFSET, 1e-4
         ),
     ),
     linear_about=True,

@@ -5,17 +5,14 @@ Readings: torque reading = (1 + eps) drive torque + off; link reading = link ang
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-
 from stiffopt.discovery.catalogue.common import (
     CHANGED_SCALE_RATIO,
-    Constants,
     dry_friction,
     viscous_friction,
 )
-from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
-from stiffopt.discovery.signals import JointConstants, JointSignals, RobotSignals
-from stiffopt.symbolic import Quantity, softplus
+from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term, Values
+from stiffopt.discovery.signals import JointConstants, JointSignals
+from stiffopt.symbolic import softplus
 
 # Rounding of a drive's torque limit over the highest torque.
 _LIMIT_ROUNDING = 0.01
@@ -23,37 +20,12 @@ _LIMIT_ROUNDING = 0.01
 _MIN_LIMIT_RATIO = 0.97
 
 
-def torque_gain_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
-    """Return eps times the predicted torque: the measured one would explain itself."""
-    return Term(drive_torque=amplitudes[0] * signals.drive_torque)
-
-
-def torque_offset_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
-    """Return a constant torque."""
-    return Term(drive_torque=amplitudes[0] + 0.0 * signals.drive_torque)
-
-
-def encoder_offset_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def encoder_offset_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return a constant added to the reading of the link angle."""
     return Term(reading=-amplitudes[0] + 0.0 * signals.windup)
 
 
-def encoder_skew_term(
-    signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
-    """Return the effect of link angles that are read d later than motor angles."""
-    return Term(reading=amplitudes[0] * signals.link_velocity)
-
-
-def saturation_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def saturation_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return the demanded torque beyond a drive's limit, or the part clipped in a reading.
 
     Torque by an actuator's law is what it asks for: what lies beyond the limit is not given.
@@ -69,19 +41,8 @@ def saturation_term(
     return Term(drive_torque=amplitudes[0] * rounding * beyond)
 
 
-def _report_limit(
-    amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
-) -> Mapping[str, float]:
-    return {"limit": shapes[0] * constants.torque_max}
-
-
-def _is_limit_possible(shapes: Sequence[float], constants: Constants) -> bool:
-    """Return True where no run shows more torque than the limit; a filter overshoots."""
-    return bool(shapes[0] * constants.torque_max >= _MIN_LIMIT_RATIO * constants.measured_torque)
-
-
-def _typical_offset(constants: JointConstants) -> float:
-    return 0.03 * constants.torque_rated
+# Usual zero error of a torque over the rated torque, which bounds it.
+_TYPICAL_OFFSET_SHARE = 0.03
 
 
 def _start_limits(constants: JointConstants) -> tuple[float, ...]:
@@ -90,7 +51,7 @@ def _start_limits(constants: JointConstants) -> tuple[float, ...]:
     return tuple(max(0.1, share * asked) for share in (0.4, 0.55, 0.7, 0.85, 0.97))
 
 
-_READING_ZERO = Amplitude(name="off", unit="rad", scale=1e-3, lower=-10.0, upper=10.0)
+_READING_ZERO = Amplitude("off", "rad", 1e-3, -10.0, 10.0)
 
 TORQUE_GAIN = Effect(
     name="torque_gain",
@@ -102,8 +63,9 @@ TORQUE_GAIN = Effect(
     remedy="Check torque constant and unit of {where}, and correct its readings by {eps:%}.",
     tolerances=("torque_constant",),
     needs=("torque", "moves"),
-    term=torque_gain_term,
-    amplitudes=(Amplitude(name="eps", unit="", scale=0.1, lower=-6.0, upper=6.0),),
+    # Of the predicted torque: the measured one would explain itself.
+    term=lambda signals, a, s: Term(drive_torque=a[0] * signals.drive_torque),
+    amplitudes=(Amplitude("eps", "", 0.1, -6.0, 6.0),),
     separate="Fasten a known mass and move fast and slowly: a wrong mass leaves friction and rotor"
     " inertia as they are, a gain scales everything.",
 )
@@ -118,15 +80,15 @@ TORQUE_OFFSET = Effect(
     phrase="torque reading off by {off}",
     remedy="Zero the torque reading of {where}, or subtract {off}.",
     needs=("torque", "moves", "reverses"),
-    term=torque_offset_term,
+    term=lambda signals, a, s: Term(drive_torque=a[0] + 0.0 * signals.drive_torque),
     amplitudes=(
         Amplitude(
-            name="off",
-            unit="N m",
-            scale=_typical_offset,
-            lower=-7.0,
-            upper=7.0,
-            changed=CHANGED_SCALE_RATIO,
+            "off",
+            "N m",
+            lambda constants: _TYPICAL_OFFSET_SHARE * constants.torque_rated,
+            -1.0 / _TYPICAL_OFFSET_SHARE,
+            1.0 / _TYPICAL_OFFSET_SHARE,
+            CHANGED_SCALE_RATIO,
         ),
     ),
     separate="Stop for a second in several postures and move in both directions: friction that"
@@ -174,8 +136,8 @@ ENCODER_SKEW = Effect(
     phrase="link encoders read {d} late",
     remedy="Shift the link encoders by {d}, or use one clock for all signals.",
     needs=("link", "moves"),
-    term=encoder_skew_term,
-    amplitudes=(Amplitude(name="d", unit="s", scale=1e-3, lower=-20.0, upper=20.0),),
+    term=lambda signals, a, s: Term(reading=a[0] * signals.link_velocity),
+    amplitudes=(Amplitude("d", "s", 1e-3, -20.0, 20.0),),
     separate="Hold constant speeds in both directions under unlike loads: compliance follows the"
     " load, a skew follows the speed.",
 )
@@ -193,11 +155,13 @@ SATURATION = Effect(
     needs=("torque", "moves"),
     term=saturation_term,
     # -1 is a clipped reading; a saturated drive demands many times the torque beyond the limit.
-    amplitudes=(Amplitude(name="steepness", unit="", scale=10.0, lower=-0.15, upper=20.0),),
-    shapes=(Shape(name="share", unit="", starts=_start_limits, lower=0.05, upper=1.2),),
-    report=_report_limit,
+    amplitudes=(Amplitude("steepness", "", 10.0, -0.15, 20.0),),
+    shapes=(Shape("share", "", _start_limits, 0.05, 1.2),),
+    report=lambda a, s, constants: {"limit": s[0] * constants.torque_max},
     units={"limit": "N m"},
-    possible=_is_limit_possible,
+    possible=lambda shapes, constants: bool(
+        shapes[0] * constants.torque_max >= _MIN_LIMIT_RATIO * constants.measured_torque
+    ),
     separate="Ask for the highest torque several times: below the limit nothing is missing, a gain"
     " error shows at every torque.",
 )

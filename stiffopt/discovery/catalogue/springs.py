@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 
 from stiffopt.discovery.catalogue.common import (
@@ -13,17 +11,15 @@ from stiffopt.discovery.catalogue.common import (
     on_wrist,
     ratio_or_zero,
 )
-from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
+from stiffopt.discovery.effect import Amplitude, Effect, Reported, Shape, Term, Values
 from stiffopt.discovery.signals import JointConstants, JointSignals
-from stiffopt.symbolic import Quantity, softplus
+from stiffopt.symbolic import softplus
 
 # Angle over which a stop sets in [rad].
 _STOP_ROUNDING = 2e-3
 
 
-def gravity_spring_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def gravity_spring_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return k m sin((q - q1)/m) + B of a balancer spring, sine and cosine separate."""
     sine, cosine, constant = amplitudes
     bend = shapes[0]
@@ -31,17 +27,13 @@ def gravity_spring_term(
     return Term(link_torque=bend * (sine * np.sin(turned) + cosine * np.cos(turned)) + constant)
 
 
-def cable_spring_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def cable_spring_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return the torque k1 (q - q0) + k3 (q - q0)^3."""
     bent = signals.link_position - shapes[0]
     return Term(link_torque=amplitudes[0] * bent + amplitudes[1] * bent**3)
 
 
-def end_stop_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def end_stop_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return the torque k (q - q0) beyond an angle, on the side of the second shape's sign."""
     place, side = shapes
     inwards = np.sign(side)
@@ -49,9 +41,7 @@ def end_stop_term(
     return Term(link_torque=amplitudes[0] * inwards * _STOP_ROUNDING * pressed)
 
 
-def _report_rest_angle(
-    amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
-) -> Mapping[str, float]:
+def _report_rest_angle(amplitudes: Values, shapes: Values, constants: Constants) -> Reported:
     """Return the stiffness at the torque-free angle nearest to the stroke.
 
     Without a torque-free angle, that of the wave alone.
@@ -74,21 +64,9 @@ def _typical_stiffness(constants: JointConstants) -> float:
     return 0.1 * constants.torque_rated
 
 
-def _typical_stop_stiffness(constants: JointConstants) -> float:
-    return 10.0 * carried_share(constants) * constants.torque_rated
-
-
-def _start_stop_angles(constants: JointConstants) -> tuple[float, ...]:
-    return along_stroke(constants, 6)
-
-
-def _is_within_stroke(shapes: Sequence[float], constants: JointConstants) -> bool:
+def _is_within_stroke(shapes: Values, constants: JointConstants) -> bool:
     low, high = constants.stroke
     return bool(low <= shapes[0] <= high)
-
-
-def _start_rest_angles(constants: JointConstants) -> tuple[float, ...]:
-    return along_stroke(constants, 5)
 
 
 GRAVITY_SPRING = Effect(
@@ -104,12 +82,12 @@ GRAVITY_SPRING = Effect(
     twin="cable_spring",
     term=gravity_spring_term,
     amplitudes=(
-        Amplitude(name="k_sin", unit="N m/rad", scale=_typical_stiffness, lower=-20.0, upper=20.0),
-        Amplitude(name="k_cos", unit="N m/rad", scale=_typical_stiffness, lower=-20.0, upper=20.0),
-        Amplitude(name="B", unit="N m", scale=_typical_stiffness, lower=-40.0, upper=40.0),
+        Amplitude("k_sin", "N m/rad", _typical_stiffness, -20.0, 20.0),
+        Amplitude("k_cos", "N m/rad", _typical_stiffness, -20.0, 20.0),
+        Amplitude("B", "N m", _typical_stiffness, -40.0, 40.0),
     ),
     # From a crank with a spring of zero free length to a plain torsion spring.
-    shapes=(Shape(name="m", unit="rad", starts=(1.0, 1.5, 5.0), lower=0.5, upper=10.0),),
+    shapes=(Shape("m", "rad", (1.0, 1.5, 5.0), 0.5, 10.0),),
     report=_report_rest_angle,
     units={"k": "N m/rad", "offset": "rad"},
     log_prior=lambda constants: -1.0 if on_wrist(constants) else 0.0,
@@ -129,10 +107,10 @@ CABLE_SPRING = Effect(
     needs=("torque", "moves"),
     term=cable_spring_term,
     amplitudes=(
-        Amplitude(name="k1", unit="N m/rad", scale=_typical_stiffness, lower=0.0, upper=5.0),
-        Amplitude(name="k3", unit="N m/rad^3", scale=_typical_stiffness, lower=0.0, upper=5.0),
+        Amplitude("k1", "N m/rad", _typical_stiffness, 0.0, 5.0),
+        Amplitude("k3", "N m/rad^3", _typical_stiffness, 0.0, 5.0),
     ),
-    shapes=(Shape(name="q0", unit="rad", starts=_start_rest_angles, lower=-20.0, upper=20.0),),
+    shapes=(Shape("q0", "rad", lambda constants: along_stroke(constants, 5), -20.0, 20.0),),
     log_prior=lambda constants: 0.0 if on_wrist(constants) else -1.0,
     separate="Go to both ends of the stroke: a cable pulls back ever harder, weight repeats after"
     " a turn.",
@@ -151,11 +129,17 @@ END_STOP = Effect(
     confused_with=("cable_spring",),
     term=end_stop_term,
     amplitudes=(
-        Amplitude(name="k", unit="N m/rad", scale=_typical_stop_stiffness, lower=0.0, upper=100.0),
+        Amplitude(
+            "k",
+            "N m/rad",
+            lambda constants: 10.0 * carried_share(constants) * constants.torque_rated,
+            0.0,
+            100.0,
+        ),
     ),
     shapes=(
-        Shape(name="q0", unit="rad", starts=_start_stop_angles, lower=-20.0, upper=20.0),
-        Shape(name="side", unit="", starts=(-1.0, 1.0), lower=-1.0, upper=1.0),
+        Shape("q0", "rad", lambda constants: along_stroke(constants, 6), -20.0, 20.0),
+        Shape("side", "", (-1.0, 1.0), -1.0, 1.0),
     ),
     report=lambda amplitudes, shapes, constants: {"k": amplitudes[0], "q0": shapes[0]},
     possible=_is_within_stroke,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,24 +18,19 @@ from stiffopt.discovery.catalogue.robot_change import (
     with_element,
     with_series_spring,
 )
-from stiffopt.discovery.effect import Amplitude, Effect, FittedEffect, RobotChange, Shape, Term
+from stiffopt.discovery.effect import (
+    Amplitude,
+    Effect,
+    FittedEffect,
+    Reported,
+    RobotChange,
+    Shape,
+    Term,
+    Values,
+)
 from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.exact.connection import reducer_windup
 from stiffopt.robot.robot import Robot
-from stiffopt.symbolic import Quantity
-
-
-def stiffness_linear_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
-    """Return the wind-up x D(s)."""
-    return Term(deflection=amplitudes[0] * signals.windup)
-
-
-def _report_factor(
-    amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
-) -> Mapping[str, float]:
-    return {"factor": 1.0 / (1.0 + amplitudes[0])}
 
 
 def scale_stiffness(
@@ -69,17 +63,10 @@ def scale_stiffness(
 def _scale_element(element: Reducer | Constant, factor: float) -> Connection:
     if isinstance(element, Constant):
         return replace(element, stiffness=element.stiffness * factor)
-    return replace(
-        element,
-        K1=element.K1 * factor,
-        K2=element.K2 * factor,
-        K3=element.K3 * factor,
-    )
+    return replace(element, K1=element.K1 * factor, K2=element.K2 * factor, K3=element.K3 * factor)
 
 
-def k1_softening_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def k1_softening_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return the wind-up of a reducer with another first slope and corner, less the nominal one."""
     constants, s = signals.constants, signals.spring_torque
     if constants.slopes is None or constants.corners is None:
@@ -93,9 +80,7 @@ def k1_softening_term(
     return Term(deflection=amplitudes[0] * added)
 
 
-def _report_corners(
-    amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
-) -> Mapping[str, float]:
+def _report_corners(amplitudes: Values, shapes: Values, constants: Constants) -> Reported:
     # The slope at zero torque is exact, also where the weight is not 1.
     softer = 1.0 + amplitudes[0] * (1.0 / shapes[0] - 1.0)
     return {"k1_factor": 1.0 / softer, "t1_factor": shapes[1]}
@@ -148,9 +133,9 @@ STIFFNESS_LINEAR = Effect(
     needs=("windup", "moves"),
     confused_with=("belt_creep", "preload_loss"),
     change_robot=scale_stiffness,
-    term=stiffness_linear_term,
-    amplitudes=(Amplitude(name="x", unit="", scale=0.3, lower=-2.2, upper=7.8),),
-    report=_report_factor,
+    term=lambda signals, a, s: Term(deflection=a[0] * signals.windup),
+    amplitudes=(Amplitude("x", "", 0.3, -2.2, 7.8),),
+    report=lambda a, s, constants: {"factor": 1.0 / (1.0 + a[0])},
     units={"factor": ""},
     applies=winds_up,
     separate="Use the whole range of torque on both sides, slowly and fast: an added belt is not"
@@ -173,8 +158,8 @@ K1_SOFTENING = Effect(
     term=k1_softening_term,
     amplitudes=(WEIGHT,),
     shapes=(
-        Shape(name="k1_factor", unit="", starts=(0.2, 0.35, 0.55, 0.8), lower=0.15, upper=1.2),
-        Shape(name="t1_factor", unit="", starts=(0.7, 1.0, 1.6), lower=0.5, upper=3.0),
+        Shape("k1_factor", "", (0.2, 0.35, 0.55, 0.8), 0.15, 1.2),
+        Shape("t1_factor", "", (0.7, 1.0, 1.6), 0.5, 3.0),
     ),
     report=_report_corners,
     applies=_has_reducer_corners,

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from stiffopt.discovery.catalogue.common import dry_friction
-from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
+from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term, Values
 from stiffopt.discovery.signals import JointConstants, JointSignals
-from stiffopt.symbolic import Quantity
 
 # Angle over which the friction sets in [rad].
 _EDGE_WIDTH = 0.02
@@ -20,9 +19,7 @@ _MIN_SHARE, _MAX_SHARE = 0.1, 0.85
 _FIRST_SHARES, _LAST_SHARES = (-0.05, 0.25, 0.5, 0.75), (0.3, 0.6, 1.05)
 
 
-def stroke_friction_term(
-    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
+def stroke_friction_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return dry friction A sg(w) between two angles, with rounded edges."""
     first, last = shapes
     q = signals.link_position
@@ -35,7 +32,7 @@ def _start_angles(shares: Sequence[float], constants: JointConstants) -> tuple[f
     return tuple(low + share * (high - low) for share in shares)
 
 
-def _is_part_of_stroke(shapes: Sequence[float], constants: JointConstants) -> bool:
+def _is_part_of_stroke(shapes: Values, constants: JointConstants) -> bool:
     low, high = constants.stroke
     first, last = (min(max(angle, low), high) for angle in shapes)
     return bool(_MIN_SHARE <= (last - first) / max(high - low, 1e-9) <= _MAX_SHARE)
@@ -56,22 +53,10 @@ STROKE_FRICTION = Effect(
     needs=("torque", "moves", "reverses"),
     confused_with=("position_friction", "coulomb"),
     term=stroke_friction_term,
-    amplitudes=(Amplitude(name="A", unit="N m", scale=dry_friction, lower=-1.0, upper=3.0),),
+    amplitudes=(Amplitude("A", "N m", dry_friction, -1.0, 3.0),),
     shapes=(
-        Shape(
-            name="q0",
-            unit="rad",
-            starts=lambda constants: _start_angles(_FIRST_SHARES, constants),
-            lower=-20.0,
-            upper=20.0,
-        ),
-        Shape(
-            name="q1",
-            unit="rad",
-            starts=lambda constants: _start_angles(_LAST_SHARES, constants),
-            lower=-20.0,
-            upper=20.0,
-        ),
+        Shape("q0", "rad", lambda constants: _start_angles(_FIRST_SHARES, constants), -20.0, 20.0),
+        Shape("q1", "rad", lambda constants: _start_angles(_LAST_SHARES, constants), -20.0, 20.0),
     ),
     possible=_is_part_of_stroke,
     separate="Sweep the whole stroke at one slow speed, both ways: the torque steps at the edges of"

@@ -6,8 +6,6 @@ that it causes: a torque that is ahead was commanded, and recorded in place of t
 
 from __future__ import annotations
 
-from functools import partial
-
 from stiffopt.discovery.catalogue.time_shift import delay_term
 from stiffopt.discovery.effect import Amplitude, Effect, Shape
 
@@ -29,17 +27,10 @@ TIME_DELAY = Effect(
     remedy="Shift the torque channels by {d}, use one clock for all signals, and record the"
     " measured torque where it is ahead of the motion.",
     needs=("torque", "torque_sensor", "moves"),
-    term=partial(delay_term, _MAX_DELAY),
-    amplitudes=(Amplitude(name="d", unit="s", scale=5e-3, lower=-10.0, upper=10.0),),
+    term=delay_term,
+    amplitudes=(Amplitude("d", "s", 5e-3, -10.0, 10.0),),
     shapes=(
-        Shape(
-            name="about",
-            unit="s",
-            starts=(-0.02, -5e-3, -1e-3, 1e-3, 5e-3, 0.02),
-            lower=-_MAX_DELAY,
-            upper=_MAX_DELAY,
-            usual=1e-4,
-        ),
+        Shape("about", "s", (-0.02, -5e-3, -1e-3, 1e-3, 5e-3, 0.02), -_MAX_DELAY, _MAX_DELAY, 1e-4),
     ),
     linear_about=True,
     signals_key="torque_delay",

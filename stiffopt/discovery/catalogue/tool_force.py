@@ -2,55 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from stiffopt.discovery.catalogue.common import component
-from stiffopt.discovery.effect import Amplitude, Effect, Term
-from stiffopt.discovery.signals import RobotConstants, RobotSignals
-from stiffopt.symbolic import Quantity
-
-# Typical force over the weight of the arm.
-_WEIGHT_SHARE = 0.03
-_STANDARD_GRAVITY = 9.81
-
-
-def tool_force_term(
-    signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
-    """Return -J^T f of a force on the tool with constant components along the base axes."""
-    levers = signals.tool_levers
-    return Term(link_torque=_weigh_levers(levers, amplitudes, 0))
-
-
-def turning_force_term(
-    signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
-) -> Term:
-    """Return -J^T R f of a force on the tool with constant components along the tool's axes."""
-    return Term(link_torque=_weigh_levers(signals.tool_levers, amplitudes, 3))
-
-
-def _weigh_levers(levers: Quantity, force: Sequence[Quantity], first: int) -> Quantity:
-    torque: Quantity = 0.0
-    for k, part in enumerate(force):
-        torque = torque - part * component(levers, first + k)
-    return torque
-
-
-def _typical_force(constants: RobotConstants) -> float:
-    return max(_WEIGHT_SHARE * _STANDARD_GRAVITY * float(np.sum(constants.masses)), 0.5)
-
+from stiffopt.discovery.effect import Amplitude, Effect, Term, Values
+from stiffopt.discovery.signals import RobotConstants
 
 _FORCE_COMPONENTS = tuple(
-    Amplitude(name=name, unit="N", scale=_typical_force, lower=-40.0, upper=40.0)
+    Amplitude(
+        name,
+        "N",
+        # 3 % of the weight of the arm.
+        lambda constants: max(0.03 * 9.81 * float(np.sum(constants.masses)), 0.5),
+        -40.0,
+        40.0,
+    )
     for name in ("fx", "fy", "fz")
 )
 
 
-def _describe_remedy(
-    amplitudes: Sequence[float], shapes: Sequence[float], constants: RobotConstants
-) -> str:
+def _describe_remedy(amplitudes: Values, shapes: Values, constants: RobotConstants) -> str:
     parts = ", ".join(f"{value:.1f}" for value in amplitudes)
     return (
         f"A force of ({parts}) N pulls at the tool in every run: look for a hose, a cable or a"
@@ -67,7 +37,7 @@ TOOL_FORCE = Effect(
     phrase="a constant force at the tool",
     needs=("torque", "moves", "tool_frame"),
     confused_with=("payload", "external_contact", "base_tilt"),
-    term=tool_force_term,
+    term=lambda signals, a, s: Term(link_torque=-(signals.tool_levers[..., :3] @ np.asarray(a))),
     amplitudes=_FORCE_COMPONENTS,
     remedy=_describe_remedy,
     separate="Accelerate the tool in the direction of the force: a payload's torque grows with the"
@@ -83,7 +53,7 @@ TURNING_TOOL_FORCE = Effect(
     phrase="a force that is fixed to the tool",
     needs=("torque", "moves", "tool_frame"),
     confused_with=("payload", "tool_force"),
-    term=turning_force_term,
+    term=lambda signals, a, s: Term(link_torque=-(signals.tool_levers[..., 3:] @ np.asarray(a))),
     amplitudes=_FORCE_COMPONENTS,
     remedy=_describe_remedy,
     separate="Turn the wrist by half a turn at one place: the force of a spring in the tool turns"

@@ -10,9 +10,7 @@ from stiffopt.symbolic import Quantity
 
 # Time constants that are tried [s]: lubricant redistributes in seconds, windings warm in tens of
 # seconds, housings in minutes, whose change within a run is a straight line.
-TIME_CONSTANT = Shape(
-    name="tau_w", unit="s", starts=(1.0, 4.0, 20.0), lower=0.3, upper=1e3, usual=20.0
-)
+TIME_CONSTANT = Shape("tau_w", "s", (1.0, 4.0, 20.0), 0.3, 1e3, 20.0)
 
 
 def warmed_share(signals: JointSignals, time_constant: Quantity) -> Quantity:

@@ -1,4 +1,4 @@
-"""Bandwidths of fit and prediction, selected by cross-validation for every set and channel.
+"""Bandwidth of a fit, selected by cross-validation for every set.
 
 A wide band follows reversals and pulses; a narrow one keeps the noise of twice differentiated
 encoders out of the torque. Which is better depends on the recordings: for every band a small linear
@@ -40,65 +40,42 @@ _MIN_STRETCH, _MAX_STRETCH = 0.2, 2.0
 _RELATIVE_RIDGE = 1e-3
 # Smallest gain in the mean log mean square for which the default band of the fit is left.
 _MIN_LOG_GAIN = 0.02
-# Share of the least mean square that a wider band may cost: encoder noise is visible in the
-# training runs, the needs of a faster motion are not.
-_MAX_WIDER_BAND_COST = 0.1
 # Largest number of rows of a fit.
 _MAX_FIT_ROWS = 60_000
 # Joints with fewer moving samples keep the default band.
 _MIN_MOVING_SAMPLES = 100
 
 
-@dataclass(frozen=True, kw_only=True)
-class Bands:
-    """Bandwidths of one recording set.
-
-    Parameters
-    ----------
-    fit : float
-        Band of the rows of a fit [Hz].
-    predict : tuple of float (n,)
-        Band of the motion from which the torque of each joint is predicted [Hz].
-    """
-
-    fit: float
-    predict: tuple[float, ...]
+def candidate_bands(runs: Sequence[RecordedRun], usual: float) -> list[float]:
+    """Return the bands that the sampling rate of runs admits, and the usual one [Hz]."""
+    highest = _MAX_BAND_OVER_RATE / max(run.step for run in runs)
+    return sorted({*(b for b in BANDS if b <= highest), min(usual, highest)})
 
 
-def choose_bands(
+def choose_fit_band(
     robot: RobotModel,
     runs: Sequence[RecordedRun],
     *,
     slow: float,
     fit: float,
     predict: float,
-) -> Bands:
-    """Return the bands that best predict stretches left out.
+) -> float:
+    """Return the band of a fit that best predicts stretches left out [Hz].
 
     Parameters
     ----------
-    robot : RobotModel
     runs : sequence of RecordedRun
         Training runs.
     slow : float
         Joints slower than this are at rest [rad/s].
     fit, predict : float
-        Defaults where too little moves to select [Hz].
+        Usual bands of fit and prediction; the first is kept where too little moves to select [Hz].
     """
-    rate = 1.0 / max(run.step for run in runs)
-    highest = _MAX_BAND_OVER_RATE * rate
-    tried = sorted({*(b for b in BANDS if b <= highest), min(predict, highest)})
+    tried = candidate_bands(runs, predict)
     errors = np.array([_cross_validation_errors(robot, runs, band, slow) for band in tried])
     usable = np.isfinite(errors).all(axis=0)
-    # The link motion of an elastic joint is computable only below its resonance.
-    slower = int(np.searchsorted(tried, predict, side="right"))
-    counts = [slower if joint.elastic else len(tried) for joint in robot.constants.joints]
-    bands = [
-        _widest_adequate_band(tried[:count], column[:count]) if own else predict
-        for own, column, count in zip(usable, errors.T, counts, strict=True)
-    ]
     if not usable.any():
-        return Bands(fit=fit, predict=tuple(bands))
+        return fit
     most = _MAX_FIT_ROWS / (sum(run.duration for run in runs) * robot.n * ROWS_PER_CYCLE)
     fits = [
         k for k, b in enumerate(tried) if _MIN_FIT_BAND <= b <= max(min(_MAX_FIT_BAND, most), fit)
@@ -108,18 +85,7 @@ def choose_bands(
     together = np.log(errors[:, usable]).mean(axis=1)
     best = min(fits, key=lambda k: float(together[k]), default=0)
     near = [k for k in fits if together[k] < together[best] + _MIN_LOG_GAIN]
-    return Bands(
-        fit=min((tried[k] for k in near), key=lambda band: abs(band - fit), default=fit),
-        predict=tuple(bands),
-    )
-
-
-def _widest_adequate_band(tried: Sequence[float], errors: np.ndarray) -> float:
-    return max(
-        band
-        for band, error in zip(tried, errors, strict=True)
-        if error <= (1.0 + _MAX_WIDER_BAND_COST) * errors.min()
-    )
+    return min((tried[k] for k in near), key=lambda band: abs(band - fit), default=fit)
 
 
 def _cross_validation_errors(

@@ -33,8 +33,6 @@ class ChannelRows:
 
     Parameters
     ----------
-    runs : sequence of PreparedRun
-    noise : ChannelNoise
     blocks : int
         Cross-validation blocks per run; 1 takes each run as a whole.
 
@@ -112,7 +110,6 @@ class ChannelRows:
         Parameters
         ----------
         out : array (m,)
-        number : int
         torque, deflection : array (K, n) or None
         """
         run, places, begins = self.runs[number], self._places[number], self._first_rows[number]
@@ -137,10 +134,8 @@ class ChannelRows:
 
         Parameters
         ----------
-        number : int
         own : sequence of (kind, joint, column, array (K,))
             "torque" or "deflection", and the joint from 0.
-        count : int
 
         Yields
         ------
@@ -236,7 +231,6 @@ def known_noise(stated: Noise, runs: Sequence[PreparedRun]) -> KnownNoise:
 
     Parameters
     ----------
-    stated : Noise
     runs : sequence of PreparedRun
         Training runs, for channels without stated noise.
 

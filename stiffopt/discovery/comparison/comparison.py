@@ -36,6 +36,7 @@ from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.piece_sums import WeightedSums
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.comparison.value_name import ValueName
+from stiffopt.discovery.settings import MAX_NOMINAL_DEVIATIONS
 from stiffopt.recording.nominal import Tolerance
 
 # Default of a nominal model without an earlier diagnosis.
@@ -48,7 +49,6 @@ class Fit:
 
     Parameters
     ----------
-    effects : tuple of LocatedEffect
     posterior : Posterior
         Of the nuisance values, then the amplitudes over their sizes.
     residual : array (m,)
@@ -99,17 +99,12 @@ class Comparison:
 
     Parameters
     ----------
-    robot : RobotModel
     runs : sequence of PreparedRun
         Runs with the nominal model.
-    noise : ChannelNoise
-    tolerance : Tolerance
     start : Extension, optional
         Extension of the compared model beyond the nominal one.
     inflation : array (2 n,), optional
         Factor on the noise of every channel for its unexplained residual.
-    box : float
-        Bound on nominal values in standard deviations.
     least : array (2 n,), optional
         Smallest of these factors: the residual of the starting model in its own recordings; nan for
         unseen channels.
@@ -129,12 +124,11 @@ class Comparison:
         *,
         start: Extension | None = None,
         inflation: np.ndarray | None = None,
-        box: float = 4.0,
         least: np.ndarray | None = None,
         suspects: Mapping[str, float] = _NO_SUSPECTS,
         columns: DesignMatrix | None = None,
     ) -> None:
-        self.robot, self.noise, self.tolerance, self.box = robot, noise, tolerance, box
+        self.robot, self.noise, self.tolerance = robot, noise, tolerance
         self.nominal_runs, self.start = tuple(runs), start or Extension()
         self.columns = columns or DesignMatrix(
             robot, self.nominal_runs, noise, tolerance, self.start, Extension()
@@ -158,7 +152,6 @@ class Comparison:
 
         Parameters
         ----------
-        fit : Fit
         near : float
             Largest linearisation error of the links, rms over that noise.
         """
@@ -201,7 +194,6 @@ class Comparison:
             self.tolerance,
             start=self.start,
             inflation=inflation,
-            box=self.box,
             least=self._least_known,
             suspects=self.suspects,
             columns=columns,
@@ -322,7 +314,8 @@ class Comparison:
         Amplitudes and free bodies have none; bodies must be consistent instead.
         """
         found = np.full(count, np.inf)
-        found[0 if self.bodies is None else self.bodies.size : len(self.priors[1])] = self.box
+        first = 0 if self.bodies is None else self.bodies.size
+        found[first : len(self.priors[1])] = MAX_NOMINAL_DEVIATIONS
         return found
 
     def _make_consistent(

@@ -66,11 +66,8 @@ class DesignMatrix:
 
     Parameters
     ----------
-    robot : RobotModel
     runs : tuple of PreparedRun
         Runs with the nominal model.
-    noise : ChannelNoise
-    tolerance : Tolerance
     start : Extension
         Extension of the compared model.
     found : Extension
@@ -119,7 +116,6 @@ class DesignMatrix:
 
         Parameters
         ----------
-        found : Extension
         inflation : array (2 n,), optional
             Residual noise of every channel over the stated one; default as stated. With vibrating
             links the residual may stem from the linearisation: the stated one counts.
@@ -137,7 +133,8 @@ class DesignMatrix:
             new = DesignMatrix(
                 self.robot, self.nominal_runs, self.noise, self.tolerance, self.start, found
             )
-        if not new._is_stable:
+        vibrations = [run.vibration for run in new.runs if run.vibration is not None]
+        if not all(each.has_positive_inertia for each in vibrations):
             return self
         new.bodies, new._earlier = self.bodies, self._earlier
         for other in self._earlier:
@@ -146,20 +143,14 @@ class DesignMatrix:
         del self._earlier[1:-_MAX_EARLIER]
         return new
 
-    @property
-    def _is_stable(self) -> bool:
-        """True where the masses of all vibrating links are positive definite."""
-        return all(run.vibration is None or run.vibration.has_positive_inertia for run in self.runs)
-
     def with_bodies(self, bodies: np.ndarray | None) -> DesignMatrix:
-        """Return the matrix with inertial parameters free: their standard deviations (n, 10)."""
+        """Return the matrix with inertial parameters free: their standard deviations (n, 10).
+
+        Without the linearisations that a search went through.
+        """
         new = copy(self)
         new.bodies, new._earlier = bodies, [new]
         return new
-
-    def restarted(self) -> DesignMatrix:
-        """Return the matrix without the linearisations that a search went through."""
-        return self.with_bodies(self.bodies)
 
     def _clear_effect_columns(self) -> None:
         """Free the memory of effect columns, which are recomputed when needed."""

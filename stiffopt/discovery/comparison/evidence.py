@@ -52,7 +52,6 @@ class BlockSums:
     columns : array (m, p)
     target : array (m,)
     block : array (m,) of int
-    blocks : int
 
     Attributes
     ----------
@@ -114,7 +113,6 @@ class AddedSums:
         With the target.
     block : array (a,) of int
         Block of each part.
-    blocks : int
     """
 
     def __init__(

@@ -44,8 +44,6 @@ def simulate_links(run: PreparedRun, robot: RobotModel, extension: Extension) ->
     ----------
     run : PreparedRun
         Run with the nominal model and its vibration.
-    robot : RobotModel
-    extension : Extension
 
     Notes
     -----
@@ -223,7 +221,6 @@ def extend_run(run: PreparedRun, robot: RobotModel, *extensions: Extension) -> P
     ----------
     run : PreparedRun
         Run with the nominal model.
-    robot : RobotModel
     extensions : Extension
         Each on top of those before it.
 
@@ -262,7 +259,6 @@ def linearise_run(
     ----------
     run : PreparedRun
         Run with the nominal model.
-    robot : RobotModel
     start : Extension
         Extension that is included in the prediction as a whole.
     found : Extension

@@ -19,6 +19,7 @@ from stiffopt.discovery.comparison.nuisance import (
 from stiffopt.discovery.comparison.prepared_run import PreparedRun, with_link_torque
 from stiffopt.discovery.comparison.springs import SpringLaw, nominal_damping
 from stiffopt.discovery.comparison.value_name import ValueName
+from stiffopt.discovery.settings import DEFAULT_TOLERANCE
 from stiffopt.discovery.signals import JointSignals
 from stiffopt.recording.nominal import Tolerance
 
@@ -35,17 +36,7 @@ _MIN_TABLE_TORQUE, _MAX_TABLE_TORQUE, _ENTRIES_PER_DECADE = 1e-6, 1e2, 200
 _INERTIA_INTERVAL = 0.02
 
 # Tolerances above zero select columns; their size is not used here.
-_ALL_TOLERANCES = Tolerance(
-    mass=1.0,
-    com=1.0,
-    rotor_inertia=1.0,
-    coulomb=1.0,
-    viscous=1.0,
-    stiffness=1.0,
-    joint_damping=1.0,
-    torque_constant=1.0,
-    encoder_zero=1.0,
-)
+_ALL_TOLERANCES = Tolerance(**dict.fromkeys(vars(DEFAULT_TOLERANCE), 1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,8 +193,6 @@ def added_inertia(
     ----------
     run : PreparedRun
         Run with the nominal model.
-    robot : RobotModel
-    extensions : sequence of Extension
     every : int
         Samples between matrices.
 

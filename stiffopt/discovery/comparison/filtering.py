@@ -16,6 +16,8 @@ from stiffopt.recording.run import RecordedRun
 _HALF_LENGTH_CYCLES = 1.5
 # Rows of a fit per second and Hz of the cutoff.
 ROWS_PER_CYCLE = 2.5
+# Cutoff of slow motion [Hz].
+SLOW_CUTOFF = 8.0
 # Largest step between samples that a spline bridges, over the median step: two may be missing.
 _MAX_SPLINE_STEPS = 3.5
 # Degree of the polynomial that extrapolates a motion beyond its ends.
@@ -236,3 +238,38 @@ def near_gaps(stamps: np.ndarray, step: float, time: np.ndarray, reach: int) -> 
     for k in np.flatnonzero(np.diff(stamps) > MIN_GAP_STEPS * step):
         near |= (time > stamps[k] - margin) & (time < stamps[k + 1] + margin)
     return near
+
+
+@dataclass(frozen=True, eq=False)
+class SlowMotion:
+    """Motion and torque of a run on a uniform clock, in a band that weight and friction show in.
+
+    Parameters
+    ----------
+    time : array (K,)
+        [s]
+    dt : float
+        [s]
+    low_pass : ZeroPhaseFilter
+    position, velocity, acceleration, torque : array (K, n)
+        Filtered; gaps are bridged.
+    """
+
+    time: np.ndarray
+    dt: float
+    low_pass: ZeroPhaseFilter
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    torque: np.ndarray
+
+
+def filter_slow_motion(run: RecordedRun) -> SlowMotion:
+    """Return the slow motion of a run, without encoder noise and vibration."""
+    time, position, _, torque = resample_uniform(run)
+    dt = float(time[1] - time[0])
+    low_pass = ZeroPhaseFilter(1.0 / dt, min(SLOW_CUTOFF, 0.2 / dt))
+    q = low_pass.filter_motion(bridge_gaps(position))
+    v = derivative(q, dt)
+    smooth = low_pass(bridge_gaps(torque))
+    return SlowMotion(time, dt, low_pass, q, v, derivative(v, dt), smooth)

@@ -75,14 +75,12 @@ class LocatedEffect:
 
     Parameters
     ----------
-    effect : Effect
     joint : int or None
         0-based.
     link : int or None
         0-based, for effects of a link.
     run : str or None
         Name of the run, for effects of one run.
-    shapes : tuple of float
     calibrated : bool
         True for a value that every arm has and the nominal model does not state, such as dry
         friction: fitted in every model, and never compared with effects in its place.
@@ -334,7 +332,6 @@ class EstimatedEffect:
 
     Parameters
     ----------
-    located : LocatedEffect
     amplitudes : tuple of float
         In their own units.
     step : float
@@ -371,7 +368,6 @@ class Extension:
     calibration : mapping of ValueName to float
         Changes of nominal values by name: relative, [m],
         [rad], or of the inertial parameters of a body.
-    effects : tuple of EstimatedEffect
     """
 
     calibration: Mapping[ValueName, float] = field(default_factory=dict)

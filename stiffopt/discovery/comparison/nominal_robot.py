@@ -36,10 +36,6 @@ _CENTRE_STEP = 1e-5
 class RobotModel:
     """Nominal dynamics in the joint order of the recording set.
 
-    Parameters
-    ----------
-    recordings : RecordingSet
-
     Attributes
     ----------
     n : int
@@ -108,7 +104,6 @@ class RobotModel:
 
         Parameters
         ----------
-        signals : sequence of RobotSignals
         measured : array (n,), optional
             Largest measured drive torque [N m].
         """
@@ -290,33 +285,59 @@ _TORQUE_CACHE_BYTES = 2**26
 _MAX_CACHED_CHANGES = 3
 
 
-class BodyRegressor:
-    """Joint torques along a motion per inertial parameter (K, n, 10 n), evaluated on demand.
+class _TorqueParts:
+    """Joint torques along a motion by parts, (K, n, width) each, evaluated on demand.
 
     Body torques of a ten-minute run exceed all its other signals, and most effects use none.
 
     Parameters
     ----------
-    robot : RobotModel
-    q, v, a : array (K, n)
-        Motion of the links.
+    motion : tuple of array (K, n)
+        Position, velocity and acceleration of the links.
+    width : int
+        Columns of a part.
+    evaluate : callable
+        (part, *motion) -> its columns.
     """
 
-    def __init__(self, robot: RobotModel, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> None:
-        self._robot, self._motion = robot, (q, v, a)
-        self._changes: dict[bytes, np.ndarray] = {}
+    def __init__(
+        self,
+        robot: RobotModel,
+        motion: tuple[np.ndarray, ...],
+        width: int,
+        evaluate: Callable[..., np.ndarray],
+    ) -> None:
+        self._robot, self._motion, self._width, self._evaluate = robot, motion, width, evaluate
 
-    def of_body(self, body: int) -> np.ndarray:
-        """Return the torques (K, n, 10) per parameter of one body (from 0)."""
-        size = self._motion[0].nbytes * PARAMETERS_PER_BODY
+    def of_part(self, part: int) -> np.ndarray:
+        """Return the columns (K, n, width) of a part (from 0)."""
+        size = self._motion[0].nbytes * self._width
         return self._robot.cached_torques(
-            (self, body), size, lambda: self._robot.body_torques(body, *self._motion)
+            (self, part), size, lambda: self._evaluate(part, *self._motion)
         )
+
+    def __getitem__(self, where: tuple[Any, int]) -> np.ndarray:
+        """Return entries [..., k] as of an array."""
+        part, column = divmod(where[1], self._width)
+        return np.asarray(self.of_part(part)[..., column])
+
+
+class BodyRegressor(_TorqueParts):
+    """Joint torques along a motion per inertial parameter (K, n, 10 n), body by body.
+
+    Parameters
+    ----------
+    motion : tuple of array (K, n)
+    """
+
+    def __init__(self, robot: RobotModel, motion: tuple[np.ndarray, ...]) -> None:
+        super().__init__(robot, motion, PARAMETERS_PER_BODY, robot.body_torques)
+        self._changes: dict[bytes, np.ndarray] = {}
 
     def torque_of_body(self, body: int, change: np.ndarray) -> np.ndarray:
         """Return the torques (K, n) of changed parameters (10,) of one body (from 0)."""
         # Instants are contiguous in memory: one product of a row with a matrix.
-        return np.asarray(np.tensordot(change, self.of_body(body).T, 1).T)
+        return np.asarray(np.tensordot(change, self.of_part(body).T, 1).T)
 
     def torque(self, change: np.ndarray) -> np.ndarray:
         """Return the torques (K, n) of changed parameters (n, 10) of all bodies."""
@@ -327,62 +348,28 @@ class BodyRegressor:
             self._changes[key] = self._robot.changed_torque(change, *self._motion)
         return self._changes[key]
 
-    def __getitem__(self, where: Any) -> np.ndarray:
-        """Return entries as of an array: [..., k] is the column of parameter k."""
-        if isinstance(where, tuple) and where[0] is Ellipsis and isinstance(where[1], int):
-            body, parameter = divmod(where[1], PARAMETERS_PER_BODY)
-            return np.asarray(self.of_body(body)[..., parameter])
-        return np.asarray(self.__array__()[where])
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
-        """Return the whole regressor, which a long run has memory for only once."""
-        return np.asarray(self._robot.body_regressor(*self._motion), dtype=dtype)
-
-
-class ZeroHarmonics:
-    """Harmonics of the torques over the zeros of joints (K, n, 4 n), evaluated on demand.
-
-    Parameters
-    ----------
-    robot : RobotModel
-    q, v, a : array (K, n)
-        Motion of the links.
-    """
-
-    def __init__(self, robot: RobotModel, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> None:
-        self._robot, self._motion = robot, (q, v, a)
-
-    def of_joint(self, joint: int) -> np.ndarray:
-        """Return the harmonics (K, n, 4) of one joint (from 0)."""
-        size = self._motion[0].nbytes * HARMONICS_PER_JOINT
-        return self._robot.cached_torques(
-            (self, joint), size, lambda: self._robot.zero_harmonics(joint, *self._motion)
-        )
-
-    def __getitem__(self, where: tuple[Any, int]) -> np.ndarray:
-        """Return entries [..., k] as of an array."""
-        joint, harmonic = divmod(where[1], HARMONICS_PER_JOINT)
-        return np.asarray(self.of_joint(joint)[..., harmonic])
-
 
 class LazyArmSignals:
     """Tool, weight, body torques and joint zeros along a link motion, evaluated on demand.
 
     Parameters
     ----------
-    robot : RobotModel
     q, v, a : array (K, n)
 
     Attributes
     ----------
     body_regressor : BodyRegressor
-    zero_harmonics : ZeroHarmonics
+        Torques per inertial parameter.
+    zero_harmonics : _TorqueParts
+        Harmonics of the torques over the zeros of joints (K, n, 4 n).
     """
 
     def __init__(self, robot: RobotModel, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> None:
         self._robot, self._motion = robot, (q, v, a)
-        self.body_regressor = BodyRegressor(robot, q, v, a)
-        self.zero_harmonics = ZeroHarmonics(robot, q, v, a)
+        self.body_regressor = BodyRegressor(robot, self._motion)
+        self.zero_harmonics = _TorqueParts(
+            robot, self._motion, HARMONICS_PER_JOINT, robot.zero_harmonics
+        )
 
     @cached_property
     def _tool_kinematics(self) -> tuple[np.ndarray, np.ndarray]:
@@ -398,11 +385,6 @@ class LazyArmSignals:
         """Jacobian of the tool position (K, 3, n)."""
         return self._tool_kinematics[1]
 
-    @property
-    def tool_velocity(self) -> np.ndarray:
-        """Tool velocity in the base frame (K, 3) [m/s]."""
-        return np.asarray(np.einsum("kij,kj->ki", self._tool_kinematics[1], self._motion[1]))
-
     @cached_property
     def tool_levers(self) -> np.ndarray:
         """Work of forces at the tool (K, n, 6) [m], along the axes of base and tool."""
@@ -415,9 +397,9 @@ class LazyArmSignals:
         """Torques per gravity along the axes of the base (K, n, 3) [N m per m/s^2]."""
         return self._robot.weight(self._motion[0])
 
-    def head(self, count: int) -> LazyArmSignals:
+    def head(self, count: int) -> _FirstSamples:
         """Return the first samples, as views of the evaluation of all."""
-        return _ArmHead(self, count)
+        return _FirstSamples(self, count)
 
     def decimate(self, every: int) -> LazyArmSignals:
         """Return every k-th sample."""
@@ -426,47 +408,26 @@ class LazyArmSignals:
     def with_bodies(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> LazyArmSignals:
         """Return the signals with the body torques along another motion."""
         other = copy(self)
-        other.body_regressor = BodyRegressor(self._robot, q, v, a)
+        other.body_regressor = BodyRegressor(self._robot, (q, v, a))
         return other
 
 
-class _RegressorHead(BodyRegressor):
-    def __init__(self, whole: BodyRegressor, count: int) -> None:
-        super().__init__(whole._robot, *(x[:count] for x in whole._motion))
+class _FirstSamples:
+    """First samples of signals, as views of their evaluation along the whole motion."""
+
+    def __init__(self, whole: Any, count: int) -> None:
         self._whole, self._count = whole, count
 
-    def of_body(self, body: int) -> np.ndarray:
-        return self._whole.of_body(body)[: self._count]
+    def head(self, count: int) -> _FirstSamples:
+        return _FirstSamples(self._whole, count)
 
-    def torque(self, change: np.ndarray) -> np.ndarray:
-        return self._whole.torque(change)[: self._count]
+    def __getitem__(self, where: Any) -> np.ndarray:
+        return np.asarray(self._whole[where][: self._count])
 
-
-class _HarmonicsHead(ZeroHarmonics):
-    def __init__(self, whole: ZeroHarmonics, count: int) -> None:
-        super().__init__(whole._robot, *(x[:count] for x in whole._motion))
-        self._whole, self._count = whole, count
-
-    def of_joint(self, joint: int) -> np.ndarray:
-        return self._whole.of_joint(joint)[: self._count]
-
-
-class _ArmHead(LazyArmSignals):
-    def __init__(self, whole: LazyArmSignals, count: int) -> None:
-        super().__init__(whole._robot, *(x[:count] for x in whole._motion))
-        self._whole, self._count = whole, count
-        self.body_regressor = _RegressorHead(whole.body_regressor, count)
-        self.zero_harmonics = _HarmonicsHead(whole.zero_harmonics, count)
-
-    @cached_property
-    def _tool_kinematics(self) -> tuple[np.ndarray, np.ndarray]:
-        position, jacobian = self._whole._tool_kinematics
-        return position[: self._count], jacobian[: self._count]
-
-    @cached_property
-    def tool_levers(self) -> np.ndarray:
-        return self._whole.tool_levers[: self._count]
-
-    @cached_property
-    def weight(self) -> np.ndarray:
-        return self._whole.weight[: self._count]
+    def __getattr__(self, name: str) -> Any:
+        own = getattr(self._whole, name)
+        if isinstance(own, np.ndarray):
+            return own[: self._count]
+        if callable(own):
+            return lambda *arguments: own(*arguments)[: self._count]
+        return _FirstSamples(own, self._count)

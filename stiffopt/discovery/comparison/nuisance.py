@@ -47,7 +47,6 @@ class NuisanceColumn:
 
     Parameters
     ----------
-    name : ValueName
     sd : float
         Tolerance of the value, one standard deviation.
     added : Contribution
@@ -72,7 +71,6 @@ class OutsideValue:
 
     Parameters
     ----------
-    name : ValueName
     change, sd : float
         Fitted change from nominal, and its standard deviation: relative, or [m].
     tolerance : float
@@ -123,9 +121,6 @@ def nuisance_columns(
 
     Parameters
     ----------
-    run : PreparedRun
-    robot : RobotModel
-    tolerance : Tolerance
     bodies : array (n, 10), optional
         Standard deviations of all inertial parameters, in place of mass and centre of mass.
     selected : callable
@@ -271,7 +266,6 @@ def spring_deflection(
 
     Parameters
     ----------
-    constants : RobotConstants
     values : mapping of ValueName to float
         Changes, of `SPRING_VALUES`.
     elastic : array (K, n)
@@ -297,16 +291,13 @@ def _columns_of_spring(
     """Yield the columns of one spring with its elastic deflection and torque (K,)."""
     j = constants.joint - 1
     own = ValueName("stiffness", j)
-    asked = [name for name in (own, *_knee_names(j)) if selected(name)]
+    knees = (ValueName(kind, j) for kind in ("T1", "rounding T1", "T2", "rounding T2"))
+    asked = [name for name in (own, *knees) if selected(name)]
     if not asked or not constants.elastic or not np.any(spring):
         return
     if asked[0] == own:
         yield JointColumn(own, sd, "deflection", elastic)
     yield from _knee_columns(constants, spring, asked)
-
-
-def _knee_names(j: int) -> list[ValueName]:
-    return [ValueName(kind, j) for kind in ("T1", "rounding T1", "T2", "rounding T2")]
 
 
 def _knee_columns(

@@ -50,7 +50,6 @@ class PieceProducts:
 
     Parameters
     ----------
-    columns : PieceColumns
     cross : array (a, p, k)
         Products with the columns of the nominal values.
     inner : array (a, k, k)
@@ -66,10 +65,6 @@ class PieceProducts:
 
 class Pieces:
     """Pieces of the rows of runs.
-
-    Parameters
-    ----------
-    rows : ChannelRows
 
     Attributes
     ----------
@@ -145,7 +140,6 @@ class PieceSums:
 
     Parameters
     ----------
-    pieces : Pieces
     columns : array (p, m)
         Columns of the nominal values over the stated noise, rows in the order of pieces.
     target : array (m,)
@@ -179,8 +173,6 @@ class WeightedSums:
 
     Parameters
     ----------
-    sums : PieceSums
-    effects : sequence of PieceProducts
     weight : array (q,)
         Weight of the squares of each piece.
     """

@@ -53,7 +53,6 @@ def motor_cutoff(robot: RobotModel, position: np.ndarray, dt: float) -> float:
 
     Parameters
     ----------
-    robot : RobotModel
     position : array (K, n)
         Recorded motor positions [rad].
     dt : float
@@ -93,7 +92,6 @@ class PreparedRun:
 
     Parameters
     ----------
-    name, role : str
     index : int
         Index among the compared runs.
     time : array (K,)
@@ -224,7 +222,6 @@ class PreparedRun:
 
         Parameters
         ----------
-        robot : RobotModel
         loads : sequence of (array (K, n) or None, array (K, n) or None)
             Added torque on the links [N m], and displacement of the springs' ends [rad].
         """
@@ -256,12 +253,8 @@ def prepare_run(
 
     Parameters
     ----------
-    robot : RobotModel
-    run : RecordedRun
-    index : int
     constants : RobotConstants or None
         Constants of the training runs; None takes the ranges of this run alone.
-    settings : Settings
     vibrating : bool
         Let links vibrate where the nominal model determines how; else they follow quasi-statically.
     """

@@ -175,7 +175,6 @@ class Springs:
 
         Parameters
         ----------
-        links : LinkMotion
         compliance_ratio : array (K, n)
             Compliance over the nominal one.
         added_inertia : array (K, n, n)
@@ -420,7 +419,6 @@ class Springs:
 
         Parameters
         ----------
-        links : LinkMotion
         torque : array (k, n)
             Added torque on the links at the last call, updated in place [N m].
         added : callable or None

@@ -91,7 +91,6 @@ class Vibration:
 
     Parameters
     ----------
-    response : ElasticResponse
     stiffness : array (K, n)
         Tangent stiffness of the springs along the motion [N m/rad].
     damping : array (n,)

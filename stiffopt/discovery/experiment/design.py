@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import io
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.experiment.collocation import improve_motion
 from stiffopt.discovery.experiment.commands import SentCommands, motion_commands
 from stiffopt.discovery.experiment.motion import (
-    LIMIT_USE,
+    DRAWS_PER_JOINT,
     MotionLimits,
+    fourier_motion,
     motion_limits,
     prepared_motion,
-    random_motion,
-    repeated_motion,
 )
 from stiffopt.discovery.experiment.separation import Separation
 from stiffopt.discovery.search.rivals import Selected
@@ -32,9 +29,11 @@ Say = Callable[[str], object]
 EXPERIMENT_FILE = "next_experiment.csv"
 _MAX_DURATION = 10.0  # [s], of a designed motion
 _EXPORT_RATE = 100.0  # [Hz], of the exported motion
-_RANDOM_MOTIONS = 24
-# Relative gain of separation below which collocation is not repeated.
-_MIN_RELATIVE_GAIN = 0.02
+# Motions that are drawn at random, and variations of the best of these.
+_RANDOM_MOTIONS, _VARIED_MOTIONS = 24, 96
+# Share of the draws that a variation changes; its first step, and the change of the step by a
+# success and by a failure: steady at one success in five.
+_VARIED_SHARE, _FIRST_STEP, _STEP_GROWTH, _STEP_DECREASE = 0.3, 0.3, 1.3, 0.93
 # Least separation that is worth a recording [sigma].
 _MIN_SEPARATION = 1.0
 
@@ -54,9 +53,6 @@ class ExperimentPlan:
         Predicted on the motion [sigma].
     reference : float
         On the training run that separates them best, scaled to the motion's duration [sigma].
-    reference_run : str
-    method : str
-        How the motion was found.
     commands : SentCommands, optional
         That move the arm so, where it follows commands.
     """
@@ -68,7 +64,6 @@ class ExperimentPlan:
     separation: float
     reference: float
     reference_run: str
-    method: str
     commands: SentCommands | None = None
 
     @property
@@ -82,8 +77,7 @@ class ExperimentPlan:
             f"{what} ({self.motion.duration:.1f} s): it is predicted to separate"
             f" {self.first.label} from {self.second.label} by {self.separation:.1f} sigma, where"
             f" another run like {self.reference_run} would by {self.reference:.1f}. It keeps the"
-            " arm's limits, but is not checked for collisions."
-            f" ({self.method}) {self.first.effect.separate}"
+            f" arm's limits, but is not checked for collisions. {self.first.effect.separate}"
         )
 
     def csv(self) -> str:
@@ -118,22 +112,16 @@ def plan_experiment(
     result: SearchResult,
     settings: Settings,
     pair: tuple[LocatedEffect, LocatedEffect],
-    *,
-    seconds: float = 18.0,
     say: Say = lambda _: None,
 ) -> ExperimentPlan | None:
     """Design the motion that separates two explanations best.
 
     Parameters
     ----------
-    training : Training
     result : SearchResult
         Of these training runs.
-    settings : Settings
     pair : (LocatedEffect, LocatedEffect)
         The explanations, such as a finding and its strongest rival.
-    seconds : float
-        Processor time of the design, so that the result does not depend on other load.
     say : callable
         Called with a sentence at every step.
 
@@ -144,11 +132,10 @@ def plan_experiment(
 
     Notes
     -----
-    Random Fourier series within the limits are rated by `Separation`, which includes all values
-    that a refit could change. The best one and the best recorded motion are improved by collocation
-    if both effects are instantaneous formulas (no memory). The best by the full criterion is kept.
+    Fourier series within the limits are rated by `Separation`, which includes all values that a
+    refit could change: random ones first, then variations of the best one (an evolution strategy
+    of one parent and one child, whose step grows with success).
     """
-    begin, began = time.process_time(), time.perf_counter()
     first, second = pair
     say(f"design the motion that separates {first.label} from {second.label}")
     others = tuple(e for e in result.effects if e.key not in (first.key, second.key))
@@ -167,46 +154,9 @@ def plan_experiment(
         run = prepared_motion(training, training.constants, motion, settings)
         return separation.of(run, step=step)
 
-    def left() -> float:
-        return seconds - (time.process_time() - begin)
-
-    def on_the_clock(own: float) -> float:
-        """Convert processor time to elapsed time at the present load."""
-        passed, worked = time.perf_counter() - began, time.process_time() - begin
-        return own * max(1.0, passed / max(worked, 1e-3))
-
-    best, value = _search_random_motions(
-        training, limits, duration, rated, lambda: left() > 0.6 * seconds
-    )
-    method = f"best of {_RANDOM_MOTIONS} Fourier motions"
-    # A recorded motion may be the better initial guess.
-    best_run = next(run for run in training.runs if run.name == name)
-    starts = [repeated_motion(best_run, duration), *([] if best is None else [best])]
-    if value > reference:
-        starts.reverse()
-    for k, start in enumerate(starts):
-        motion, worth = start, 0.0
-        while left() > 1.0:
-            share = 0.5 if k + 1 < len(starts) else 0.8
-            better = improve_motion(
-                separation,
-                prepared_motion(training, training.constants, motion, settings),
-                motion,
-                limits,
-                seconds=on_the_clock(share * left()),
-            )
-            if better is None or limits.excess(training.robot, better) > 1.0 / LIMIT_USE:
-                break
-            reached = rated(better)
-            if reached > value:
-                best, value, method = better, reached, "by direct collocation"
-            if reached <= worth * (1.0 + _MIN_RELATIVE_GAIN):
-                break
-            motion, worth = better, reached
-    if best is None:
-        return None
+    best, value = _search_motions(training, limits, duration, rated)
     # Less than one standard deviation separates nothing, even if training runs do less.
-    if value <= reference or value < _MIN_SEPARATION:
+    if best is None or value <= reference or value < _MIN_SEPARATION:
         return None
     return ExperimentPlan(
         joints=training.robot.recordings.joints,
@@ -216,27 +166,30 @@ def plan_experiment(
         separation=value,
         reference=reference,
         reference_run=name,
-        method=method,
         commands=motion_commands(training.robot, training.recorded, best),
     )
 
 
-def _search_random_motions(
+def _search_motions(
     training: Training,
     limits: MotionLimits,
     duration: float,
     rated: Callable[[Trajectory], float],
-    more: Callable[[], bool],
 ) -> tuple[Trajectory | None, float]:
-    """Return the best of some random motions with its separation."""
+    """Return the best motion found, with its separation."""
     random = np.random.default_rng(1)
-    best, value = None, 0.0
-    for _ in range(_RANDOM_MOTIONS):
-        motion = random_motion(limits, training.robot, duration, random)
-        if motion is not None:
-            reached = rated(motion)
-            if best is None or reached > value:
-                best, value = motion, reached
-        if not more():
-            break
+    best, value, step = None, 0.0, _FIRST_STEP
+    own = np.zeros((training.robot.n, DRAWS_PER_JOINT))
+    for k in range(_RANDOM_MOTIONS + _VARIED_MOTIONS):
+        draws = random.normal(size=own.shape)
+        if k >= _RANDOM_MOTIONS:
+            # The sum is standard normal as well.
+            varied = np.sqrt(1.0 - step**2) * own + step * draws
+            draws = np.where(random.random(own.shape) < _VARIED_SHARE, varied, own)
+        motion = fourier_motion(limits, training.robot, duration, draws)
+        reached = 0.0 if motion is None else rated(motion)
+        if reached > value:
+            best, value, own = motion, reached, draws
+        if k >= _RANDOM_MOTIONS:
+            step = min(step * _STEP_GROWTH, 1.0) if own is draws else step * _STEP_DECREASE
     return best, value

@@ -1,10 +1,11 @@
-"""Motions of an experiment: limits, random Fourier series, recorded motions."""
+"""Motions of an experiment: limits and Fourier series."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtr
 
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepared_run import PreparedRun, prepare_run
@@ -14,11 +15,14 @@ from stiffopt.discovery.training import Training
 from stiffopt.recording.run import RecordedRun
 from stiffopt.result.trajectory import Trajectory
 
-# Used share of the limits, so that they hold between nodes and on the real arm.
-LIMIT_USE = 0.95
+# Used share of the limits, so that they hold on the real arm.
+_LIMIT_USE = 0.95
 # Extension of the recorded stroke of a joint, as share of it.
 _RANGE_EXTENSION = 0.25
 _HARMONIC_COUNT = 4
+# Base frequency, stroke and centre; sine and cosine of each harmonic.
+DRAWS_PER_JOINT = 3 + 2 * _HARMONIC_COUNT
+_MAX_BASE_FREQUENCY = 0.6  # [Hz]
 _KNOT_SPACING = 0.1  # [s]
 # Share of the duration for acceleration from rest, and for stopping.
 _RAMP_SHARE = 0.12
@@ -68,7 +72,7 @@ def motion_limits(training: Training) -> MotionLimits:
     # Obstacles beyond the recorded strokes are unknown.
     lower = np.maximum(arm.position_lower[order], met[:, 0] - wider)
     upper = np.minimum(arm.position_upper[order], met[:, 1] + wider)
-    middle, half = 0.5 * (lower + upper), 0.5 * LIMIT_USE * (upper - lower)
+    middle, half = 0.5 * (lower + upper), 0.5 * _LIMIT_USE * (upper - lower)
     own = arm.velocity_max[order]
     fastest = np.array([j.fastest for j in constants.joints])
     velocity = np.where((own > 0.0) & np.isfinite(own), own, fastest)
@@ -78,16 +82,23 @@ def motion_limits(training: Training) -> MotionLimits:
     return MotionLimits(
         lower=middle - half,
         upper=middle + half,
-        velocity=LIMIT_USE * velocity,
-        acceleration=LIMIT_USE * np.maximum(hardest, 1e-3),
-        torque=LIMIT_USE * np.array([j.torque_max for j in constants.joints]),
+        velocity=_LIMIT_USE * velocity,
+        acceleration=_LIMIT_USE * np.maximum(hardest, 1e-3),
+        torque=_LIMIT_USE * np.array([j.torque_max for j in constants.joints]),
     )
 
 
-def random_motion(
-    limits: MotionLimits, robot: RobotModel, duration: float, random: np.random.Generator
+def fourier_motion(
+    limits: MotionLimits, robot: RobotModel, duration: float, draws: np.ndarray
 ) -> Trajectory | None:
-    """Return a random Fourier series in every joint, from rest to rest, scaled to the limits.
+    """Return a Fourier series in every joint, from rest to rest, scaled to the limits.
+
+    Parameters
+    ----------
+    duration : float
+        [s]
+    draws : array (n, DRAWS_PER_JOINT)
+        Standard normal draws: of base frequency, stroke and centre, then of the harmonics.
 
     Returns
     -------
@@ -98,19 +109,19 @@ def random_motion(
 
     n = robot.n
     knots = np.linspace(0.0, duration, int(np.ceil(duration / _KNOT_SPACING)) + 1)
+    share = ndtr(draws[:, :3])
     # From once in the whole motion to often: separation may need slow or fast motion.
-    slowest = np.exp(random.uniform(np.log(1.0 / duration), np.log(0.6), size=n))
+    slowest = _MAX_BASE_FREQUENCY ** share[:, 0] * duration ** (share[:, 0] - 1.0)
     order = np.arange(1, _HARMONIC_COUNT + 1)
-    weights = random.normal(size=(n, _HARMONIC_COUNT, 2)) / order[:, None]
+    weights = draws[:, 3:].reshape(n, _HARMONIC_COUNT, 2) / order[:, None]
     phase = 2.0 * np.pi * slowest[:, None, None] * order[:, None] * knots
     wave = (weights[..., :1] * np.sin(phase) + weights[..., 1:] * np.cos(phase)).sum(axis=1).T
     ramp = np.clip(np.minimum(knots, duration - knots) / (_RAMP_SHARE * duration), 0.0, 1.0)
     wave *= (ramp**3 * (10.0 - 15.0 * ramp + 6.0 * ramp**2))[:, None]
     wave /= np.maximum(np.abs(wave).max(axis=0), 1e-9)
     half = 0.5 * (limits.upper - limits.lower)
-    size = half * random.uniform(0.2, 0.95, size=n)
-    room = half - size
-    centre = 0.5 * (limits.lower + limits.upper) + room * random.uniform(-0.9, 0.9, size=n)
+    size = half * (0.2 + 0.75 * share[:, 1])
+    centre = 0.5 * (limits.lower + limits.upper) + (half - size) * (1.8 * share[:, 2] - 0.9)
     spline = CubicSpline(knots, wave, bc_type="clamped")
     fine = np.arange(0.0, duration, _SAMPLE_TIME)
     size = np.minimum(size, 0.99 * limits.velocity / np.abs(spline(fine, 1)).max(axis=0))
@@ -123,19 +134,6 @@ def random_motion(
             return motion
         size = _SHRINK_FACTOR * size
     return None
-
-
-def repeated_motion(run: PreparedRun, duration: float) -> Trajectory:
-    """Return the beginning of a recorded motion, smoothed and from rest."""
-    from scipy.interpolate import CubicSpline
-
-    signals = run.signals
-    knots = np.linspace(0.0, duration, int(np.ceil(duration / _KNOT_SPACING)) + 1)
-    places = np.clip(np.rint(knots / signals.dt).astype(int), 0, len(run.time) - 1)
-    spline = CubicSpline(knots, signals.motor_position[places], bc_type="clamped")
-    return Trajectory.piecewise_linear_acceleration(
-        knots, spline(knots, 2), spline(0.0), np.zeros(spline(0.0).shape)
-    )
 
 
 def prepared_motion(

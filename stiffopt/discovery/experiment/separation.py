@@ -30,7 +30,6 @@ class Separation:
     ----------
     comparison : Comparison
         Of the training runs.
-    first, second : LocatedEffect
     others : sequence of LocatedEffect
         Effects common to both explanations.
 
@@ -56,22 +55,11 @@ class Separation:
             for effects in ((first, *others), (second, *others))
         )
 
-    @property
-    def amplitudes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Fitted amplitudes of the two effects, in their units."""
-        constants = self.comparison.constants
-        out = []
-        for each in (self.first, self.second):
-            sizes = each.effects[0].sizes(constants)
-            out.append(each.fit.amplitudes()[: len(sizes)] * sizes)
-        return out[0], out[1]
-
     def of(self, run: PreparedRun, *, step: float | None = None) -> float:
         """Return the separation on a motion [sigma].
 
         Parameters
         ----------
-        run : PreparedRun
         step : float, optional
             Sampling time of the recording [s]; default: that of the run.
         """

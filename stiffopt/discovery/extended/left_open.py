@@ -37,7 +37,6 @@ def left_open_section(
     ----------
     ratio : array (2 n,)
         Normalised residual of every channel; nan without rows.
-    noise : ChannelNoise
     settings : Settings
         With the chosen bands.
     suspects : mapping of str to float
@@ -114,7 +113,6 @@ def describe_assumptions(
         Section of the model.
     least : array (2 n,) or None
         Factors on the noise; None if it is not raised.
-    noise : ChannelNoise
     asked : Settings
         Settings before the model's bands were adopted.
     tolerance : Tolerance

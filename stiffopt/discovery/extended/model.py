@@ -104,7 +104,6 @@ def require_same_robot(
         Path of the file, for messages.
     joints : sequence of str
         Joints of the model.
-    robot : Robot
     place : sequence of int
         Index of each joint of the model among those of the robot.
     """
@@ -177,7 +176,6 @@ class ExtendedModel:
         Nominal drivetrains; None for those of the robot.
     scales : dict of str to tuple of float (n,)
         torque_rated, torque_max [N m], fastest [rad/s].
-    extension : Extension
     parameters : tuple of dict of str to float
         Reported values of every effect.
     deviations : tuple of dict of str to float

@@ -45,7 +45,6 @@ class PlannerModel:
 
     Parameters
     ----------
-    robot : Robot
     changes : tuple of str
         Changes, a sentence each.
     left_out : tuple of str
@@ -227,7 +226,6 @@ def joint_constants(model: ExtendedModel, joint: int, own: Chain | None) -> Join
 
     Parameters
     ----------
-    model : ExtendedModel
     joint : int
         From 0.
     own : Chain or None
@@ -264,7 +262,6 @@ class ClosedLoop:
     ----------
     problem : TrajectoryProblem
         Problem with the extended robot.
-    planner : PlannerModel
     nominal : Solution
         Planned with the nominal robot.
     carried_over : Assessment or None
@@ -294,7 +291,6 @@ def solve_extended(
     ----------
     problem : TrajectoryProblem
         Problem with the nominal robot.
-    model : ExtendedModel
     progress : callable, optional
         Called with a `SolveProgress` in every iteration of both solves.
 

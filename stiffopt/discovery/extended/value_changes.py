@@ -34,10 +34,8 @@ class ValueChange:
         From 1; of a body, the joint that carries it.
     name : str
         Of the joint.
-    quantity : str
     old, new : float
         In `unit`.
-    unit : str
     """
 
     joint: int
@@ -122,6 +120,6 @@ def joint_zeros(model: ExtendedModel) -> np.ndarray:
     zeros = np.zeros(len(model.joints))
     for estimated in model.extension.effects:
         located = estimated.located
-        if located.effect.name == "joint_zero" and located.joint is not None:
+        if located.effect.moves_zero and located.joint is not None:
             zeros[located.joint] += float(estimated.amplitudes[0])
     return zeros

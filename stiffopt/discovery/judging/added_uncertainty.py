@@ -19,7 +19,6 @@ from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.uncertainty import Estimate, estimate_parameters
 from stiffopt.discovery.thresholds import (
     FINDING_DEVIATIONS,
-    FINDING_SHARE,
 )
 from stiffopt.discovery.training import Training
 
@@ -29,7 +28,6 @@ Found = tuple[tuple[Selected, ...], Estimate]
 def drop_insignificant(
     selected: Sequence[Selected],
     estimated: Callable[[Sequence[Selected]], Found],
-    explained: Callable[[Sequence[Selected]], Sequence[float]] | None = None,
 ) -> Found:
     """Estimate findings, and drop insignificant ones one after another.
 
@@ -38,8 +36,6 @@ def drop_insignificant(
     selected : sequence of Selected
     estimated : callable
         -> supported findings among the given ones, and their estimate.
-    explained : callable, optional
-        -> share of its channel that each removes in recordings left out.
 
     Notes
     -----
@@ -49,11 +45,6 @@ def drop_insignificant(
     while True:
         kept, parameters = estimated(selected)
         excess = [_excess_deviations(each, parameters, k) for k, each in enumerate(kept)]
-        if explained is not None and kept and min(excess) >= 0.0:
-            excess = [
-                0.0 if each.located.calibrated else share - FINDING_SHARE
-                for each, share in zip(kept, explained(kept), strict=True)
-            ]
         if not excess or min(excess) >= 0.0:
             return kept, parameters
         least = excess.index(min(excess))
@@ -117,7 +108,7 @@ def half_band_comparison(training: Training, comparison: Comparison) -> Comparis
 
 
 def add_band_deviation(
-    training: Training, comparison: Comparison, parameters: Estimate
+    comparison: Comparison, other: Comparison | None, parameters: Estimate
 ) -> Estimate:
     """Add the difference to a fit in half the band as one standard deviation.
 
@@ -127,15 +118,13 @@ def add_band_deviation(
 
     Parameters
     ----------
-    training : Training
     comparison : Comparison
         With the noise estimated beside the effects.
+    other : Comparison or None
+        In half the band.
     parameters : Estimate
     """
-    if not parameters.effects:
-        return parameters
-    other = half_band_comparison(training, comparison)
-    if other is None:
+    if other is None or not parameters.effects:
         return parameters
     located = [each.located for each in parameters.effects]
     first, last = len(parameters.nuisance), len(parameters.values)
@@ -147,7 +136,7 @@ def add_band_deviation(
     else:
         away = other.fit(located).amplitudes() - parameters.values[first:]
     own = np.diag(parameters.covariance)[first:last]
-    bounds = np.concatenate([e.located.bounds(training.constants) for e in parameters.effects])
+    bounds = np.concatenate([e.located.bounds(comparison.constants) for e in parameters.effects])
     range_ = np.minimum(bounds[:, 1] - bounds[:, 0], _MAX_AMPLITUDE_RANGE)
     return parameters.doubted(np.where(own > _UNDETERMINED_SHARE, range_ / np.sqrt(12.0), away))
 

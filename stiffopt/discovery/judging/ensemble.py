@@ -23,7 +23,7 @@ from stiffopt.discovery.comparison.evidence import (
 )
 from stiffopt.discovery.comparison.inertial_parameters import body_units
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
-from stiffopt.discovery.search.cross_validation import number_folds
+from stiffopt.discovery.search.cross_validation import number_folds, stack_columns
 from stiffopt.discovery.search.rigid_model import PRIOR_WIDTHS
 from stiffopt.discovery.search.rivals import Selected, tempering_width
 from stiffopt.discovery.thresholds import MIN_ACTIVE_SHARE, NAMED_EVIDENCE, RIVAL_LOG_ODDS
@@ -137,13 +137,9 @@ class _Member:
     def __init__(
         self, comparison: Comparison, selected: Sequence[Selected], signs: np.ndarray
     ) -> None:
-        _, sd = comparison.priors
         located = [each.located for each in selected]
         self._selected, self._signs, self._target = selected, signs, comparison.target
-        self._columns = comparison.stack_columns(located)
-        counts = [len(each.effect.amplitudes) for each in located]
-        self._owner = np.repeat(np.arange(-1, len(counts)), [len(sd), *counts])
-        self._prior = np.concatenate([sd, np.ones(len(self._owner) - len(sd))])
+        self._columns, self._prior, self._owner = stack_columns(comparison, located)
         self._rivals = [
             [comparison.effect_columns(rival) for rival, _ in each.rivals] for each in selected
         ]

@@ -13,11 +13,8 @@ from typing import Literal
 
 import numpy as np
 
-from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.evidence import BlockSums, Sums, posterior
 from stiffopt.discovery.comparison.located_effect import Extension, LocatedEffect
 from stiffopt.discovery.prediction import Predictor, RunProof, used_samples
-from stiffopt.discovery.search.uncertainty import number_stretches
 
 # Excess over the noise variance of a residual of twice the noise.
 _MIN_EXCESS_RATIO = 3.0
@@ -167,77 +164,3 @@ class MismatchShares:
             out.remove(best)
             now = left[best]
         yield MismatchShare(part=None, measured=measured, share=now)
-
-
-def variance_explained(
-    comparison: Comparison, effects: tuple[LocatedEffect, ...], channels: tuple[int, ...]
-) -> tuple[float, ...]:
-    """Return the share of the excess squared residual that each effect removes in blocks left out.
-
-    Parameters
-    ----------
-    comparison : Comparison
-    effects : tuple of LocatedEffect
-    channels : tuple of int
-        Channel of each effect.
-
-    Returns
-    -------
-    tuple of float
-        0 to 1, one per effect.
-
-    Notes
-    -----
-    Every block (a training run; a stretch where runs are few, and for effects of each run) is
-    predicted with nominal values and amplitudes fitted to the other blocks, with and without the
-    contribution of the effect. Nominal values stay as fitted beside the effect; without it they
-    would leave their tolerances to compensate. The excess is over the stated noise.
-    """
-    runs = comparison.rows.block if comparison.blocks > 1 else number_stretches(comparison)
-    # Stretches for a single run, and for effects of single runs.
-    by_run = [each.is_run_specific for each in effects]
-    ways = [_predict_blocks(comparison, effects, runs)]
-    if any(by_run):
-        ways.append(_predict_blocks(comparison, effects, number_stretches(comparison)))
-    shares = []
-    for index, channel in enumerate(channels):
-        residual, added = ways[by_run[index]]
-        own_part = added[index]
-        own = comparison.rows.channel == channel
-        noise = float(own.sum())
-        before = float(np.sum((residual + own_part)[own] ** 2)) - noise
-        after = float(np.sum(residual[own] ** 2)) - noise
-        shares.append(float(np.clip(1.0 - after / before, 0.0, 1.0)) if before > 0.0 else 0.0)
-    return tuple(shares)
-
-
-def _predict_blocks(
-    comparison: Comparison, effects: tuple[LocatedEffect, ...], block: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the cross-validated residual (m,) and the contribution of each effect (e, m).
-
-    Both over the stated noise.
-    """
-    _, sd = comparison.priors
-    columns = comparison.stack_columns(effects)
-    prior = np.concatenate([sd, np.ones(columns.shape[1] - len(sd))])
-    sums = BlockSums(columns, comparison.target, block, int(block.max()) + 1)
-    gram, moment, square = (x.sum(axis=0) for x in (sums.gram, sums.moment, sums.square))
-    residual = np.empty_like(comparison.target)
-    added = np.empty((len(effects), len(residual)))
-    for b in range(len(sums.square)):
-        rest = Sums(
-            (gram - sums.gram[b])[None],
-            (moment - sums.moment[b])[None],
-            np.array([square - sums.square[b]]),
-        )
-        own = block == b
-        mean = posterior(rest, prior, cross_validate=False).mean
-        residual[own] = comparison.target[own] - columns[own] @ mean
-        begin = len(sd)
-        for index, located in enumerate(effects):
-            end = begin + len(located.effect.amplitudes)
-            added[index, own] = columns[own, begin:end] @ mean[begin:end]
-            begin = end
-    weight = comparison.inflation[comparison.rows.channel]
-    return residual * weight, added * weight

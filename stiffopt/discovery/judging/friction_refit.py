@@ -16,7 +16,7 @@ import numpy as np
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension
 from stiffopt.discovery.prediction import Predictor, used_samples
-from stiffopt.discovery.search.cross_validation import folds_per_run
+from stiffopt.discovery.search.cross_validation import FoldPredictions, folds_per_run
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.uncertainty import Estimate, estimate_parameters
 from stiffopt.discovery.settings import Settings
@@ -24,6 +24,8 @@ from stiffopt.discovery.training import Training
 
 # Least relative decrease of a joint's squares in stretches left out.
 _MIN_GAIN_SHARE = 0.05
+# Prior standard deviation of a step over its size: wide, so that only the data count.
+_STEP_PRIOR = 1e3
 
 
 def refit_friction(
@@ -168,16 +170,12 @@ class _MovingSamples:
         matrix = np.vstack([part[0] for part in self._rows[joint]])[:, columns]
         left = np.concatenate([part[1] for part in self._rows[joint]])
         fold = np.concatenate([part[2] for part in self._rows[joint]])
-        gram, moment = matrix.T @ matrix, matrix.T @ left
-        without = 0.0
-        for number in np.unique(fold):
-            own = fold == number
-            part = matrix[own]
-            steps = np.linalg.lstsq(gram - part.T @ part, moment - part.T @ left[own])[0]
-            without += float(np.sum((left[own] - part @ steps) ** 2))
-        if without > (1.0 - _MIN_GAIN_SHARE) * float(left @ left):
+        prior, free = np.full(len(columns), _STEP_PRIOR), np.full(len(columns), np.inf)
+        fold = np.unique(fold, return_inverse=True)[1]
+        without = FoldPredictions(matrix, left, prior, free, fold).residual()
+        if without @ without > (1.0 - _MIN_GAIN_SHARE) * float(left @ left):
             return None
-        return np.asarray(np.linalg.lstsq(gram, moment)[0])
+        return np.asarray(np.linalg.lstsq(matrix.T @ matrix, matrix.T @ left)[0])
 
 
 def _increase_amplitudes(found: Extension, name: EffectIdentity, training: Training) -> Extension:

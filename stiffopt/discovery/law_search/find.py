@@ -23,8 +23,8 @@ from stiffopt.discovery.law_search.search import (
 from stiffopt.discovery.laws.law import LAW_FAMILY, Law, law_effect
 from stiffopt.discovery.laws.table import ResidualTable
 from stiffopt.discovery.search.candidates import Scorer
-from stiffopt.discovery.search.cross_validation import select_predictive
 from stiffopt.discovery.search.joint_fit import passes_thresholds, prune_effects
+from stiffopt.discovery.search.left_out_gain import select_predictive
 from stiffopt.discovery.search.rivals import Selected, tempering_width
 from stiffopt.discovery.search.search import SearchResult
 from stiffopt.discovery.search.uncertainty import estimate_parameters
@@ -384,10 +384,9 @@ class _State:
 
     def _log_odds(self, ranked: Sequence[_Ranked]) -> np.ndarray:
         """Return log odds of laws among one another, on the scale of rivals of the catalogue."""
-        width = _evidence_width(ranked)
-        return np.array(
-            [each.evidence / width + each.law.log_prior(self.comparison.robot.n) for each in ranked]
-        )
+        width, n = _evidence_width(ranked), self.comparison.robot.n
+        prices = [PARAMETER_LOG_PRICE * e.law.parameter_count - e.law.log_prior(n) for e in ranked]
+        return np.asarray(np.array([e.evidence for e in ranked]) / width - prices)
 
     def answer(self, result: SearchResult) -> SearchResult:
         """Return the result with the law, and without effects that it makes superfluous."""

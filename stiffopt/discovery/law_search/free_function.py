@@ -62,12 +62,13 @@ def carriers(channel: OpenChannel) -> list[Carrier]:
     j = channel.joint
     load = Factor(LawSource("load", j), "linear")
     if channel.kind == "deflection":
-        return [Carrier(()), Carrier((load,))]
+        return [Carrier(()), Carrier((load,)), Carrier((Factor(LawSource("windup", j), "linear"),))]
     sign = Factor(LawSource("direction", j), "linear")
     return [
         Carrier(()),
         Carrier((sign,)),
         Carrier((Factor(LawSource("speed", j), "linear"),)),
+        Carrier((Factor(LawSource("friction", j), "linear"),)),
         Carrier((load,)),
         Carrier((sign, Factor(LawSource("load", j), "magnitude"))),
         Carrier((Factor(LawSource("acceleration", j), "linear"),)),

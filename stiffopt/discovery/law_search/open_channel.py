@@ -11,13 +11,16 @@ from scipy.linalg import solve_triangular
 
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.laws.forms import SignalRange
 from stiffopt.discovery.laws.law import Law
+from stiffopt.discovery.laws.shapes import MAX_GRID_ORDER, SignalRange
 from stiffopt.discovery.laws.sources import SOURCE_KINDS, LawSource
 
 # Frequencies of a wave: step over the inverse duration, largest one over the rate of the rows,
 # peaks of single runs whose surroundings are searched, and steps of such a search either way.
 _FREQUENCY_STEP, _MAX_FREQUENCY, _WAVE_PEAKS, _MAX_FINE_STEPS = 0.25, 0.4, 3, 4000
+# Share of the rows at which the joint is slow enough to show a ripple, and the highest order that
+# is sought [1/rad]: twelve ripples of each of 160 turns of a motor.
+_SLOW_SHARE, _MAX_ORDER = 0.05, 2000.0
 # Ridge of a fit to rows of unit noise, over the mean square of its columns.
 _RELATIVE_RIDGE = 1e-9
 
@@ -145,7 +148,8 @@ class OpenChannel:
         for kind, own in SOURCE_KINDS.items():
             joints = range(self.comparison.robot.n) if own.per_joint else (None,)
             found += [LawSource(kind, joint) for joint in joints]
-        return tuple(s for s in found if self.extent(s).span > 1e-9 * self.extent(s).size)
+        ranges = [(source, self.extent(source)) for source in found]
+        return tuple(s for s, own in ranges if own.high - own.low > 1e-9 * own.size)
 
     def extent(self, source: LawSource) -> SignalRange:
         """Return the range of a signal in the runs."""
@@ -164,9 +168,7 @@ class OpenChannel:
         Single runs tell a frequency roughly, whatever their phases; all of them together tell it as
         finely as the whole time between them resolves.
         """
-        time = self.comparison.rows.sample_signal(
-            lambda run: np.broadcast_to(source.value(run.signals), run.time.shape)
-        )[self.rows]
+        time = self.comparison.rows.sample_signal(source.value_in)[self.rows]
         parts = [self.block == b for b in range(int(self.block.max()) + 1)]
         short = min(float(np.ptp(time[own])) for own in parts)
         if short <= 0.0:  # a clock that stands, as of poses at rest
@@ -184,6 +186,22 @@ class OpenChannel:
             whole = self._wave_power(time, fine, np.ones(len(time), dtype=bool))
             found.append(float(fine[int(np.argmax(whole))]))
         return tuple(found)
+
+    def orders(self, source: LawSource) -> tuple[float, ...]:
+        """Return the likeliest orders of the residual over an angle, beyond the grid [1/rad].
+
+        Up to those that pass no faster than the rows are, where the joint is slow.
+        """
+        angle, speed = (
+            self.comparison.rows.sample_signal(each.value_in)[self.rows]
+            for each in (source, LawSource("speed", source.joint))
+        )
+        rate = 2.0 * self.comparison.runs[0].low_pass.cutoff
+        slow = max(float(np.quantile(np.abs(speed), _SLOW_SHARE)), 1e-6)
+        highest = min(2.0 * np.pi * _MAX_FREQUENCY * rate / slow, _MAX_ORDER)
+        tried = np.arange(MAX_GRID_ORDER, highest, 1.0 / max(float(np.ptp(angle)), 1e-3))
+        power = self._wave_power(angle, tried / (2.0 * np.pi), np.ones(len(angle), dtype=bool))
+        return tuple(tried[np.argsort(-power)[:_WAVE_PEAKS]].tolist())
 
     def _wave_power(self, time: np.ndarray, frequencies: np.ndarray, own: np.ndarray) -> np.ndarray:
         turns = np.outer(frequencies, time[own])

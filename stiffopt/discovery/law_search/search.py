@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.law_search.fit_law import FittedLaw, as_fitted, fit_shapes, score_starts
 from stiffopt.discovery.law_search.free_function import (
+    Carrier,
     FreeTerm,
     best_sum,
     carriers,
@@ -17,15 +20,16 @@ from stiffopt.discovery.law_search.free_function import (
     screen_products,
 )
 from stiffopt.discovery.law_search.open_channel import OpenChannel
-from stiffopt.discovery.laws.forms import FORMS, SignalRange
+from stiffopt.discovery.laws.forms import FORMS
 from stiffopt.discovery.laws.law import Factor, Law, Place
+from stiffopt.discovery.laws.shapes import SignalRange
 from stiffopt.discovery.laws.sources import LawSource
 from stiffopt.discovery.search.rivals import tempering_width
 from stiffopt.discovery.thresholds import NAMED_EVIDENCE, RIVAL_LOG_ODDS
 
-# Pairs of carrier and signal whose forms are tried: the best ones that explain at least this share
-# of what the best one does.
-_MAX_PAIRS, _MIN_PAIR_SHARE = 8, 0.5
+# Pairs of carrier and signal whose forms are tried: the best ones of every carrier, for one that
+# explains much does so with any signal; they explain at least this share of what the best one does.
+_PAIRS_PER_CARRIER, _MIN_PAIR_SHARE = 3, 0.5
 # Laws whose shapes are fitted, of the best initial shapes of every form.
 _MAX_REFINED = 10
 # A law of two factors is enough if it explains this share of what the free functions do.
@@ -122,14 +126,22 @@ def _fit_pairs(channel: OpenChannel, terms: Sequence[FreeTerm]) -> list[FittedLa
     if not terms:
         return []
     most = channel.square - terms[0].left
-    pairs = [t for t in terms[:_MAX_PAIRS] if channel.square - t.left > _MIN_PAIR_SHARE * most]
-    laws = [law for term in pairs for law in _laws_of(channel, term.carrier.factors, term.source)]
+    taken: Counter[Carrier] = Counter()
+    laws: list[Law] = []
+    for term in terms:
+        if channel.square - term.left < _MIN_PAIR_SHARE * most:
+            break
+        taken[term.carrier] += 1
+        if taken[term.carrier] <= _PAIRS_PER_CARRIER:
+            laws += _laws_of(channel, term.carrier.factors, term.source)
     return _fit_best(channel, laws)
 
 
 def _laws_of(channel: OpenChannel, base: Sequence[Factor], source: LawSource) -> list[Law]:
     """Return the laws of one signal beside given factors, with all initial shapes."""
     extent = _extent_of(channel, source)
+    if not base and source == LawSource("position", channel.joint):
+        extent = replace(extent, peaks=channel.orders(source))
     return [
         Law(channel.joint, _place_of(channel), (*base, factor))
         for form in source.own.forms
@@ -196,7 +208,10 @@ SAME_FUNCTION = 0.1
 
 def may_beat(channel: OpenChannel, named: float, findings: Sequence[LocatedEffect]) -> bool:
     """Return True where a law that leaves nothing but noise would beat findings, see `beats`."""
-    return _log_odds(channel, float(len(channel.target)), named, findings, 1) > RIVAL_LOG_ODDS
+    noise = float(len(channel.target))
+    return channel.square > noise and (
+        _log_odds(channel, noise, named, findings, 1) > RIVAL_LOG_ODDS
+    )
 
 
 def beats(
@@ -205,13 +220,19 @@ def beats(
     """Return True where a law in place of findings, which leave the squares `named`, is likelier.
 
     By the odds that tell rivals of the catalogue apart: nature follows formulas nearly, those of
-    the catalogue and of laws alike. A law that is the findings' function in other words is not.
+    the catalogue and of laws alike, and each is one of as many as there are. A law that is the
+    findings' function in other words, of no fewer parameters, is not likelier.
     """
     left, own = channel.square - best.fit.removed, best.law
-    if named - left < SAME_FUNCTION**2 * (channel.square - left):
+    fewer = _parameter_count(findings) - own.parameter_count
+    if fewer <= 0 and named - left < SAME_FUNCTION**2 * (channel.square - left):
         return False
     odds = _log_odds(channel, left, named, findings, own.parameter_count)
     return odds + own.log_prior(channel.comparison.robot.n) > RIVAL_LOG_ODDS
+
+
+def _parameter_count(findings: Sequence[LocatedEffect]) -> int:
+    return sum(len(e.effect.amplitudes) + len(e.shapes) for e in findings)
 
 
 def _gain(channel: OpenChannel, before: float, after: float) -> float:
@@ -227,10 +248,11 @@ def _log_odds(
     findings: Sequence[LocatedEffect],
     parameters: int,
 ) -> float:
-    """Return the tempered log odds of a law that leaves some squares over findings."""
-    fewer = sum(len(e.effect.amplitudes) + len(e.shapes) for e in findings) - parameters
+    """Return the log odds of a law that leaves some squares over findings of the catalogue."""
+    fewer = _parameter_count(findings) - parameters
     ahead = _gain(channel, named, left) + 0.5 * fewer * np.log(len(channel.target))
-    return float(ahead / tempering_width(_gain(channel, channel.square, left)))
+    tempered = ahead / tempering_width(_gain(channel, channel.square, left))
+    return float(tempered + len(findings) * np.log(len(CATALOGUE)))
 
 
 def _refuse(channel: OpenChannel, best: FittedLaw, attainable: float) -> str:

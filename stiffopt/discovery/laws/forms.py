@@ -14,79 +14,27 @@ from typing import Any, Literal
 import numpy as np
 
 from stiffopt.discovery.laws import operators
+from stiffopt.discovery.laws.shapes import (
+    FREQUENCY_SHAPE,
+    HINGE_POWER_SHAPE,
+    MODE_SHAPES,
+    ORDER_SHAPE,
+    PLACE_SHAPE,
+    PLAY_SHAPE,
+    SCALE_SHAPE,
+    FormShape,
+    centre,
+    fixed,
+    scale,
+    width,
+)
 from stiffopt.symbolic import Quantity
 
 Symmetry = Literal["odd", "even", "none"]
-ShapeUnit = Literal["signal", "per signal", "s", "Hz", ""]
 # Imaginary step of complex-step derivatives: their error is its square.
 _IMAGINARY_STEP = 1e-30
 # Relative step of central differences, for formulas with comparisons.
 _DIFFERENCE_STEP = 1e-6
-
-
-@dataclass(frozen=True, kw_only=True)
-class SignalRange:
-    """Range of a signal in the recordings.
-
-    Parameters
-    ----------
-    low, high : float
-    duration : float
-        Of the longest recording [s], or the whole range of a clock.
-    rate : float
-        Rate up to which recordings resolve a motion [Hz].
-    peaks : tuple of float
-        Likeliest frequencies of the residual over a clock [Hz].
-    """
-
-    low: float
-    high: float
-    duration: float
-    rate: float
-    peaks: tuple[float, ...] = ()
-
-    @property
-    def size(self) -> float:
-        """Largest magnitude."""
-        return max(abs(self.low), abs(self.high), 1e-12)
-
-    @property
-    def span(self) -> float:
-        """Difference of the ends."""
-        return max(self.high - self.low, 1e-12)
-
-    def at(self, *shares: float) -> tuple[float, ...]:
-        """Return values at shares of the range."""
-        return tuple(self.low + share * (self.high - self.low) for share in shares)
-
-
-@dataclass(frozen=True, kw_only=True)
-class FormShape:
-    """Shape of a form.
-
-    Parameters
-    ----------
-    name : str
-    unit : str
-        "signal" and "per signal" stand for the unit of the signal.
-    starts : callable
-        Range of the signal -> initial values.
-    bounds : callable
-        Range of the signal -> lowest and highest value.
-    """
-
-    name: str
-    unit: ShapeUnit
-    starts: Callable[[SignalRange], Sequence[float]]
-    bounds: Callable[[SignalRange], tuple[float, float]]
-
-    def unit_of(self, signal: str) -> str:
-        """Return its unit for a signal of a unit."""
-        if self.unit == "signal":
-            return signal
-        if self.unit == "per signal":
-            return f"1/({signal})" if "/" in signal else f"1/{signal}" if signal else ""
-        return self.unit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,7 +80,7 @@ class Form:
     @cached_property
     def _functions(self) -> tuple[Callable[..., Any], ...]:
         names = ", ".join(["x", "dt", *(s.name for s in self.shapes)])
-        space = {"np": np, "lag": operators.lag, "sprung": operators.sprung, "stop": operators.stop}
+        space = {"np": np, **{name: getattr(operators, name) for name in operators.OPERATOR_NAMES}}
         # The formulas are the constants below: one text is equation, code and function.
         return tuple(eval(f"lambda {names}: {each}", space) for each in self.formulas)
 
@@ -159,61 +107,6 @@ class Form:
         return [list(each) for each in zip(*found, strict=True)]
 
 
-def _scale(*shares: float, least: float = 0.02, most: float = 5.0) -> dict[str, Any]:
-    """Return starts and bounds of a scale as shares of the largest magnitude."""
-    return {
-        "starts": lambda r: tuple(share * r.size for share in shares),
-        "bounds": lambda r: (least * r.size, most * r.size),
-    }
-
-
-def _width(*shares: float, least: float = 0.01, most: float = 1.5) -> dict[str, Any]:
-    """Return starts and bounds of a width as shares of the span."""
-    return {
-        "starts": lambda r: tuple(share * r.span for share in shares),
-        "bounds": lambda r: (least * r.span, most * r.span),
-    }
-
-
-def _centre(*shares: float, beyond: float = 0.1) -> dict[str, Any]:
-    """Return starts and bounds of a place, as far beyond the range as a share of it."""
-    return {"starts": lambda r: r.at(*shares), "bounds": lambda r: r.at(-beyond, 1.0 + beyond)}
-
-
-def _fixed(starts: Sequence[float], low: float, high: float) -> dict[str, Any]:
-    return {"starts": lambda r: tuple(starts), "bounds": lambda r: (low, high)}
-
-
-# A faster wave of an angle than this is ripple of a gear or motor, which the catalogue knows
-# [1/rad]; fewer than a third of a wave within the stroke is no period.
-_MAX_ORDER, _MIN_WAVES = 60.0, 0.6
-_ORDERS_PER_WAVE = 3.0
-
-
-def _orders(r: SignalRange) -> tuple[float, ...]:
-    """Return orders that the range tells apart."""
-    step = 2.0 * np.pi / r.span / _ORDERS_PER_WAVE
-    low, high = _order_bounds(r)
-    return tuple(np.arange(low, high, step)) or (low,)
-
-
-def _order_bounds(r: SignalRange) -> tuple[float, float]:
-    low = 2.0 * np.pi * _MIN_WAVES / r.span
-    return low, max(_MAX_ORDER, 2.0 * low)
-
-
-def _frequency_bounds(r: SignalRange) -> tuple[float, float]:
-    low = 2.0 / r.duration
-    return low, max(0.4 * r.rate, 2.0 * low)
-
-
-_SCALE_SHAPE = FormShape(name="s", unit="signal", **_scale(0.1, 0.3, 1.0))
-_PLACE_SHAPE = FormShape(name="c", unit="signal", **_centre(0.15, 0.35, 0.5, 0.65, 0.85))
-_ORDER_SHAPE = FormShape(name="k", unit="per signal", starts=_orders, bounds=_order_bounds)
-_FREQUENCY_SHAPE = FormShape(
-    name="f", unit="Hz", starts=lambda r: r.peaks, bounds=_frequency_bounds
-)
-_HINGE_POWER_SHAPE = FormShape(name="n", unit="", **_fixed((1.5, 3.0), 1.0, 5.0))
 FORMS = {
     each.name: each
     for each in (
@@ -228,9 +121,21 @@ FORMS = {
             name="offset",
             formulas=("(x - c)",),
             words="in proportion to the {x} from one value on, both ways",
-            shapes=(FormShape(name="c", unit="signal", **_centre(0.25, 0.5, 0.75, beyond=1.0)),),
+            shapes=(FormShape(name="c", unit="signal", **centre(0.25, 0.5, 0.75, beyond=1.0)),),
             in_signal=True,
+            general="stiffening",
             resembles="a spring or cable at rest at one place",
+        ),
+        Form(
+            name="stiffening",
+            formulas=("(x - c) * (1.0 + ((x - c) / s) ** 2)",),
+            words="with the {x} from one value on, both ways, ever more",
+            shapes=(
+                FormShape(name="c", unit="signal", **centre(0.5, beyond=1.0)),
+                FormShape(name="s", unit="signal", **width(0.7, least=0.1, most=10.0)),
+            ),
+            in_signal=True,
+            resembles="a spring or cable that stiffens to both sides of one place",
         ),
         Form(
             name="magnitude",
@@ -238,27 +143,36 @@ FORMS = {
             words="with the magnitude of the {x}",
             symmetry="even",
             in_signal=True,
+            general="rounded_magnitude",
+        ),
+        Form(
+            name="rounded_magnitude",
+            formulas=("(np.sqrt(x**2 + s**2) - s)",),
+            words="with the magnitude of the {x}, hardly at first",
+            symmetry="even",
+            shapes=(FormShape(name="s", unit="signal", **scale(0.1, least=1e-3)),),
+            in_signal=True,
         ),
         Form(
             name="power",
             formulas=("np.exp(n * np.log(np.abs(x) + 1e-12))",),
             words="with a power of the magnitude of the {x}",
             symmetry="even",
-            shapes=(FormShape(name="n", unit="", **_fixed((0.5, 2.0), 0.2, 5.0)),),
+            shapes=(FormShape(name="n", unit="", **fixed((0.5, 2.0), 0.2, 5.0)),),
         ),
         Form(
             name="signed_power",
             formulas=("np.sign(x) * np.exp(n * np.log(np.abs(x) + 1e-12))",),
             words="with a power of the {x}, odd",
             symmetry="odd",
-            shapes=(FormShape(name="n", unit="", **_fixed((0.5, 2.0), 0.2, 5.0)),),
+            shapes=(FormShape(name="n", unit="", **fixed((0.5, 2.0), 0.05, 5.0)),),
         ),
         Form(
             name="saturating",
             formulas=("np.tanh(x / s)",),
             words="with the {x}, up to a limit",
             symmetry="odd",
-            shapes=(_SCALE_SHAPE,),
+            shapes=(SCALE_SHAPE,),
             resembles="a clutch, a seal or a controller at its limit",
         ),
         Form(
@@ -266,14 +180,14 @@ FORMS = {
             formulas=("x**2 / (x**2 + s**2)",),
             words="with the magnitude of the {x}, up to a limit",
             symmetry="even",
-            shapes=(_SCALE_SHAPE,),
+            shapes=(SCALE_SHAPE,),
         ),
         Form(
             name="fading",
             formulas=("s**2 / (x**2 + s**2)",),
             words="with the {x}: most at rest, and fading with its magnitude",
             symmetry="even",
-            shapes=(_SCALE_SHAPE,),
+            shapes=(SCALE_SHAPE,),
             resembles="a film of lubricant that forms with speed",
         ),
         Form(
@@ -282,8 +196,8 @@ FORMS = {
             words="with the {x} up to a peak, and falls beyond it",
             symmetry="odd",
             shapes=(
-                _SCALE_SHAPE,
-                FormShape(name="n", unit="", **_fixed((2.0, 4.0), 1.1, 8.0)),
+                SCALE_SHAPE,
+                FormShape(name="n", unit="", **fixed((2.0, 4.0), 1.1, 8.0)),
             ),
             resembles="an eddy-current brake or a lubricant that thins",
         ),
@@ -291,35 +205,35 @@ FORMS = {
             name="step",
             formulas=("0.5 * (1.0 + np.tanh((x - c) / s))",),
             words="by a step at one value of the {x}",
-            shapes=(_PLACE_SHAPE, FormShape(name="s", unit="signal", **_width(0.03, 0.15, 0.4))),
+            shapes=(PLACE_SHAPE, FormShape(name="s", unit="signal", **width(0.03, 0.15, 0.4))),
             resembles="a part that is touched or left at one place",
         ),
         Form(
             name="step_down",
             formulas=("0.5 * (1.0 - np.tanh((x - c) / s))",),
             words="by a step down at one value of the {x}",
-            shapes=(_PLACE_SHAPE, FormShape(name="s", unit="signal", **_width(0.03, 0.15, 0.4))),
+            shapes=(PLACE_SHAPE, FormShape(name="s", unit="signal", **width(0.03, 0.15, 0.4))),
             resembles="a part that is touched or left at one place",
         ),
         Form(
             name="bend",
             formulas=("np.tanh((x - c) / s)",),
             words="with the {x} from one value on, both ways, up to a limit",
-            shapes=(_PLACE_SHAPE, FormShape(name="s", unit="signal", **_width(0.15, 0.4, 1.0))),
+            shapes=(PLACE_SHAPE, FormShape(name="s", unit="signal", **width(0.15, 0.4, 1.0))),
             resembles="a hose or cable at rest at one place, which gives way",
         ),
         Form(
             name="bump",
             formulas=("np.exp(-0.5 * ((x - c) / s) ** 2)",),
             words="near one value of the {x}",
-            shapes=(_PLACE_SHAPE, FormShape(name="s", unit="signal", **_width(0.05, 0.2))),
+            shapes=(PLACE_SHAPE, FormShape(name="s", unit="signal", **width(0.05, 0.2))),
             resembles="a dent, a magnet or a tight place",
         ),
         Form(
             name="hinge_above",
             formulas=("0.5 * (x - c + np.sqrt((x - c) ** 2 + 1e-8))",),
             words="in proportion to the {x} above one value",
-            shapes=(_PLACE_SHAPE,),
+            shapes=(PLACE_SHAPE,),
             in_signal=True,
             general="power_above",
             resembles="a cable or spring that tightens from one place on",
@@ -328,7 +242,7 @@ FORMS = {
             name="hinge_below",
             formulas=("0.5 * (c - x + np.sqrt((x - c) ** 2 + 1e-8))",),
             words="in proportion to the {x} below one value",
-            shapes=(_PLACE_SHAPE,),
+            shapes=(PLACE_SHAPE,),
             in_signal=True,
             general="power_below",
             resembles="a cable or spring that tightens up to one place",
@@ -337,21 +251,21 @@ FORMS = {
             name="power_above",
             formulas=("np.exp(n * np.log(0.5 * (x - c + np.sqrt((x - c) ** 2 + 1e-8))))",),
             words="with a power of the {x} above one value",
-            shapes=(_PLACE_SHAPE, _HINGE_POWER_SHAPE),
+            shapes=(PLACE_SHAPE, HINGE_POWER_SHAPE),
             resembles="a cable or spring that tightens from one place on",
         ),
         Form(
             name="power_below",
             formulas=("np.exp(n * np.log(0.5 * (c - x + np.sqrt((x - c) ** 2 + 1e-8))))",),
             words="with a power of the {x} below one value",
-            shapes=(_PLACE_SHAPE, _HINGE_POWER_SHAPE),
+            shapes=(PLACE_SHAPE, HINGE_POWER_SHAPE),
             resembles="a cable or spring that tightens up to one place",
         ),
         Form(
             name="harmonic",
             formulas=("np.cos(k * x)", "np.sin(k * x)"),
             words="periodically in the {x}",
-            shapes=(_ORDER_SHAPE,),
+            shapes=(ORDER_SHAPE,),
             unscreened=True,
             general="harmonic_overtone",
             resembles="teeth, rollers or magnets passing at that order",
@@ -365,7 +279,7 @@ FORMS = {
                 "np.sin(2.0 * k * x)",
             ),
             words="periodically in the {x}, with an overtone",
-            shapes=(_ORDER_SHAPE,),
+            shapes=(ORDER_SHAPE,),
             unscreened=True,
             resembles="teeth, rollers or magnets passing at that order",
         ),
@@ -373,7 +287,7 @@ FORMS = {
             name="wave",
             formulas=("np.cos(2.0 * np.pi * f * x)", "np.sin(2.0 * np.pi * f * x)"),
             words="periodically in the {x}",
-            shapes=(_FREQUENCY_SHAPE,),
+            shapes=(FREQUENCY_SHAPE,),
             unscreened=True,
             general="wave_overtone",
             resembles="a pump or fan that runs by itself",
@@ -387,7 +301,7 @@ FORMS = {
                 "np.sin(4.0 * np.pi * f * x)",
             ),
             words="periodically in the {x}, with an overtone",
-            shapes=(_FREQUENCY_SHAPE,),
+            shapes=(FREQUENCY_SHAPE,),
             unscreened=True,
             resembles="a pump or fan that runs by itself",
         ),
@@ -395,7 +309,14 @@ FORMS = {
             name="decay",
             formulas=("np.exp(-x / s)",),
             words="exponentially less with the {x}",
-            shapes=(FormShape(name="s", unit="signal", **_scale(0.1, 0.3, 1.0, least=0.01)),),
+            shapes=(FormShape(name="s", unit="signal", **scale(0.1, 0.3, 1.0, least=0.01)),),
+            resembles="warming up",
+        ),
+        Form(
+            name="approach",
+            formulas=("(1.0 - np.exp(-x / s))",),
+            words="with the {x}, ever more slowly",
+            shapes=(FormShape(name="s", unit="signal", **scale(0.3, 1.0, least=0.01)),),
             resembles="warming up",
         ),
         Form(
@@ -403,7 +324,7 @@ FORMS = {
             formulas=("lag(x, T, dt)",),
             words="with the {x}, late by a time constant",
             symmetry="odd",
-            shapes=(FormShape(name="T", unit="s", **_fixed((0.05, 0.2, 1.0), 0.01, 10.0)),),
+            shapes=(FormShape(name="T", unit="s", **fixed((0.05, 0.2, 1.0), 0.01, 10.0)),),
             in_signal=True,
             unscreened=True,
             has_memory=True,
@@ -414,7 +335,7 @@ FORMS = {
             formulas=("(x - lag(x, T, dt))",),
             words="with the {x} relative to something that follows late by a time constant",
             symmetry="odd",
-            shapes=(FormShape(name="T", unit="s", **_fixed((0.05, 0.2, 1.0), 0.01, 10.0)),),
+            shapes=(FormShape(name="T", unit="s", **fixed((0.05, 0.2, 1.0), 0.01, 10.0)),),
             in_signal=True,
             unscreened=True,
             has_memory=True,
@@ -425,38 +346,57 @@ FORMS = {
             formulas=("sprung(x, f, z, dt)",),
             words="with the {x} of a hidden mass on a spring",
             symmetry="odd",
-            shapes=(
-                FormShape(
-                    name="f",
-                    unit="Hz",
-                    starts=lambda r: (1.0, 1.7, 2.6, 3.6, 4.8, 6.3, 8.0),
-                    bounds=lambda r: (0.3, max(0.4 * r.rate, 1.0)),
-                ),
-                FormShape(name="z", unit="", **_fixed((0.03, 0.2), 0.002, 1.5)),
-            ),
+            shapes=MODE_SHAPES,
             in_signal=True,
             unscreened=True,
             has_memory=True,
             resembles="something loose: a pendulum, a hose or a liquid",
         ),
         Form(
+            name="mode",
+            formulas=("mode(x, f, z, dt)",),
+            words="with the {x}, as it deflects a hidden mass on a spring",
+            symmetry="odd",
+            shapes=MODE_SHAPES,
+            in_signal=True,
+            unscreened=True,
+            has_memory=True,
+            resembles="a part that bends and rings: a bracket, a cover or a liquid",
+        ),
+        Form(
+            name="loose",
+            formulas=("(x - sprung(x, f, z, dt))",),
+            words="with the {x} relative to that of a hidden mass on a spring",
+            symmetry="odd",
+            shapes=MODE_SHAPES,
+            in_signal=True,
+            unscreened=True,
+            has_memory=True,
+            resembles="a part of the link that is not fixed to it: a pendulum, a hose or a liquid",
+        ),
+        Form(
             name="stop",
             formulas=("stop(x, r)",),
             words="with the {x} since the last reversal, up to a limit",
             symmetry="odd",
-            shapes=(
-                FormShape(
-                    name="r",
-                    unit="signal",
-                    starts=lambda r: (0.01 * r.span, 0.05 * r.span),
-                    bounds=lambda r: (1e-3 * r.span, 0.5 * r.span),
-                ),
-            ),
+            shapes=(PLAY_SHAPE,),
             in_signal=True,
             analytic=False,
             unscreened=True,
             has_memory=True,
             resembles="a seal or cable that sticks before it slides",
+        ),
+        Form(
+            name="play",
+            formulas=("(x - stop(x, r))",),
+            words="with the {x}, which has to go beyond a play after every reversal",
+            symmetry="odd",
+            shapes=(PLAY_SHAPE,),
+            in_signal=True,
+            analytic=False,
+            unscreened=True,
+            has_memory=True,
+            resembles="a part that is taken along with play",
         ),
     )
 }

@@ -13,7 +13,8 @@ from typing import Literal
 import numpy as np
 
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
-from stiffopt.discovery.laws.forms import FORMS, Form, SignalRange
+from stiffopt.discovery.laws.forms import FORMS, Form
+from stiffopt.discovery.laws.shapes import SignalRange
 from stiffopt.discovery.laws.sources import SOURCE_KINDS, LawSource
 from stiffopt.discovery.signals import JointSignals, RobotSignals
 from stiffopt.symbolic import Quantity
@@ -111,21 +112,26 @@ class Law:
         return not all(factor.source.is_of_joint(self.joint) for factor in self.factors)
 
     @property
+    def _load_factors(self) -> list[Factor]:
+        """Factors of the load of its joint, or of the nominal wind-up under it."""
+        loads = (LawSource("load", self.joint), LawSource("windup", self.joint))
+        return [f for f in self.factors if f.source in loads]
+
+    @property
     def yields(self) -> bool:
         """True where its deflection depends on the load of its joint."""
-        load = LawSource("load", self.joint)
-        return self.place == "deflection" and any(f.source == load for f in self.factors)
+        return self.place == "deflection" and bool(self._load_factors)
 
     @property
     def lags(self) -> bool:
         """True where that deflection lags the load."""
-        load = LawSource("load", self.joint)
-        return self.yields and any(f.own.has_memory for f in self.factors if f.source == load)
+        return self.yields and any(f.own.has_memory for f in self._load_factors)
 
     @property
     def is_play(self) -> bool:
-        """True where that deflection is a function of the load alone, as a spring or play is."""
-        return self.yields and len({f.source for f in self.factors}) == 1 and not self.lags
+        """True where that deflection bends with the load alone, as a spring with play does."""
+        alone = self.yields and len(self._load_factors) == len(self.factors) and not self.lags
+        return alone and any(f.form != "linear" for f in self.factors)
 
     @property
     def structure(self) -> tuple[object, ...]:

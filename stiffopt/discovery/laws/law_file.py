@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 
 from stiffopt.discovery.laws.law import Law, describe_test, resembled
+from stiffopt.discovery.laws.operators import OPERATOR_NAMES
 
 # (name of the effect, law, amplitudes, reported value and standard deviation by name)
 WrittenLaw = tuple[str, Law, Sequence[float], Mapping[str, tuple[float, float]]]
@@ -62,7 +63,7 @@ def law_file_text(name: str, laws: Sequence[WrittenLaw]) -> str:
     laws : sequence of (name, Law, amplitudes, reported values)
     """
     formulas = " ".join(each for _, law, _, _ in laws for each in law.formulas(code=True))
-    used = sorted(set(re.findall(r"\b(lag|sprung|stop)\(", formulas)))
+    used = sorted(set(re.findall(rf"\b({'|'.join(OPERATOR_NAMES)})\(", formulas)))
     operators = f"from stiffopt.discovery.laws.operators import {', '.join(used)}\n" if used else ""
     parts = [_HEAD_TEMPLATE.format(name=name, operators=operators)]
     parts += [_format_law(number, *each) for number, each in enumerate(laws, start=1)]

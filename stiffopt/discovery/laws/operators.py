@@ -1,7 +1,7 @@
 """Operators with memory: linear lags, a sprung mass, and the stop element of hysteresis.
 
 Each takes a signal (K,) at equal time steps and starts at rest from the first sample. Parameters
-may be floats, complex numbers (for derivatives) or CasADi symbols.
+may be floats or complex numbers (for derivatives).
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 from scipy.linalg import get_lapack_funcs
 
-from stiffopt.discovery.catalogue.recurrence import first_order_lag, recurrence_output
-from stiffopt.symbolic import Quantity, is_symbolic
+from stiffopt.symbolic import Quantity
+
+# Operators that formulas of laws may name.
+OPERATOR_NAMES = ("lag", "sprung", "mode", "stop")
 
 
 def lag(x: Quantity, T: Quantity, dt: float) -> Quantity:
     """Return the first-order lag y of a signal, T dy/dt = x - y [unit of x]."""
     kept = np.exp(-dt / T)
-    if is_symbolic(x) or is_symbolic(kept):
-        return first_order_lag(x, kept)
     return _filter_linear([1.0 - kept], [1.0, -kept], x)
 
 
@@ -30,26 +30,31 @@ def sprung(x: Quantity, f: Quantity, z: Quantity, dt: float) -> Quantity:
     With w = 2 pi f the transfer function is (2 z w s + w^2) / (s^2 + 2 z w s + w^2), here by the
     bilinear transform with exact frequency [unit of x].
     """
+    return _filter_by_mode(x, f, z, dt, by_damper=True)
+
+
+def mode(x: Quantity, f: Quantity, z: Quantity, dt: float) -> Quantity:
+    """Return the mode y of a hidden mass that x pushes against a spring and a damper.
+
+    As `sprung`, with the transfer function w^2 / (s^2 + 2 z w s + w^2) [unit of x].
+    """
+    return _filter_by_mode(x, f, z, dt, by_damper=False)
+
+
+def _filter_by_mode(
+    x: Quantity, f: Quantity, z: Quantity, dt: float, *, by_damper: bool
+) -> Quantity:
     over = np.tan(np.pi * f * dt)  # half step of the angular frequency, prewarped
     damped, square = 2.0 * z * over, over * over
-    b0, b1, b2 = damped + square, 2.0 * square, square - damped
+    through = damped if by_damper else 0.0 * damped
+    b0, b1, b2 = through + square, 2.0 * square, square - through
     a0, a1, a2 = 1.0 + damped + square, 2.0 * square - 2.0, 1.0 - damped + square
     numerator, denominator = [b0 / a0, b1 / a0, b2 / a0], [a1 / a0, a2 / a0]
-    if is_symbolic(x) or is_symbolic(over):
-        # Transposed direct form: rest at the first sample as in `_filter_linear`.
-        first = 0.0 * x[0]
-        return (
-            recurrence_output(_sprung_step, [x - x[0]], [first, first], [*numerator, *denominator])
-            + x[0]
-        )
     return _filter_linear(numerator, [1.0, *denominator], x)
 
 
 def stop(x: Quantity, r: Quantity) -> Quantity:
     """Return the stop element: follows x, and slides where it would leave -r to r [unit of x]."""
-    if is_symbolic(x) or is_symbolic(r):
-        before = recurrence_output(_play_step, [x], [x[0]], [r])
-        return x - before if is_symbolic(x) else x[:, None] - before
     left = []
     play = x[0]
     # Comparisons of floats: calls of min and max take three times as long.
@@ -73,21 +78,3 @@ def _filter_linear(b: Sequence[Any], a: Sequence[Any], x: np.ndarray) -> np.ndar
     diagonals = np.repeat(np.array(a)[:, None], len(x), axis=1)
     (solve,) = get_lapack_funcs(("tbtrs",), (diagonals, driven))
     return np.asarray(x[0] + solve(diagonals, driven, uplo="L")[0])
-
-
-def _sprung_step(
-    state: Quantity, inputs: Sequence[Quantity], parameters: Sequence[Quantity]
-) -> tuple[Quantity, Quantity]:
-    import casadi as ca
-
-    b0, b1, b2, a1, a2 = parameters
-    (x,) = inputs
-    y = b0 * x + state[0]
-    return ca.vertcat(b1 * x - a1 * y + state[1], b2 * x - a2 * y), y
-
-
-def _play_step(
-    state: Quantity, inputs: Sequence[Quantity], parameters: Sequence[Quantity]
-) -> tuple[Quantity, Quantity]:
-    now = np.fmin(np.fmax(state[0], inputs[0] - parameters[0]), inputs[0] + parameters[0])
-    return now, now

@@ -61,14 +61,14 @@ SOURCE_KINDS = {
         symbol="q_{}",
         unit="rad",
         words="position of joint {}",
-        forms=(*_PLACE_FORMS, "harmonic", "stop"),
+        forms=(*_PLACE_FORMS, "harmonic", "stop", "play"),
     ),
     "speed": SourceKind(
         attribute="motor_velocity",
         symbol="w_{}",
         unit="rad/s",
         words="speed of joint {}",
-        forms=(*_SIGNED_FORMS, "lag", "slip"),
+        forms=(*_SIGNED_FORMS, "lag", "slip", "sprung"),
     ),
     "direction": SourceKind(
         attribute="motor_direction",
@@ -82,14 +82,31 @@ SOURCE_KINDS = {
         symbol="a_{}",
         unit="rad/s^2",
         words="acceleration of joint {}",
-        forms=("linear", "magnitude", "saturating", "sprung"),
+        forms=("linear", "magnitude", "saturating", "sprung", "mode", "loose"),
     ),
     "load": SourceKind(
         attribute="spring_torque",
         symbol="T_{}",
         unit="N m",
         words="load of joint {}",
-        forms=(*_SIGNED_FORMS, "hinge_above", "hinge_below", "lag", "stop"),
+        forms=(
+            *_SIGNED_FORMS,
+            *("hinge_above", "hinge_below", "lag", "stop", "sprung", "mode", "loose"),
+        ),
+    ),
+    "windup": SourceKind(
+        attribute="windup",
+        symbol="D_{}",
+        unit="rad",
+        words="nominal wind-up of joint {}",
+        forms=("linear",),
+    ),
+    "friction": SourceKind(
+        attribute="nominal_friction",
+        symbol="F_{}",
+        unit="N m",
+        words="nominal friction of joint {}",
+        forms=("linear",),
     ),
     "drive": SourceKind(
         attribute="drive_torque",
@@ -110,7 +127,7 @@ SOURCE_KINDS = {
         symbol="t_on",
         unit="s",
         words="time since power-on",
-        forms=("linear", "decay", "wave"),
+        forms=("linear", "decay", "approach", "wave"),
         per_joint=False,
     ),
     "run_time": SourceKind(
@@ -118,7 +135,7 @@ SOURCE_KINDS = {
         symbol="t",
         unit="s",
         words="time since the begin of the motion",
-        forms=("linear", "decay"),
+        forms=("linear", "decay", "approach"),
         per_joint=False,
     ),
     "height": SourceKind(
@@ -195,6 +212,10 @@ class LawSource:
         if self.joint is None or isinstance(signals, JointSignals):
             return values
         return _column(values, self.joint)
+
+    def value_in(self, run: Any) -> np.ndarray:
+        """Return the signal (K,) in a run."""
+        return np.broadcast_to(np.asarray(self.value(run.signals)), run.time.shape)
 
     def expression(self, joint: int, *, of_robot: bool) -> str:
         """Return the Python expression in `signals` for a law at a joint."""

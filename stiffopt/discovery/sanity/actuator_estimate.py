@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 
 from stiffopt.actuator.law import ActuatorLaw
 from stiffopt.closed_loop.parameters import Parameters
-from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter, bridge_gaps, derivative
+from stiffopt.discovery.comparison.filtering import SLOW_CUTOFF, filter_slow_motion
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.loop_fit import DRIVE_PARAMETERS, fit_loop, nominal_parameters
 from stiffopt.discovery.sanity.command_doubts import doubt_commands
@@ -22,8 +22,8 @@ from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun, delayed_command, derive_torque
 
 _DERIVED_NOTE: tuple[str, ...] = ("Torques are not recorded: the actuator's law gives them.",)
-# Cutoff of the filter [Hz]: weight and friction show in slow motion.
-_FILTER_CUTOFF = 8.0
+
+
 # Delays that are tried [s]: a fieldbus needs some milliseconds, a serial bus of servos some tens.
 _MAX_DELAY = 0.06
 _TRIED_DELAYS = np.arange(0.0, _MAX_DELAY + 1e-9, 0.0025)
@@ -84,7 +84,6 @@ class ResolvedActuator:
 
     Parameters
     ----------
-    recordings : RecordingSet
     runs : list of RecordedRun
         With torques by the law, nan where it gives them no scale.
     notes : tuple of str
@@ -236,24 +235,23 @@ def _joint_rows(robot: RobotModel, runs: Sequence[RecordedRun], joint: int) -> _
     commands: list[tuple[CubicSpline, np.ndarray, np.ndarray]] = []
     seconds = 0.0
     for run in runs:
-        low_pass = ZeroPhaseFilter(1.0 / run.step, min(_FILTER_CUTOFF, 0.2 / run.step))
-        # A delayed command begins later.
-        inside = slice(low_pass.settling + round(_MAX_DELAY / run.step), -low_pass.settling)
         if run.command is None or not np.isfinite(run.command[:, joint]).any() or not run.usable:
             continue
-        position = low_pass.filter_motion(bridge_gaps(run.position))
-        velocity = derivative(position, run.step)
-        acceleration = derivative(velocity, run.step)
-        load = robot.spring_torque(position, velocity, acceleration)[:, joint]
-        own, speed, rate = (x[:, joint] for x in (position, velocity, acceleration))
+        slow = filter_slow_motion(run)
+        settling = slow.low_pass.settling
+        # A delayed command begins later.
+        inside = slice(settling + round(_MAX_DELAY / slow.dt), -settling)
+        motion = (slow.position, slow.velocity, slow.acceleration)
+        load = robot.spring_torque(*motion)[:, joint]
+        own, speed, rate = (x[:, joint] for x in motion)
         direction = smooth_sign(speed)
         columns = np.column_stack(
             [rate, speed, direction, np.abs(load) * direction, np.ones_like(own)]
         )
         chosen = np.arange(len(own))[inside]
         chosen = chosen[np.abs(speed[chosen]) >= MIN_MOVING_SPEED]
-        smooth = low_pass(delayed_command(run, 0.0)[:, joint : joint + 1])[:, 0]
-        commands.append((CubicSpline(run.time, smooth), run.time[chosen], own[chosen]))
+        smooth = slow.low_pass(delayed_command(run, 0.0)[:, joint : joint + 1])[:, 0]
+        commands.append((CubicSpline(run.time, smooth), slow.time[chosen], own[chosen]))
         parts.append(tuple(x[chosen] for x in (columns, load, speed)))
         seconds += len(chosen) * run.step
     if not parts or sum(len(part[0]) for part in parts) < _MIN_INSTANTS:
@@ -263,7 +261,7 @@ def _joint_rows(robot: RobotModel, runs: Sequence[RecordedRun], joint: int) -> _
         return np.concatenate([spline(time - delay) - own for spline, time, own in commands])
 
     columns, load, speed = (np.concatenate(each) for each in zip(*parts, strict=True))
-    independent = max(2.0 * _FILTER_CUTOFF * seconds, 1.0)
+    independent = max(2.0 * SLOW_CUTOFF * seconds, 1.0)
     return _JointRows(columns, load, speed, error, independent, _stated_factors(robot, joint))
 
 

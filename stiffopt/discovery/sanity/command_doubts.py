@@ -29,10 +29,8 @@ def doubt_commands(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> Ite
     if not commanded:
         yield Doubt(
             kind="no command",
-            joints=(),
             evidence="No training run holds a command and positions of all joints, and no torque is"
             " recorded: there is nothing to explain.",
-            line="",
         )
         return
     position = np.vstack([run.position for run in commanded])
@@ -46,10 +44,8 @@ def doubt_commands(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> Ite
     if not moving.any():
         yield Doubt(
             kind="no motion",
-            joints=(),
             evidence=f"No joint moves by more than {travel.max():.2g} rad: at rest nothing is told"
             " but weight over gain. Record a motion through much of each joint's range.",
-            line="",
         )
         return
     yield from next(
@@ -119,7 +115,6 @@ def _doubt_other_joints(
             joints=(int(j) + 1,),
             evidence=f"The position of joint {j + 1} does not follow its command (correlation"
             f" {own:.2f}).{hint}",
-            line="",
         )
 
 
@@ -143,7 +138,6 @@ def _doubt_swapped(
         names = recordings.signals
         yield Doubt(
             kind="swapped",
-            joints=(),
             evidence=f"The positions ({', '.join(names.position[:3])}) lead the commands by"
             f" {1e3 * lead:.0f} ms, and an arm follows its commands: position and command are"
             " swapped.",
@@ -186,9 +180,7 @@ def _doubt_thinned(runs: Sequence[RecordedRun], moving: np.ndarray) -> Iterator[
     if interval > _MAX_COMMAND_INTERVAL and interval > _MIN_HELD_ROWS * step:
         yield Doubt(
             kind="command rate",
-            joints=(),
             evidence=f"The commands change every {1e3 * interval:.0f} ms, the rows are"
             f" {1e3 * step:.3g} ms apart: logged more slowly than they were sent, commands do not"
             " tell the torques between. Log every command that is sent.",
-            line="",
         )

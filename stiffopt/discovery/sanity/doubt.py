@@ -30,9 +30,9 @@ class Doubt:
     """
 
     kind: str
-    joints: tuple[int, ...]
+    joints: tuple[int, ...] = ()
     evidence: str
-    line: str
+    line: str = ""
 
     def __str__(self) -> str:
         ending = f" If so, write {self.line}." if self.line else ""
@@ -50,7 +50,6 @@ class DoubtfulRecordings(InputFileError):
     ----------
     path : Path
         Of recordings.toml.
-    doubts : sequence of Doubt
     """
 
     def __init__(self, path: Path, doubts: Sequence[Doubt]) -> None:

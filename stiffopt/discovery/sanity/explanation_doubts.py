@@ -35,10 +35,8 @@ def describe_explanation(
 
     Parameters
     ----------
-    recordings : RecordingSet
     search : Explanations
         With residual shares of the stated reading.
-    explanation : Explanation
     """
     shares = format_shares(search.strict, explanation.left, explanation.joints)
     joints = tuple(j + 1 for j in explanation.joints)
@@ -97,7 +95,6 @@ def _doubt_reading(
     if reading.time_scale != 1.0:
         yield Doubt(
             kind="time unit",
-            joints=(),
             evidence=f"The time looks {1.0 / reading.time_scale:g} times too large for the torques"
             f" of this motion: {shares}.",
             line=f"time = {reading.time_scale:g} in [signals.scale]",

@@ -69,7 +69,6 @@ class Explanation:
         Joints that it explains, from 0.
     score : float
         Sum of the log ratios of residual shares.
-    reading : Reading
     gains : array (n,) or None
         Recorded over true torque.
     gravity : array (3,) or None
@@ -94,13 +93,7 @@ class Explanation:
 
 
 class Explanations:
-    """Search for other descriptions of the same files.
-
-    Parameters
-    ----------
-    robot : RobotModel
-    samples : Samples
-    """
+    """Search for other descriptions of the same files."""
 
     def __init__(self, robot: RobotModel, samples: Samples) -> None:
         self.robot, self.samples, self.n = robot, samples, robot.n
@@ -125,7 +118,8 @@ class Explanations:
         if self.robot.recordings.signals.currents:
             return shares
         for j in np.flatnonzero(shares > _MIN_FAILURE_SHARE).tolist():
-            torque, additions = self.samples.torque[:, j], self._allowed_additions(j)
+            torque = self.samples.torque[:, j]
+            additions = allowed_additions(self.robot, self.motion, j)
             shares[j] = self.torque_fit.residual_share(self.motion, torque, j, additions)
         return shares
 
@@ -386,9 +380,6 @@ class Explanations:
         return np.array(
             [self.torque_fit.residual_share(motion, torque[:, j], j) for j in range(self.n)]
         )
-
-    def _allowed_additions(self, joint: int) -> Additions:
-        return allowed_additions(self.robot, self.motion, joint)
 
     def _fails_where_it_moves(self, reading: Reading, left: np.ndarray) -> np.ndarray:
         """Return joints (n,) with a failing stated reading at instants moving in the other one.

@@ -15,12 +15,10 @@ from stiffopt.discovery.sanity.doubt import (
     DoubtfulRecordings,
     format_joints,
     limit_to_runs,
-    scale_line,
 )
 from stiffopt.discovery.sanity.explanation_doubts import describe_explanation, doubt_degrees
 from stiffopt.discovery.sanity.explanations import Explanation, Explanations
 from stiffopt.discovery.sanity.interpretations import Samples, sample_runs
-from stiffopt.discovery.sanity.joint_gains import JointGain, find_joint_gains
 from stiffopt.discovery.sanity.rest_doubts import doubt_contacts_at_rest
 from stiffopt.discovery.sanity.sensor_doubts import doubt_position_limits, doubt_second_sensors
 from stiffopt.discovery.sanity.torque_doubts import doubt_dead_channels, doubt_repeated_torques
@@ -34,6 +32,10 @@ _MIN_OPEN_SHARE, _MAX_SINGLE_RUNS = 0.04, 12
 # Shortest run, or runs together, that a refusal may rest on [s]: friction, weight and inertia of a
 # shorter one, filtered at both ends, look alike.
 _MIN_JUDGED_DURATION = 2.0
+
+
+# A run with the search for explanations of it alone.
+SingleRun = tuple[RecordedRun, Explanations]
 
 
 def judge_plausibility(
@@ -69,7 +71,6 @@ class SanityGate:
 
     Parameters
     ----------
-    recordings : RecordingSet
     runs : sequence of RecordedRun
         Training runs: no other run is read before the findings are fixed.
 
@@ -92,6 +93,8 @@ class SanityGate:
             return (_doubt_masses(recordings),)
         if recordings.signals.commanded and (told := tuple(doubt_commands(recordings, self._runs))):
             return told
+        if self._without_currents is not None:
+            return self._without_currents.doubts
         found = [
             *_doubt_currents(recordings),
             *_doubt_set_points(recordings),
@@ -117,27 +120,37 @@ class SanityGate:
             ):
                 found = [*dead, *found]
             elif len(runs) > 1 and not found:
-                found = [*_doubt_single_runs(recordings, runs, search)]
+                found = [*_doubt_single_runs(recordings, self._single_runs, search)]
         if not any(doubt.kind == "position unit" for doubt in found):
             found += doubt_position_limits(recordings, runs)
         return tuple(found)
 
     @property
     def remarks(self) -> tuple[Doubt, ...]:
-        """Remarks that do not stop a diagnosis, if there are no doubts.
-
-        For example a gain that may be an effect of the catalogue or a wrong description.
-        """
+        """Remarks that do not stop a diagnosis, if there are no doubts."""
+        if self._without_currents is not None:
+            left = _remark_currents(self.recordings.signals.current_joints)
+            return (left, *self._without_currents.remarks)
         told = tuple(_doubt_references(self.recordings))
         if self._explanation_search is None or self.recordings.signals.currents:
             return told
-        gains = find_joint_gains(self._nominal_robot, self._explanation_search.samples)
         return (
             *told,
             *map(_doubt_extended_range, self._extended_range_runs),
-            *(_doubt_joint_gain(self.recordings, each) for each in gains),
             *self._contacts_at_rest,
         )
+
+    @cached_property
+    def _without_currents(self) -> SanityGate | None:
+        """Gate of the other joints, where the weight tells no factor of the remaining currents."""
+        signals = self.recordings.signals
+        if not 0 < len(signals.current_joints) < sum(map(bool, signals.torque)):
+            return None
+        explanation = None if self._explanation_search is None else self._explanation_search.best()
+        gains = None if explanation is None else explanation.gains
+        if gains is not None and np.any(gains[list(signals.current_joints)] != 1.0):
+            return None
+        return SanityGate(*leave_out_currents(self.recordings, self._runs))
 
     @property
     def _contacts_at_rest(self) -> tuple[Doubt, ...]:
@@ -162,10 +175,15 @@ class SanityGate:
         return None if samples is None else Explanations(self._nominal_robot, samples)
 
     @cached_property
-    def _odd_runs(self) -> list[OddRun]:
+    def _single_runs(self) -> list[SingleRun]:
+        """Searches of each run alone that is long enough to be judged."""
         if self._explanation_search is None or len(self._runs) < 2:
             return []
-        return find_odd_runs(self._explanation_search, self._runs)
+        return search_single_runs(self._nominal_robot, self._runs)
+
+    @cached_property
+    def _odd_runs(self) -> list[OddRun]:
+        return find_odd_runs(self._single_runs)
 
     @cached_property
     def _extended_range_runs(self) -> list[OddRun]:
@@ -179,32 +197,48 @@ def _doubt_masses(recordings: RecordingSet) -> Doubt:
     """Doubt a robot without masses: weight and inertia would hide all other effects."""
     return Doubt(
         kind="masses",
-        joints=(),
         evidence="No link of the robot has a mass: its URDF has no <inertial>. Add masses, if only"
         " rough ones: all other effects are judged beside the weight.",
-        line="",
     )
 
 
 def _doubt_currents(recordings: RecordingSet) -> Iterator[Doubt]:
-    """Doubt torques that are still currents."""
-    joints = recordings.signals.current_joints
-    if joints:
-        some = 0 < len(joints) < sum(map(bool, recordings.signals.torque))
-        stated = (
-            f"The torque of {format_joints(joints)} is stated as a current"
-            if some
-            else "The torques are stated as currents"
-        )
-        leave = ', or "" in place of its torque column, to go without it;' if some else ";"
+    """Doubt torques that are all still currents."""
+    if len(recordings.signals.current_joints) == sum(map(bool, recordings.signals.torque)) > 0:
         yield Doubt(
             kind="torque unit",
-            joints=tuple(j + 1 for j in joints) if some else (),
-            evidence=f"{stated} in A. Give N m per A at each joint (the"
-            f" motor's torque constant times the gear ratio) as torque in [signals.scale]{leave}"
-            " an estimate from the weight of the nominal model, if possible, is listed as well.",
-            line="",
+            evidence="The torques are stated as currents in A. Give N m per A at each joint (the"
+            " motor's torque constant times the gear ratio) as torque in [signals.scale]; an"
+            " estimate from the weight of the nominal model, if possible, is listed as well.",
         )
+
+
+def _remark_currents(joints: Sequence[int]) -> Doubt:
+    """Remark that currents whose factor neither the user nor the weight tells are left out."""
+    return Doubt(
+        kind="torque unit",
+        joints=tuple(j + 1 for j in joints),
+        evidence=f"The torque of {format_joints(joints)} is stated as a current in A, and the"
+        " weight does not tell its N m per A: it is left out of a diagnosis. Give the motor's"
+        " torque constant times the gear ratio as torque in [signals.scale] to include it.",
+    )
+
+
+def leave_out_currents(
+    recordings: RecordingSet, runs: Sequence[RecordedRun]
+) -> tuple[RecordingSet, list[RecordedRun]]:
+    """Return a set and its runs without torques that are still currents, unless all are."""
+    joints = list(recordings.signals.current_joints)
+    if not 0 < len(joints) < sum(map(bool, recordings.signals.torque)):
+        return recordings, list(runs)
+    torque = tuple("" if j in joints else c for j, c in enumerate(recordings.signals.torque))
+    signals = replace(recordings.signals, torque=torque, current_joints=())
+    left = []
+    for run in runs:
+        values = run.torque.copy()
+        values[:, joints] = np.nan
+        left.append(replace(run, torque=values))
+    return replace(recordings, signals=signals), left
 
 
 def _doubt_set_points(recordings: RecordingSet) -> Iterator[Doubt]:
@@ -213,7 +247,6 @@ def _doubt_set_points(recordings: RecordingSet) -> Iterator[Doubt]:
     if told:
         yield Doubt(
             kind="set points",
-            joints=(),
             evidence=f"The positions are set points by their names ({', '.join(told[:3])}"
             f"{', ...' if len(told) > 3 else ''}): they differ from the motion by the controller's"
             " errors, which would be taken for physics. Record measured positions.",
@@ -228,27 +261,9 @@ def _doubt_references(recordings: RecordingSet) -> Iterator[Doubt]:
     if told:
         yield Doubt(
             kind="set points",
-            joints=(),
             evidence=f"The names of the positions mention a reference ({', '.join(told[:3])}"
             f"{', ...' if len(told) > 3 else ''}): are they measured, or set points?",
-            line="",
         )
-
-
-def _doubt_joint_gain(recordings: RecordingSet, found: JointGain) -> Doubt:
-    factors = np.ones(recordings.n)
-    factors[found.joint] = float(f"{1.0 / found.gain:.3g}")
-    j = found.joint + 1
-    return Doubt(
-        kind="torque gain",
-        joints=(j,),
-        evidence=f"The torque of joint {j} fits {found.gain:.3g} times the model's torque: its"
-        f" residual is then {100.0 * found.after:.2g} % of the variance in place of"
-        f" {100.0 * found.before:.2g} %, for any masses and friction of all joints. Is its"
-        " torque constant, gear ratio or column that of another joint? A diagnosis may find it as"
-        " torque_gain.",
-        line=scale_line(recordings, "torque", factors),
-    )
 
 
 def _doubt_extended_range(odd: OddRun) -> Doubt:
@@ -259,7 +274,6 @@ def _doubt_extended_range(odd: OddRun) -> Doubt:
         evidence=f"{odd.run.name} moves faster or further than the other runs and does not fit the"
         f" model there, in the torque of {which}. If it is the same arm with the same load, the"
         " model lacks an effect that shows only there.",
-        line="",
     )
 
 
@@ -282,7 +296,6 @@ def _doubt_odd_runs(recordings: RecordingSet, odd: Sequence[OddRun]) -> Iterator
             f" this one with a load or a contact. The residual of the nominal model, with separate"
             f" friction, is {shares} of the torque's variance. Remove its [[runs]] section, or make"
             " a separate set for that load.",
-            line="",
         )
 
 
@@ -294,22 +307,17 @@ def _doubt_one_run(
 
 
 def _doubt_single_runs(
-    recordings: RecordingSet, runs: Sequence[RecordedRun], together: Explanations
+    recordings: RecordingSet, searches: Sequence[SingleRun], together: Explanations
 ) -> Iterator[Doubt]:
     """Doubt single runs that contradict the description, if the others fit it."""
     with np.errstate(invalid="ignore"):
         fails = together.strict > _MIN_OPEN_SHARE
     if not fails.any():
         return
-    for run in runs[:_MAX_SINGLE_RUNS]:
-        samples = _sample_run(run)
-        if samples is None:
-            continue
-        search = Explanations(together.robot, samples)
+    for run, search in searches[:_MAX_SINGLE_RUNS]:
         explanation = search.best()
-        if explanation is None:
-            continue
-        yield from _doubt_one_run(recordings, run.name, search, explanation)
+        if explanation is not None:
+            yield from _doubt_one_run(recordings, run.name, search, explanation)
 
 
 # Least residual share of a torque in an odd run, and least ratio to that in any other run, whose
@@ -329,10 +337,8 @@ class OddRun:
 
     Parameters
     ----------
-    run : RecordedRun
     search : Explanations
         Of this run alone.
-    joints : tuple of int
     left, others : array (n,)
         Residual shares in this run, and the largest in any other.
     outside_range : bool
@@ -348,17 +354,21 @@ class OddRun:
     outside_range: bool
 
 
-def find_odd_runs(together: Explanations, runs: Sequence[RecordedRun]) -> list[OddRun]:
+def search_single_runs(robot: RobotModel, runs: Sequence[RecordedRun]) -> list[SingleRun]:
+    """Return the searches for explanations of single runs, of those long enough to be judged."""
+    return [
+        (run, Explanations(robot, samples))
+        for run in runs[:_MAX_COMPARED_RUNS]
+        if run.duration >= _MIN_JUDGED_DURATION and (samples := sample_runs([run])) is not None
+    ]
+
+
+def find_odd_runs(searches: Sequence[SingleRun]) -> list[OddRun]:
     """Find runs in which the nominal model fails while it holds in all others.
 
     Each run has separate friction, so that a cold arm is not odd. Of two runs the one that fits the
     nominal model is trusted.
     """
-    searches: list[tuple[RecordedRun, Explanations]] = []
-    for run in runs[:_MAX_COMPARED_RUNS]:
-        samples = _sample_run(run)
-        if samples is not None:
-            searches.append((run, Explanations(together.robot, samples)))
     if len(searches) < 2:
         return []
     shares = np.array([search.strict for _, search in searches])
@@ -372,11 +382,10 @@ def find_odd_runs(together: Explanations, runs: Sequence[RecordedRun]) -> list[O
             joints = tuple(int(j) for j in np.flatnonzero(odd))
             beside = [other.samples for _, other in searches if other is not search]
             there = _select_shared_range(
-                search.samples, beside, asked=together.robot.recordings.signals.commanded
+                search.samples, beside, asked=search.robot.recordings.signals.commanded
             )
             outside_range = (
-                there is None
-                or not _is_odd(Explanations(together.robot, there).strict, others).any()
+                there is None or not _is_odd(Explanations(search.robot, there).strict, others).any()
             )
             found.append(OddRun(run, search, joints, shares[k], others, outside_range))
     return found
@@ -386,11 +395,6 @@ def _explains_odd_runs(explanation: Explanation, odd: Sequence[OddRun]) -> bool:
     """True if an explanation of all runs together explains the joints that are odd in some."""
     joints = sorted({joint for each in odd for joint in each.joints})
     return bool(np.all(explanation.left[joints] < _MIN_ODD_SHARE))
-
-
-def _sample_run(run: RecordedRun) -> Samples | None:
-    """Sample one run; None where it is too short to be judged alone."""
-    return sample_runs([run]) if run.duration >= _MIN_JUDGED_DURATION else None
 
 
 def _is_odd(shares: np.ndarray, others: np.ndarray) -> np.ndarray:

@@ -9,21 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from stiffopt.discovery.comparison.filtering import (
-    ZeroPhaseFilter,
-    bridge_gaps,
-    derivative,
-    near_gaps,
-    resample_uniform,
-)
+from stiffopt.discovery.comparison.filtering import filter_slow_motion, near_gaps
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.sanity.torque_fit import Motion
 from stiffopt.recording.run import RecordedRun
 
 # Instants of all runs together: enough for a dozen columns, few enough to try many readings.
 _MAX_INSTANTS = 900
-# Filter cutoff [Hz]: units and orders show in slow motion, without noise and vibration.
-_FILTER_CUTOFF = 8.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,20 +70,16 @@ def sample_runs(runs: Sequence[RecordedRun]) -> Samples | None:
     every = max(1, _MAX_INSTANTS // max(1, len(usable)))
     motions, series = [], []
     for run in usable:
-        time, position, _, torque = resample_uniform(run)
-        dt = float(time[1] - time[0])
-        low_pass = ZeroPhaseFilter(1.0 / dt, min(_FILTER_CUTOFF, 0.2 / dt))
-        inside = np.arange(low_pass.settling, len(time) - low_pass.settling)
-        bridged = near_gaps(_complete_stamps(run), run.step, time, low_pass.settling)
+        slow = filter_slow_motion(run)
+        settling = slow.low_pass.settling
+        inside = np.arange(settling, len(slow.time) - settling)
+        bridged = near_gaps(_complete_stamps(run), run.step, slow.time, settling)
         inside = inside[~bridged[inside]]
         if len(inside) < 20:
             continue
         places = inside[np.linspace(0, len(inside) - 1, min(every, len(inside))).astype(int)]
-        q = low_pass.filter_motion(bridge_gaps(position))
-        v = derivative(q, dt)
-        motions.append(np.stack([q, v, derivative(v, dt)])[:, places])
-        smooth = low_pass(bridge_gaps(torque))
-        series.append(TorqueSeries(time, smooth, time[places]))
+        motions.append(np.stack([slow.position, slow.velocity, slow.acceleration])[:, places])
+        series.append(TorqueSeries(slow.time, slow.torque, slow.time[places]))
     if not motions:
         return None
     q, v, a = np.concatenate(motions, axis=1)

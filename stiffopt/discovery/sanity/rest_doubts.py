@@ -10,20 +10,15 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from stiffopt.discovery.comparison.filtering import (
-    ZeroPhaseFilter,
-    bridge_gaps,
-    derivative,
-    resample_uniform,
-)
+from stiffopt.discovery.comparison.filtering import filter_slow_motion
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.sanity.doubt import Doubt
 from stiffopt.discovery.settings import MIN_MOVING_SPEED
 from stiffopt.recording.channel import true_intervals
 from stiffopt.recording.run import RecordedRun
 
-# Cutoff of the motion and torque [Hz]; shortest interval [s].
-_FILTER_CUTOFF, _MIN_DURATION = 8.0, 0.3
+# Shortest interval [s].
+_MIN_DURATION = 0.3
 # Bound of the friction at rest over the Coulomb friction; error of the weight over itself; and the
 # excess over both from which an interval counts, over the Coulomb friction.
 _STICTION_RATIO, _WEIGHT_TOLERANCE, _MIN_EXCESS = 1.5, 0.1, 0.5
@@ -38,19 +33,14 @@ def doubt_contacts_at_rest(robot: RobotModel, runs: Sequence[RecordedRun]) -> It
     ----------
     robot : RobotModel
         Joints without stated friction are left out.
-    runs : sequence of RecordedRun
     """
     for run in runs:
         if not run.usable:
             continue
-        time, position, _, torque = resample_uniform(run)
-        dt = float(time[1] - time[0])
-        low_pass = ZeroPhaseFilter(1.0 / dt, min(_FILTER_CUTOFF, 0.2 / dt))
-        q = low_pass.filter_motion(bridge_gaps(position))
-        v = derivative(q, dt)
-        load = robot.spring_torque(q, v, derivative(v, dt))
-        rest = np.abs(v) < MIN_MOVING_SPEED
-        carried = low_pass(bridge_gaps(torque)) - load - robot.rotor_inertia * derivative(v, dt)
+        slow = filter_slow_motion(run)
+        load = robot.spring_torque(slow.position, slow.velocity, slow.acceleration)
+        rest = np.abs(slow.velocity) < MIN_MOVING_SPEED
+        carried = slow.torque - load - robot.rotor_inertia * slow.acceleration
         bound = _STICTION_RATIO * robot.coulomb + _WEIGHT_TOLERANCE * np.abs(load)
         excess = np.where(rest & np.isfinite(carried), np.abs(carried) - bound, -np.inf)
         for j in np.flatnonzero(robot.coulomb > 0.0).tolist():
@@ -58,8 +48,8 @@ def doubt_contacts_at_rest(robot: RobotModel, runs: Sequence[RecordedRun]) -> It
             if found.sum() > _MAX_SHARE * rest[:, j].sum():
                 continue
             for begin, end in true_intervals(found):
-                if (end - begin) * dt >= _MIN_DURATION:
-                    yield _describe_contact(robot, run, time, carried[:, j], j, (begin, end))
+                if (end - begin) * slow.dt >= _MIN_DURATION:
+                    yield _describe_contact(robot, run, slow.time, carried[:, j], j, (begin, end))
 
 
 def _describe_contact(
@@ -79,5 +69,4 @@ def _describe_contact(
         evidence=f"In {run.name}, {time[begin]:.2f} to {time[end - 1]:.2f} s, joint {joint + 1}"
         f" stands and carries {most:.3g} {unit} beside its weight, where friction holds"
         f" {robot.coulomb[joint]:.3g} {unit}: something touches or loads the arm there.",
-        line="",
     )

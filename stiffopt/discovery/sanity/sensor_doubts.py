@@ -10,6 +10,7 @@ from stiffopt.discovery.sanity.doubt import Doubt, limit_to_runs, scale_line
 from stiffopt.discovery.sanity.interpretations import DEGREE, MILLIMETRE
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
+from stiffopt.units import to_si
 
 # Margin of position limits: share of the range, and at least [rad] or [m].
 LIMIT_MARGIN_SHARE, _MIN_LIMIT_MARGIN = 0.05, 0.02
@@ -18,13 +19,7 @@ FACTOR_TOLERANCE, _UNIT_TOLERANCE = 0.2, 0.1
 
 
 def doubt_position_limits(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> Iterator[Doubt]:
-    """Yield doubts about positions beyond limits: a unit if that explains all of them.
-
-    Parameters
-    ----------
-    recordings : RecordingSet
-    runs : sequence of RecordedRun
-    """
+    """Yield doubts about positions beyond limits: a unit if that explains all of them."""
     lower = recordings.robot.position_lower[recordings.order]
     upper = recordings.robot.position_upper[recordings.order]
     span = upper - lower
@@ -58,7 +53,6 @@ def doubt_position_limits(recordings: RecordingSet, runs: Sequence[RecordedRun])
         evidence="Positions lie beyond the limits of the robot's own file: "
         + _describe_reach(recordings, reach, lower, upper, out)
         + " Check their zero, sign and unit, or correct the limits.",
-        line="",
     )
 
 
@@ -112,14 +106,16 @@ def _ratio_line(recordings: RecordingSet, signal: str, ratios: Mapping[int, floa
     """Return a line that corrects all joints of a signal by one cause, or ""."""
     known = np.array([np.nan if ratio is None else ratio for ratio in ratios.values()])
     slides = recordings.prismatic[np.array(list(ratios)) - 1]
-    for unit, size, own in (("deg", DEGREE, ~slides), ("mm", MILLIMETRE, slides)):
-        if not own.all():
-            continue
-        if np.all(np.abs(known * size - 1.0) < _UNIT_TOLERANCE):
-            unit_of = f"{unit}/s" if signal == "velocity" else unit
-            return scale_line(recordings, signal, np.ones(recordings.n), unit_of)
+    units = [("deg", DEGREE)] if not slides.any() else [("mm", MILLIMETRE)] if slides.all() else []
+    for unit, size in units:
         if np.all(np.abs(known / size - 1.0) < _UNIT_TOLERANCE):
             return f'position = "{unit}" in [signals.scale]'
+    if signal == "velocity":
+        units = [(f"{unit}/s", size) for unit, size in units]
+        units += [("rpm", to_si("1 rpm", "angular velocity"))] if not slides.any() else []
+    for unit, size in units:
+        if np.all(np.abs(known * size - 1.0) < _UNIT_TOLERANCE):
+            return scale_line(recordings, signal, np.ones(recordings.n), unit)
     if np.all(np.abs(known + 1.0) < FACTOR_TOLERANCE):
         signs = np.ones(recordings.n)
         signs[np.array(list(ratios)) - 1] = -1.0

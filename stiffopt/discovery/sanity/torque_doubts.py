@@ -29,8 +29,6 @@ def doubt_dead_channels(
 
     Parameters
     ----------
-    recordings : RecordingSet
-    robot : RobotModel
     samples : Samples
         Of the training runs.
     """
@@ -64,12 +62,7 @@ def doubt_dead_channels(
 
 
 def doubt_repeated_torques(runs: Sequence[RecordedRun]) -> Iterator[Doubt]:
-    """Yield a doubt about torques that are equal to the digit in two runs: commands, or copies.
-
-    Parameters
-    ----------
-    runs : sequence of RecordedRun
-    """
+    """Yield a doubt about torques that are equal to the digit in two runs: commands, or copies."""
     for first, second in combinations(runs, 2):
         count = min(len(first.time), len(second.time))
         equal = [
@@ -92,7 +85,6 @@ def doubt_repeated_torques(runs: Sequence[RecordedRun]) -> Iterator[Doubt]:
             kind="repeated run" if copied else "commanded torque",
             joints=tuple(j + 1 for j in equal),
             evidence=evidence,
-            line="",
         )
         return
 

@@ -17,7 +17,8 @@ from stiffopt.discovery.signals import smooth_sign
 _MAX_RELATIVE_DECREASE, _MAX_RELATIVE_INCREASE = 0.8, 10.0
 # Largest load-dependent friction over the load.
 _MAX_LOAD_FRICTION = 0.4
-# Largest torque offset over the largest nominal torque.
+# Largest torque offset over the largest nominal torque: of the joint for a current, of the arm for
+# a joint torque sensor, whose zero error goes with its range and not with the joint's load.
 _MAX_OFFSET_SHARE = 0.5
 # Largest lever of a payload [m], whose mass may be that of the arm.
 _MAX_PAYLOAD_LEVER = 0.5
@@ -63,12 +64,7 @@ class Additions:
 
 
 class TorqueFit:
-    """Fit of measured torques by the nominal model with bounded friction, inertia and offset.
-
-    Parameters
-    ----------
-    robot : RobotModel
-    """
+    """Fit of measured torques by the nominal model with bounded friction, inertia and offset."""
 
     def __init__(self, robot: RobotModel) -> None:
         self.robot = robot
@@ -80,10 +76,8 @@ class TorqueFit:
 
         Parameters
         ----------
-        motion : Motion
         torque : array (m,)
             Measured [N m].
-        joint : int
         extra : Additions, optional
             Further columns, such as springs and payloads.
         """
@@ -136,7 +130,9 @@ class TorqueFit:
             (robot.rotor_inertia[joint], acceleration),
         )
         nominal = spring + sum(value * column for value, column in stated)
-        offset = _MAX_OFFSET_SHARE * float(np.abs(nominal[rows]).max())
+        link_side = robot.recordings.torque_side == "link"
+        largest = np.abs(motion.spring if link_side else nominal[rows]).max()
+        offset = _MAX_OFFSET_SHARE * float(largest)
         columns = [np.ones_like(speed), np.abs(spring) * direction]
         lower, upper = [-offset, 0.0], [offset, _MAX_LOAD_FRICTION]
         for value, column in stated:

@@ -7,18 +7,8 @@ import numpy as np
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, effect_places
 from stiffopt.discovery.search.candidates import Candidate, Scorer
-from stiffopt.discovery.search.cross_validation import select_predictive
-from stiffopt.discovery.search.left_out_gain import left_out_gains
-from stiffopt.discovery.search.uncertainty import jackknife_significance
-from stiffopt.discovery.thresholds import (
-    CONFIRMED_DEVIATIONS,
-    DETERMINED_DEVIATIONS,
-    LOCAL_EVIDENCE_SHARE,
-    MIN_HELD_OUT_SHARE,
-    NAMED_EVIDENCE,
-    NAMED_SHARE,
-    PRIOR_RELIEF_SHARE,
-)
+from stiffopt.discovery.search.left_out_gain import select_predictive
+from stiffopt.discovery.thresholds import NAMED_EVIDENCE, NAMED_SHARE, PRIOR_RELIEF_SHARE
 
 STOPPED_MESSAGE = "stopped: the findings up to now are assessed"
 
@@ -92,53 +82,19 @@ def prune_effects(comparison: Comparison, effects: list[LocatedEffect]) -> list[
     return kept
 
 
-def confirm_effects(
-    comparison: Comparison, effects: list[LocatedEffect], *, strict: bool
-) -> list[LocatedEffect]:
-    """Select effects that do not rest on a few seconds of the recordings alone.
-
-    Effects that act for a few seconds only, such as a drive at its limit, count if they remove most
-    of a channel's residual, in recordings left out as well. Without stated tolerances (`strict`)
-    all need significance, and one amplitude that is significant alone. Calibrated values are
-    exempt.
-    """
-    kept = list(effects)
-    while not all(e.calibrated for e in kept):
-        sure, single = jackknife_significance(comparison, kept)
-        sure[[e.calibrated for e in kept]] = np.inf
-        weak = sure < CONFIRMED_DEVIATIONS
-        if strict:
-            weak |= np.isfinite(sure) & (single < DETERMINED_DEVIATIONS)
-        doubted = (int(i) for i in np.argsort(sure) if weak[i])
-        lost = next(
-            (i for i in doubted if strict or not _is_locally_supported(comparison, kept, i)), None
-        )
-        if lost is None:
-            break
-        kept.pop(lost)
-    return kept
-
-
 def select_supported(
     comparison: Comparison, effects: list[LocatedEffect], *, strict: bool
 ) -> list[LocatedEffect]:
-    """Select effects that are confirmed and that recordings left out support.
+    """Select effects that recordings left out support.
 
-    With stated tolerances it is enough to remove some residual there, or that nominal values would
-    otherwise leave their tolerances, since the residual cannot tell the two apart.
+    With stated tolerances an effect also stays if nominal values would otherwise leave them, since
+    the residual cannot tell the two apart.
     """
-    sure = confirm_effects(comparison, effects, strict=strict)
-    if strict:
-        return select_predictive(comparison, sure)
-    gains = left_out_gains(comparison, sure)
-    return [
-        e
-        for e, gain in zip(sure, gains, strict=True)
-        if e.run is not None
-        or e.calibrated
-        or gain.share >= MIN_HELD_OUT_SHARE
-        or _is_supported_by_nominal(comparison, sure, e)
-    ]
+
+    def spared(kept: list[LocatedEffect], located: LocatedEffect) -> bool:
+        return not strict and _is_supported_by_nominal(comparison, kept, located)
+
+    return select_predictive(comparison, effects, spared)
 
 
 def _is_supported_by_nominal(
@@ -148,11 +104,3 @@ def _is_supported_by_nominal(
     scorer = Scorer(comparison, [e for e in effects if e is not located])
     own = scorer.score(located)
     return own is not None and _prior_relief(own, scorer) > PRIOR_RELIEF_SHARE * own.evidence
-
-
-def _is_locally_supported(comparison: Comparison, effects: list[LocatedEffect], index: int) -> bool:
-    others = [e for k, e in enumerate(effects) if k != index]
-    own = Scorer(comparison, others).score(effects[index])
-    if own is None or own.explained <= LOCAL_EVIDENCE_SHARE:
-        return False
-    return own.gain > LOCAL_EVIDENCE_SHARE * own.evidence

@@ -1,27 +1,41 @@
-"""Gain of findings in stretches left out: what each removes, what stays open, how sure the gain is.
+"""Gain of findings in folds left out: what each removes, what stays open, how sure the gain is.
 
-Every finding is compared with a fit without it; both predict parts of the recordings that neither
-was fitted to.
+A search uses all training runs, and where a nominal model lacks many effects, some formula gains a
+little everywhere. Every finding is therefore compared with a fit without it; both predict parts of
+the recordings that neither was fitted to.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import special
 
 from stiffopt.discovery.comparison.channel_rows import noise_above_cutoff
-from stiffopt.discovery.comparison.comparison import Comparison, solve_boxed
+from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.search.cross_validation import number_folds, stack_columns
+from stiffopt.discovery.search.cross_validation import (
+    FOLDS_OF_FEW_RUNS,
+    number_folds,
+    predict_folds,
+    stack_columns,
+)
 from stiffopt.discovery.search.uncertainty import number_stretches
-from stiffopt.discovery.thresholds import UNEXPLAINED_RATIO
+from stiffopt.discovery.thresholds import (
+    FOUND_PROBABILITY,
+    MAX_CANCELLATION_RATIO,
+    MIN_ACTIVE_SHARE,
+    MIN_CHANGE_SHARE,
+    MIN_HELD_OUT_SHARE,
+    NAMED_PROBABILITY,
+    RARE_SHARE,
+    UNEXPLAINED_RATIO,
+)
 
-# One-sided 95 % point of a correlation that is zero, in its standard deviations: a law that is
-# missing shows as more.
-_CHANCE_DEVIATIONS = 1.645
+# An effect that acts in fewer folds is judged in parts of every run.
+_MIN_ACTIVE_FOLDS = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,10 +49,13 @@ class LeftOutGain:
     left_open : float
         Squares that the fit with it leaves there and that noise does not make: alike from row to
         row, or beyond those of the noise by more than inexact formulas make.
-    share : float
-        Share of the channel's squares that it removes, 0 to 1.
+    share, explained : float
+        Share of the channel's squares that it removes, and of those beyond the stated noise, 0
+        to 1.
+    channel : int
+        Its best channel among those that it acts on: others improve through nominal values.
     support : float
-        Probability that it improves predictions at all, by the spread of its gain between
+        Probability that it improves predictions where it acts, by the spread of its gain between
         stretches (Student's t): errors of a law are correlated within a stretch, so that the number
         of samples says nothing.
     """
@@ -46,6 +63,8 @@ class LeftOutGain:
     removed: float
     left_open: float
     share: float
+    explained: float
+    channel: int
     support: float
 
     @property
@@ -58,82 +77,154 @@ class LeftOutGain:
 def left_out_gains(
     comparison: Comparison, effects: Sequence[LocatedEffect]
 ) -> tuple[LeftOutGain, ...]:
-    """Return the gain of every effect in folds left out."""
+    """Return the gain of every effect in folds left out.
+
+    Folds are parts of every run for an effect that acts in few of them: if each joint moves in a
+    run of its own, the other runs say nothing of it.
+    """
     if not effects:
         return ()
-    columns, prior, owner = stack_columns(comparison, effects)
-    fold, stretch = number_folds(comparison), number_stretches(comparison)
-    if stretch.max() < fold.max():
-        stretch = fold
-    channel, noise = comparison.rows.channel, comparison.inflation[comparison.rows.channel] ** 2
-    # Noise above the filter's band may exceed the stated one.
-    stated = np.concatenate([comparison.noise.torque, comparison.noise.deflection])
-    held = np.fmax(noise_above_cutoff(comparison.nominal_runs) / stated, 1.0)
-    usual = (UNEXPLAINED_RATIO * held) ** 2
-    limits = comparison.limits(len(prior))
-    predictions = _FoldPredictions(columns, comparison.target, prior, limits, fold)
-    now = predictions.residual(np.ones(len(owner), dtype=bool))
-    gains = []
-    for k in range(len(effects)):
-        without = predictions.residual(owner != k)
+    columns, _, owner = stack_columns(comparison, effects)
+    fold = number_folds(comparison)
+    few = [
+        e.is_run_specific or _is_seldom(columns[:, owner == k], fold) for k, e in enumerate(effects)
+    ]
+    folds = {False: fold}
+    if any(few):
+        folds[True] = number_folds(comparison, FOLDS_OF_FEW_RUNS)
+    ways = {fine: predict_folds(comparison, effects, own) for fine, own in folds.items()}
+    now = {fine: way.residual() for fine, way in ways.items()}
+    judge = _GainJudge(comparison, fold)
+    return tuple(
+        judge.gain(columns[:, owner == k], now[fine], ways[fine].residual(owner != k))
+        for k, fine in enumerate(few)
+    )
+
+
+def _is_seldom(columns: np.ndarray, fold: np.ndarray) -> bool:
+    """True if an effect with columns (m, k) acts in few of the folds."""
+    square = np.bincount(fold, np.sum(columns**2, axis=1))
+    return bool(np.sum(square > MIN_ACTIVE_SHARE * square.max()) < _MIN_ACTIVE_FOLDS)
+
+
+class _GainJudge:
+    """Gains of effects by the residuals of folds left out, with and without them."""
+
+    def __init__(self, comparison: Comparison, fold: np.ndarray) -> None:
+        self._comparison = comparison
+        stretch = number_stretches(comparison)
+        self._stretch = fold if stretch.max() < fold.max() else stretch
+        # Noise above the filter's band may exceed the stated one.
+        stated = np.concatenate([comparison.noise.torque, comparison.noise.deflection])
+        held = np.fmax(noise_above_cutoff(comparison.nominal_runs) / stated, 1.0)
+        self._usual = (UNEXPLAINED_RATIO * held) ** 2
+
+    def gain(self, columns: np.ndarray, now: np.ndarray, without: np.ndarray) -> LeftOutGain:
+        """Return the gain of an effect with columns (m, k) from weighted residuals (m,)."""
+        comparison, rows = self._comparison, self._comparison.rows.channel
         fall = without**2 - now**2
-        own = channel == int(np.argmax(np.bincount(channel, fall)))
-        removed = max(float(np.sum((fall * noise)[own])), 0.0)
-        before = float(np.sum(without[own] ** 2))
-        gains.append(
-            LeftOutGain(
-                removed=removed,
-                left_open=max(
-                    _smooth_squares(comparison, now * noise**0.5, own),
-                    float(np.sum((now**2 * noise)[own] - usual[channel[own]])),
-                ),
-                share=float(np.clip(np.sum(fall[own]) / before, 0.0, 1.0)) if before > 0.0 else 0.0,
-                support=_probability_of_gain(np.bincount(stretch, fall)),
-            )
+        square = np.bincount(rows, np.sum(columns**2, axis=1))
+        acted = square > MIN_ACTIVE_SHARE * square.max()
+        channel = int(np.argmax(np.where(acted, np.bincount(rows, fall), -np.inf)))
+        own, noise = rows == channel, float(comparison.inflation[channel])
+        after, before = (noise**2 * float(np.sum(left[own] ** 2)) for left in (now, without))
+        count = int(own.sum())
+        beyond = before - count
+        return LeftOutGain(
+            removed=max(before - after, 0.0),
+            left_open=max(
+                _smooth_squares(comparison, now * noise, own),
+                after - float(self._usual[channel]) * count,
+            ),
+            share=float(np.clip(1.0 - after / before, 0.0, 1.0)) if before > 0.0 else 0.0,
+            explained=float(np.clip((before - after) / beyond, 0.0, 1.0)) if beyond > 0.0 else 0.0,
+            channel=channel,
+            support=_probability_of_gain(np.bincount(self._stretch, fall * acted[rows])),
         )
-    return tuple(gains)
 
 
-class _FoldPredictions:
-    """Predictions of every fold by fits to the other folds, with some of the columns (m, p).
+def select_predictive(
+    comparison: Comparison,
+    effects: Sequence[LocatedEffect],
+    spared: Callable[[list[LocatedEffect], LocatedEffect], bool] = lambda *_: False,
+) -> list[LocatedEffect]:
+    """Select effects without which folds left out are predicted worse.
 
-    Nominal values keep their bounds: beyond them they would stand for the effect that is left out,
-    as torque constants twice their size do for a load about which the columns are linear.
+    Parameters
+    ----------
+    comparison : Comparison
+        With the noise estimated beside the effects.
+    effects : sequence of LocatedEffect
+        With shapes as found, which are not refitted.
+    spared : callable
+        -> True for an effect, among those kept, that stays without a gain.
+
+    Notes
+    -----
+    Effects that cancel others are removed first, then the least helpful one repeatedly, each judged
+    by a fit without it. Calibrated values stay.
     """
+    kept = drop_cancelling(comparison, effects)
+    while True:
+        excess = [
+            0.0 if each.calibrated else _excess_share(comparison, each, gain)
+            for each, gain in zip(kept, left_out_gains(comparison, kept), strict=True)
+        ]
+        poor = [k for k in np.argsort(excess) if excess[k] < 0.0 and not spared(kept, kept[k])]
+        if not poor:
+            return kept
+        kept.pop(poor[0])
 
-    def __init__(
-        self,
-        columns: np.ndarray,
-        target: np.ndarray,
-        prior: np.ndarray,
-        limits: np.ndarray,
-        fold: np.ndarray,
-    ) -> None:
-        self._columns, self._target = columns, target
-        self._prior, self._limits = prior, limits
-        self._rows = [np.flatnonzero(fold == number) for number in range(int(fold.max()) + 1)]
-        self._gram = np.array([columns[own].T @ columns[own] for own in self._rows])
-        self._moment = np.array([columns[own].T @ target[own] for own in self._rows])
 
-    def residual(self, kept: np.ndarray) -> np.ndarray:
-        """Return the residual (m,) with the columns of a mask (p,)."""
-        left, prior, limits = self._target.copy(), self._prior[kept], self._limits[kept]
-        whole = self._gram.sum(axis=0)[kept][:, kept]
-        moment = self._moment.sum(axis=0)[kept]
-        for own, gram, part in zip(self._rows, self._gram, self._moment, strict=True):
-            others, goal = whole - gram[kept][:, kept], moment - part[kept]
-            values = np.linalg.solve(others + np.diag(prior**-2.0), goal)
-            if np.any(np.abs(values) > limits * prior):
-                values = solve_boxed(others, goal, prior, limits)
-            left[own] -= self._columns[own][:, kept] @ values
-        return left
+def drop_cancelling(
+    comparison: Comparison, effects: Sequence[LocatedEffect]
+) -> list[LocatedEffect]:
+    """Remove effects whose contribution far exceeds the nominal residual of their channel.
+
+    Two nearly collinear formulas fit best as a difference of large values, which has no meaning
+    and extrapolates badly.
+    """
+    kept, rows = list(effects), comparison.rows.channel
+    before = np.bincount(rows, comparison.target**2)
+    while kept:
+        amplitudes, begin, ratios = comparison.fit(kept).amplitudes(), 0, []
+        for located in kept:
+            columns = comparison.effect_columns(located)
+            end = begin + columns.shape[1]
+            square = np.bincount(rows, (columns @ amplitudes[begin:end]) ** 2)
+            own, begin = int(np.argmax(square)), end
+            seen = before[own] > 0.0 and not located.calibrated
+            ratios.append(float(square[own] / before[own]) if seen else 0.0)
+        worst = int(np.argmax(ratios))
+        if ratios[worst] <= MAX_CANCELLATION_RATIO**2:
+            break
+        kept.pop(worst)
+    return kept
+
+
+def _excess_share(comparison: Comparison, located: LocatedEffect, gain: LeftOutGain) -> float:
+    """Return the share that an effect removes less the required one; negative without support.
+
+    An effect that removes less than laws leave open in its channel is one of many that would: it
+    is never named, and predicts no better for being fitted. With an extended model a change must
+    exceed the open residual of its recordings.
+    """
+    changed = comparison.after_model and not comparison.unseen[gain.channel]
+    # Friction and other values that every joint has only need to help on the whole.
+    plain = bool(located.effect.nominal) and not changed
+    if not plain and gain.support < FOUND_PROBABILITY and gain.share < RARE_SHARE:
+        return gain.support - 1.0
+    if not plain and not changed and gain.open_share > 1.0 - NAMED_PROBABILITY:
+        return 1.0 - NAMED_PROBABILITY - gain.open_share
+    required = MIN_CHANGE_SHARE if changed else 0.0 if plain else MIN_HELD_OUT_SHARE
+    return gain.share - required if gain.removed > 0.0 else -1.0
 
 
 def _smooth_squares(comparison: Comparison, residual: np.ndarray, own: np.ndarray) -> float:
     """Return the squares of a residual (m,) in some rows that neighbouring rows share.
 
-    Filtered noise is correlated as far as the filter makes it; what is correlated beyond that, and
-    beyond chance, is no noise.
+    Filtered noise is correlated as far as the filter makes it; what is correlated beyond that is no
+    noise. Expected value, since the correlation of noise differs from zero by chance.
     """
     run = comparison.rows.sample_signal(lambda each: np.full(len(each.time), float(each.index)))
     time = comparison.rows.sample_signal(lambda each: each.time)
@@ -148,8 +239,12 @@ def _smooth_squares(comparison: Comparison, residual: np.ndarray, own: np.ndarra
         shared += float(np.sum((left[1:] * left[:-1])[beside])) / float(np.mean(beside))
         shared -= white * float(left @ left)
         square += float(left @ left)
-    chance = _CHANCE_DEVIATIONS * float(own.sum()) ** -0.5
-    return float(max(shared - chance * square, 0.0) / (1.0 - white))
+    chance = square * float(own.sum()) ** -0.5
+    if chance == 0.0:
+        return 0.0
+    ratio = shared / chance
+    density = float(np.exp(-0.5 * ratio**2)) / np.sqrt(2.0 * np.pi)
+    return float((shared * special.ndtr(ratio) + chance * density) / (1.0 - white))
 
 
 def _probability_of_gain(falls: np.ndarray) -> float:

@@ -10,13 +10,12 @@ from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.candidates import Candidate, Scorer, scan
-from stiffopt.discovery.search.cross_validation import select_predictive
 from stiffopt.discovery.search.joint_fit import (
     STOPPED_MESSAGE,
-    confirm_effects,
     fit_jointly,
     passes_thresholds,
 )
+from stiffopt.discovery.search.left_out_gain import select_predictive
 from stiffopt.discovery.thresholds import (
     EQUIVALENT_EVIDENCE_SHARE,
     MAX_REFINED_CHANGES,
@@ -152,8 +151,8 @@ def _find_single_change(
 
 
 def _select_certain(comparison: Comparison, effects: list[LocatedEffect]) -> list[LocatedEffect]:
-    """Select effects that are significant, within bounds, and help in recordings left out."""
-    kept = select_predictive(comparison, confirm_effects(comparison, effects, strict=True))
+    """Select effects that are within bounds and help in recordings left out."""
+    kept = select_predictive(comparison, effects)
     return [e for e in kept if _is_within_bounds(comparison, kept, e)]
 
 

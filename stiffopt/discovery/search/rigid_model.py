@@ -20,7 +20,7 @@ from stiffopt.discovery.comparison.inertial_parameters import body_units, nomina
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, effect_places
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.candidates import Candidate, Scorer
-from stiffopt.discovery.search.cross_validation import CrossValidation
+from stiffopt.discovery.search.cross_validation import predict_folds
 from stiffopt.discovery.signals import PARAMETERS_PER_BODY
 from stiffopt.discovery.thresholds import ADDED_MASS_OFFSET, NAMED_EVIDENCE, SINGLE_CHANGE_SHARE
 
@@ -186,7 +186,7 @@ def _choose_widths(
     free = comparison.with_bodies(_parameter_deviations(comparison, (PRIOR_WIDTHS[-1],) * n))
     for _ in range(_NOISE_ROUNDS):
         free = free.linearised_at(free.fit(effects))
-    left_out = CrossValidation(free, effects)
+    left_out = predict_folds(free, effects)
     widths = [BODY_WIDTHS[0]] * n
     least = left_out.squares(_parameter_deviations(comparison, widths).ravel())
     for number in range(1, _MAX_PASSES + 1):
@@ -230,7 +230,7 @@ def _find_counterweights(
             free, (*widths[:body], BODY_WIDTHS[0], *widths[body + 1 :])
         ).ravel()
         instead = [
-            CrossValidation(free, [*effects, located]).squares(held)
+            predict_folds(free, [*effects, located]).squares(held)
             for entry in catalogue
             if entry.twin
             for located in effect_places(entry, free.constants, ())

@@ -16,7 +16,7 @@ import numpy as np
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.inertial_parameters import body_units
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.search.cross_validation import CrossValidation
+from stiffopt.discovery.search.cross_validation import predict_folds
 from stiffopt.discovery.search.rigid_model import PRIOR_WIDTHS
 
 FRICTION_LINES, SINGLE_BODY, BASE_PARAMETERS, CATALOGUE_MODEL = (
@@ -90,10 +90,8 @@ def hold_tournament(
 
 def _residual_left_out(model: Comparison, effects: Sequence[LocatedEffect]) -> float:
     """Return the normalised residual of stretches left out, over the stated noise."""
-    counts = model.rows.counts
-    squares = CrossValidation(model, effects).squares_by_channel() * model.inflation**2
-    used = counts > 0
-    return float(np.sqrt(np.mean(squares[used] / counts[used])))
+    left = model.channel_ratio(predict_folds(model, effects).residual()) * model.inflation
+    return float(np.sqrt(np.nanmean(left**2)))
 
 
 def describe_tournament(contenders: Sequence[Contender]) -> tuple[str, ...]:

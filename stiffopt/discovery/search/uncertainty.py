@@ -323,50 +323,6 @@ def null_probability(chance: float, odds: float = 1.0) -> float:
     return odds * bound / (1.0 + odds * bound)
 
 
-def jackknife_significance(
-    comparison: Comparison, effects: Sequence[LocatedEffect]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the jackknife significance of every effect [sigma].
-
-    Shapes are held, except of effects with amplitudes that no other effect has.
-
-    Returns
-    -------
-    together, single : array (e,)
-        Of all amplitudes together, and of the best single one (among those that no other effect
-        has, if any). Collinear amplitudes can be significant together and not apart: such an effect
-        cannot be extrapolated to other motions.
-    """
-    fit = comparison.fit(effects)
-    _, prior_sd = comparison.priors
-    amplitudes = fit.amplitudes()
-    slopes, begin = [], 0
-    for located in effects:
-        values = amplitudes[begin : begin + len(located.effect.amplitudes)]
-        begin += len(values)
-        if located.effect.has_distinctive:
-            for i, step in enumerate(_shape_sizes(located)):
-                slopes.append(_shape_slope(comparison, located, values, i, step))
-    prior = np.concatenate([prior_sd, np.ones(len(amplitudes)), np.full(len(slopes), _SHAPE_PRIOR)])
-    matrix = _append_columns(comparison.stack_columns(effects), slopes)
-    _, spread = _jackknife_covariance(comparison, matrix, prior, number_stretches(comparison))
-    together, single, begin = [], [], 0
-    for located in effects:
-        values = amplitudes[begin : begin + len(located.effect.amplitudes)]
-        rows = slice(len(prior_sd) + begin, len(prior_sd) + begin + len(values))
-        begin += len(values)
-        together.append(_deviations_from_zero(values, spread[rows, rows])[0])
-        telling = (
-            located.effect.distinctive_amplitudes
-            if located.effect.has_distinctive
-            else list(range(len(values)))
-        )
-        single.append(
-            _deviations_from_zero(values[telling], spread[rows, rows][np.ix_(telling, telling)])[1]
-        )
-    return np.array(together), np.array(single)
-
-
 def _append_columns(columns: np.ndarray, slopes: Sequence[np.ndarray]) -> np.ndarray:
     """Return columns (m, p) with slopes beside them; without any no copy of all is made."""
     return np.column_stack([columns, *slopes]) if slopes else columns

@@ -41,11 +41,12 @@ class KrlRsi(CyclicFormat):
         start = ", ".join(
             f"{axis} {value:.6f}" for axis, value in zip(_AXIS_NAMES, angles[0], strict=True)
         )
+        # KRL sources are ASCII.
+        title = motion.title.encode("ascii", "replace").decode()
         program = [
             "&ACCESS RVP",
             f"DEF {name}( )",
-            f"; {_to_ascii(motion.title)}: motion of the {motion.which}s, {rate:g} Hz, "
-            f"{motion.time[-1]:g} s",
+            f"; {title}: motion of the {motion.which}s, {rate:g} Hz, {motion.time[-1]:g} s",
             f"; Send one row of {name}_rsi.csv a cycle as AKorr; signs and zeros of the axes are",
             "; those of the URDF: compare them with the controller's before the first run.",
             f"; Corrections [deg]: {spans}",
@@ -73,11 +74,6 @@ class KrlRsi(CyclicFormat):
 def _halt_on_error() -> list[str]:
     """KRL lines that halt on an RSI error."""
     return ["IF (ret <> RSIOK) THEN", "  HALT", "ENDIF"]
-
-
-def _to_ascii(title: str) -> str:
-    """Replace characters that KRL sources, which are ASCII, cannot hold."""
-    return title.encode("ascii", "replace").decode()
 
 
 FORMATS.add(KrlRsi())

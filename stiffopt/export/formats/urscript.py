@@ -10,9 +10,6 @@ from stiffopt.export.motion import SampledMotion, StoredMotion
 
 # Position range of these arms: one turn to either side [rad].
 _MAX_ANGLE = 2.0 * np.pi
-# Arguments of servoj. The shortest look-ahead time [s] rounds and delays the motion least; the gain
-# is the controller's default.
-_LOOKAHEAD_TIME, _SERVO_GAIN = 0.03, 300
 # Digital output 0 of the tool closes the gripper.
 _GRIPPER_OUTPUTS = {"grip": "True", "release": "False"}
 
@@ -48,7 +45,9 @@ class UrScript(CyclicFormat):
         name = identifier(motion.title, 40)
         name = f"stiffopt_{name}"
         poses = [f"[{', '.join(f'{angle:.9f}' for angle in row)}]" for row in motion.position]
-        follow = f"t={1.0 / rate:g}, lookahead_time={_LOOKAHEAD_TIME:g}, gain={_SERVO_GAIN}"
+        # Arguments of servoj. The shortest look-ahead time [s] rounds and delays the motion least;
+        # the gain is the controller's default.
+        follow = f"t={1.0 / rate:g}, lookahead_time=0.03, gain=300"
         lines = [
             f"# {motion.title}: motion of the {motion.which}s, {rate:g} Hz, {motion.time[-1]:g} s.",
             f"# Joints: {', '.join(motion.joint_names)}. Try it at reduced speed first.",

@@ -22,11 +22,6 @@ if TYPE_CHECKING:
     from stiffopt.symbolic import Quantity
     from stiffopt.validation import Section
 
-# Back-off from the torque at which the exact stiffness jumps, relative to it.
-_BESIDE_JUMP = 2e-3
-# Factor on the smoothing widths that makes a reducer's step a jump.
-_SHARP_SMOOTHING = 1e-6
-
 
 class JointStiffnessFloor(LimitKind):
     """Lower bound of the tangent stiffness, as a torque bound where one torque separates the two.
@@ -64,9 +59,10 @@ class JointStiffnessFloor(LimitKind):
             labels.append(f"joint {j}")
             needed = _torque_of_stiffness(model, j, floor)
             if needed and model.sides[j - 1]:
-                # Back off beyond the jump, so that rounding does not cross it.
                 share = model.sides[j - 1] * model.torques.spring[j - 1] / needed
-                expressions.append(1.0 + _BESIDE_JUMP + margin - share)
+                # Back off beyond the torque at which the stiffness jumps: rounding must not cross
+                # it.
+                expressions.append(1.0 + 2e-3 + margin - share)
             else:
                 # Compliance is bounded where stiffness is steep.
                 expressions.append(floor * model.compliance(j) - (1.0 - margin))
@@ -135,7 +131,8 @@ def _torque_of_stiffness(model: StageModel, joint: int, floor: float) -> float |
         return None
 
     def stiff(torque: Quantity) -> Quantity:
-        return chain.tangent_stiffness(torque, smoothing=_SHARP_SMOOTHING) >= floor
+        # Factor on the smoothing widths that makes a reducer's step a jump.
+        return chain.tangent_stiffness(torque, smoothing=1e-6) >= floor
 
     largest = 1.5 * float(model.robot.torque_max[joint - 1])
     torques = np.array([0.0, *np.geomspace(1e-4 * largest, largest, 1000)])

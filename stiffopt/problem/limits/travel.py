@@ -19,11 +19,6 @@ if TYPE_CHECKING:
     from stiffopt.result.assessment import Assessment, Violation
     from stiffopt.validation import Section
 
-_DEFAULT_TRAVEL = 1.5  # where the tool error is minimised
-# Least need of an axis, as a share of the largest of its kind: the others pass by its detour.
-_MIN_NEED_SHARE = 1.0 / 3.0
-_PATH_SAMPLES = 201  # of the spline through the poses
-
 
 class Travel(LimitKind):
     """Limit on each axis's range, which becomes one of its position (`with_bounded_travel`)."""
@@ -68,15 +63,17 @@ def with_bounded_travel(problem: TrajectoryProblem, motion: ResolvedMotion) -> T
     limits = problem.active_limits
     ratio = limits.travel
     if ratio is None:
-        ratio = _DEFAULT_TRAVEL if problem.judges_uncertain_arms else np.inf
+        # Where the tool error is minimised.
+        ratio = 1.5 if problem.judges_uncertain_arms else np.inf
     given = motion.start_fixed and motion.end_fixed and problem.path is None
-    path = JointPath.through(motion.points, "chord")(np.linspace(0.0, 1.0, _PATH_SAMPLES))
+    path = JointPath.through(motion.points, "chord")(np.linspace(0.0, 1.0, 201))
     need, most = np.ptp(path, axis=0), np.zeros(problem.joints)
     if not (given and np.isfinite(ratio) and need.any()):
         return problem
     for kind in (problem.robot.prismatic, ~problem.robot.prismatic):
         most[kind] = np.max(need[kind], initial=0.0)
-    beside = 0.5 * (ratio * np.maximum(need, _MIN_NEED_SHARE * most) - need)
+    # Least need of an axis, as a share of the largest of its kind: the others pass by its detour.
+    beside = 0.5 * (ratio * np.maximum(need, (1.0 / 3.0) * most) - need)
     lower = np.maximum(limits.position_lower, path.min(axis=0) - beside)
     upper = np.minimum(limits.position_upper, path.max(axis=0) + beside)
     narrower = Limits(limits.values, position_lower=lower, position_upper=upper)

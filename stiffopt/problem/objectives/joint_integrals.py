@@ -9,6 +9,7 @@ import numpy as np
 
 from stiffopt.problem.objective import OBJECTIVES, Objective, ObjectiveKind, TermInputs
 from stiffopt.problem.stage_terms import STIFFNESS_SMOOTHING, ObjectiveTerms
+from stiffopt.result.life_rating import life_rating
 
 if TYPE_CHECKING:
     from stiffopt.problem.stage_model import StageModel
@@ -16,6 +17,9 @@ if TYPE_CHECKING:
     from stiffopt.result.assessment import Assessment
     from stiffopt.robot.robot import Robot
     from stiffopt.symbolic import Quantity
+
+# Share of its largest or rated value below which a magnitude is smoothed at zero.
+_SMOOTH_SHARE = 2e-2
 
 
 class JointIntegral(ObjectiveKind):
@@ -110,6 +114,61 @@ class MeanCompliance(JointIntegral):
             return np.asarray(1.0 / motion.stiffness)
 
 
+class ReducerLoad(JointIntegral):
+    """Time at rated torque and speed that takes as much of the reducers' life."""
+
+    name = "reducer_load"
+    unit = "s"
+    description = (
+        "Time at rated torque and speed that takes as much life of the reducers of `joints`, "
+        "summed: the integral of (speed / rated) (torque / rated)^p."
+    )
+    phrase = "time at the reducers' rated torque and speed"
+    prefixed = False
+
+    def integrand(self, problem: TrajectoryProblem, model: StageModel, joint: int) -> Quantity:
+        """Smooth at rest."""
+        rating = life_rating(problem.robot, joint - 1)
+        speed = model.link[1][joint - 1] / rating.speed
+        torque = model.torques.spring[joint - 1] / rating.torque
+        turning = np.sqrt(speed**2 + _SMOOTH_SHARE**2) - _SMOOTH_SHARE
+        return turning * (torque**2 + _SMOOTH_SHARE**2) ** (0.5 * rating.exponent)
+
+    def certified_integrand(self, robot: Robot, motion: Assessment) -> np.ndarray:
+        """Return the integrand of the certificate's spring torques."""
+        ratings = [life_rating(robot, j) for j in range(robot.n)]
+        torque, speed, exponent = np.array([(r.torque, r.speed, r.exponent) for r in ratings]).T
+        return np.asarray(
+            np.abs(motion.velocity) / speed * (np.abs(motion.spring_torque) / torque) ** exponent
+        )
+
+
+class DriveWork(JointIntegral):
+    """Mechanical work that the drives give."""
+
+    name = "drive_work"
+    unit = "J"
+    description = "Mechanical work that the drives of `joints` give, nothing regenerated."
+    phrase = "work of the drives"
+    of_drives = True
+
+    def integrand(self, problem: TrajectoryProblem, model: StageModel, joint: int) -> Quantity:
+        """Positive part of the power, smooth at zero."""
+        power = model.drive_torque[joint - 1] * model.velocity[joint - 1]
+        width = _SMOOTH_SHARE * self._largest_power(problem.robot)[joint - 1]
+        return 0.5 * (power + np.sqrt(power**2 + width**2) - width)
+
+    def certified_integrand(self, robot: Robot, motion: Assessment) -> np.ndarray:
+        """Positive part of the certificate's power."""
+        return np.asarray(np.maximum(motion.torque * motion.velocity, 0.0))
+
+    @staticmethod
+    def _largest_power(robot: Robot) -> np.ndarray:
+        return np.asarray(robot.torque_max * robot.velocity_max)
+
+
 OBJECTIVES.add(TorqueSquared())
+OBJECTIVES.add(ReducerLoad())
+OBJECTIVES.add(DriveWork())
 OBJECTIVES.add(AccelerationSquared())
 OBJECTIVES.add(MeanCompliance())

@@ -22,12 +22,11 @@ _QUANTITY_OF_FIELD = {
     "accelerations": "acceleration",
 }
 _NANOSECOND_KEYS = ("nanosec", "nsec", "nsecs", "nanosecs")
-_MAX_DEPTH = 8
 
 
 def find_joint_trajectory(document: Any, depth: int = 0) -> Mapping[str, Any] | None:
     """Return the first joint trajectory with points in a nested document; None without one."""
-    if depth > _MAX_DEPTH or not isinstance(document, Mapping | list):
+    if depth > 8 or not isinstance(document, Mapping | list):
         return None
     if isinstance(document, Mapping) and document.get(_POINTS_FIELD) and _JOINT_NAMES in document:
         return document

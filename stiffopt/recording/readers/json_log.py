@@ -86,16 +86,12 @@ def _is_records(value: Any) -> bool:
 def _arrays_of_data_frame(document: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return the columns of a data frame as arrays: pandas' orients "split" and "columns"."""
     names, rows = document.get("columns"), document.get("data")
-    if isinstance(names, list) and isinstance(rows, list) and _is_matrix(rows, len(names)):
+    matrix = isinstance(rows, list) and all(isinstance(row, list) for row in rows)
+    if rows and matrix and isinstance(names, list) and {len(row) for row in rows} == {len(names)}:
         return {str(name): [row[k] for row in rows] for k, name in enumerate(names)}
-    if all(isinstance(own, Mapping) and _is_indexed(own) for own in document.values()):
+    if all(
+        isinstance(own, Mapping) and own and all(key.isdecimal() for key in own)
+        for own in document.values()
+    ):
         return {name: list(own.values()) for name, own in document.items()}
     return document
-
-
-def _is_matrix(rows: list[Any], width: int) -> bool:
-    return bool(rows) and all(isinstance(row, list) and len(row) == width for row in rows)
-
-
-def _is_indexed(column: Mapping[str, Any]) -> bool:
-    return bool(column) and all(key.isdecimal() for key in column)

@@ -21,9 +21,8 @@ _STEP_PATTERN = re.compile(r"\.?([^.\[\]]+)|\[([^\]]+)\]")
 # Fields of messages with the names of list entries.
 _NAME_FIELDS = ("name", "names", "joint_names")
 _NANOSECONDS_PER_SECOND = 1_000_000_000
-# Stamps [s] and [ns] that 64 bits of nanoseconds can hold; larger integers become infinite.
+# Stamps [s] and [ns] that 64 bits of nanoseconds can hold.
 _MAX_STAMP = 4e9
-_MAX_INTEGER = 1e15
 
 
 @dataclass(frozen=True)
@@ -210,6 +209,6 @@ def _as_float(value: Any) -> float | None:
     if not isinstance(value, int | float | np.number):
         return None
     # Integers of JSON may exceed the range of a float.
-    if isinstance(value, int) and abs(value) > _MAX_INTEGER:
+    if isinstance(value, int) and abs(value) > 1e15:
         return float(np.inf)
     return float(value)

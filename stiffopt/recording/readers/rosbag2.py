@@ -16,9 +16,6 @@ from stiffopt.recording.readers.checks import check_bytes
 from stiffopt.recording.readers.messages import Message, gather_columns, wanted_topics
 from stiffopt.recording.signals import Signals
 
-# YAML is slow to read [bytes].
-_MAX_METADATA_BYTES = 2**20
-
 
 def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
     """Read columns of a rosbag2, given by its folder or its storage file."""
@@ -45,7 +42,8 @@ def _open_bag(path: Path) -> Iterator[AnyReader]:
             path, "", "a rosbag2 needs its metadata.yaml beside it. Give the folder of the bag, or "
             "make the file again with: ros2 bag reindex"
         )  # fmt: skip
-    if description.stat().st_size > _MAX_METADATA_BYTES:
+    # YAML is slow to read [bytes].
+    if description.stat().st_size > 2**20:
         raise InputFileError(description, "", "is too large to describe a bag.")
     # Bags written before Jazzy do not hold the definitions of their messages.
     store = get_typestore(Stores.LATEST)

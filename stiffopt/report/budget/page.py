@@ -16,9 +16,6 @@ from stiffopt.report.common.svg import PALETTE, WIDTH, figure_style
 from stiffopt.report.common.terminal import ReportSection, print_lines, print_section
 from stiffopt.report.common.text import MAX_LISTED, percent, scale, si
 
-# Gain below which a measurement is not recommended.
-_MIN_GAIN = 0.01
-
 
 def write_budget_report(
     title: str,
@@ -61,7 +58,8 @@ def headline(budget: ErrorBudget, volume: VolumeBudget) -> str:
 
 def advice(measurements: Sequence[Measurement]) -> str:
     """Return the measurement that narrows the bound most, in words."""
-    if not measurements or measurements[0].gain < _MIN_GAIN:
+    # Gain below which a measurement is not recommended.
+    if not measurements or measurements[0].gain < 0.01:
         return "No measurement narrows the bound by 1 % or more: it is a mean error, or hysteresis."
     best = measurements[0]
     return (

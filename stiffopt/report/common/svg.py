@@ -25,7 +25,7 @@ GREY, PALE, INK = "#6b7280", "#d4d8de", "#1f2933"
 FONTS = "'Helvetica Neue', Arial, 'DejaVu Sans', sans-serif"
 POINTS = 600
 # Width of every figure (the text column of a page) and margin around its content [inch].
-WIDTH, _MARGIN_INCH = 10.4, 0.06
+WIDTH = 10.4
 
 _FIGURE_STYLE: Any = {
     "svg.fonttype": "none",
@@ -182,7 +182,7 @@ def to_png(figure: Figure) -> bytes:
 
 def _content_box(figure: Figure) -> Bbox:
     """Texts, axes and legends of a figure with a margin [inch]."""
-    box: Bbox = figure.get_tightbbox().padded(_MARGIN_INCH)
+    box: Bbox = figure.get_tightbbox().padded(0.06)
     return box
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import ExitStack
@@ -12,9 +13,6 @@ from rich.console import Console
 from rich.status import Status
 from rich.table import Table
 from rich.text import Text
-
-# Width of a table in a file or log, where rich would truncate cells at 80 columns.
-_LOG_COLUMNS = 160
 
 
 def print_lines(lines: Iterable[str | Text | None]) -> None:
@@ -34,7 +32,8 @@ def print_table(
     """Print a table; the columns named in `numbers` are right-aligned."""
     console = Console(highlight=False)
     if not console.is_terminal:
-        console = Console(highlight=False, width=_LOG_COLUMNS)
+        # Width of a table in a file or log, where rich would truncate cells at 80 columns.
+        console = Console(highlight=False, width=160)
     table = Table(title=title)
     for name in head:
         table.add_column(Text(name), justify="right" if name in numbers else "left")
@@ -93,16 +92,22 @@ class StatusLine(ExitStack):
         self._console = Console(stderr=True) if console is None else console
         self._clock = clock
         self._status: Status | None = None
+        self._printed_at, self._pending = -math.inf, ""
 
     def __enter__(self) -> Self:
+        self.callback(lambda: self._pending and self.show(self._pending))
         if self._console.is_terminal:
             self._status = self.enter_context(self._console.status(Text(self._title)))
         return self
 
-    @property
-    def moves(self) -> bool:
-        """True where the line is updated in place."""
-        return self._status is not None
+    def show_limited(self, line: str, interval: float, *, at_once: bool = False) -> None:
+        """Show a line; where lines are printed, at most one an `interval` [s], and the last one."""
+        moment = 0.0 if self._status is not None else self._clock()
+        if self._status is not None or at_once or moment - self._printed_at >= interval:
+            self._printed_at, self._pending = moment, ""
+            self.show(line)
+        else:
+            self._pending = line
 
     def show(self, line: str, *, stays: bool = False) -> None:
         """Show a line; `stays` also prints it permanently on a terminal."""

@@ -22,7 +22,7 @@ from stiffopt.report.common.svg import (
 from stiffopt.report.common.terminal import print_lines, print_table
 from stiffopt.report.common.text import DASH, capital, percent, scale, si, significant, words
 from stiffopt.report.solve.wording import objective_amount, objective_phrase
-from stiffopt.result.cycle import CycleSolution, LegResult
+from stiffopt.result.cycle import CycleSimulation, CycleSolution, LegResult
 from stiffopt.result.duty import JointDuty
 
 _SECONDS_PER_HOUR = 3600.0
@@ -124,7 +124,7 @@ def duty_rows(solution: CycleSolution) -> list[list[str]]:
             si(each.peak_power, "W", 3),
             si(each.energy, "J", 3),
             si(each.regenerated, "J", 3),
-            _share_text(each.mean_torque, None if each.rating is None else each.rating.torque),
+            _share_text(each.mean_torque, None if each.life is None else each.rating.torque),
             _life_text(each),
         ]
         for each in solution.duty.joints
@@ -164,11 +164,6 @@ def duty_text(solution: CycleSolution) -> str:
     return f"{text}."
 
 
-def _rounded_degrees(angles: np.ndarray) -> np.ndarray:
-    """Angles [deg] without the rounding of an inverse-kinematic solution about zero."""
-    return np.asarray(np.round(np.degrees(angles), 3) + 0.0)
-
-
 def posture_rows(solution: CycleSolution) -> list[list[str]]:
     """Rows of the table of postures."""
     return [
@@ -176,7 +171,7 @@ def posture_rows(solution: CycleSolution) -> list[list[str]]:
             posture.name,
             posture.branch or DASH,
             f"chosen of {posture.candidates}" if posture.chosen else "given",
-            ", ".join(f"{angle:.4g}" for angle in _rounded_degrees(posture.joints)),
+            ", ".join(f"{angle:.4g}" for angle in np.round(np.degrees(posture.joints), 3) + 0.0),
         ]
         for posture in solution.postures
     ]
@@ -232,6 +227,25 @@ def print_cycle(solution: CycleSolution, folder: Path) -> None:
     )
     print_table(("pose", "branch", "", "joints [deg]"), posture_rows(solution), title="Postures")
     print_lines([duty_text(solution), f"Report: {folder / 'report.html'}"])
+
+
+def print_simulated_cycle(cycle: Cycle, found: CycleSimulation) -> None:
+    """Print the tool error of each leg of a simulated cycle."""
+    rows = [
+        [
+            leg.name,
+            si(error.flight, "m", 3),
+            DASH if error.rest is None else si(error.rest, "m", 3),
+            DASH
+            if error.rest is None
+            else "not"
+            if error.settling_time is None
+            else si(error.settling_time, "s", 3),
+        ]
+        for leg, error in zip(cycle.legs, found.legs, strict=True)
+    ]
+    print_table(("leg", "in flight", "in the rest", "settled after"), rows, title="Tool error")
+    print_lines(list(found.notes))
 
 
 def _mark_legs(axes: object, solution: CycleSolution, labelled: bool = False) -> None:

@@ -20,8 +20,6 @@ from stiffopt.units import joint_unit
 if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
 
-# Least probability of a change that is stated as found.
-_MIN_FOUND_PROBABILITY = 0.8
 CHANGE_COLUMNS = (
     "changed",
     "place",
@@ -45,7 +43,8 @@ def change_headline(diagnosis: Diagnosis) -> str:
         by_place: dict[str, list[str]] = {}
         for each in found:
             text = _change_phrase(diagnosis, each)
-            if each.probability < _MIN_FOUND_PROBABILITY:
+            # Least probability of a change that is stated as found.
+            if each.probability < 0.8:
                 text = f"probably {text}"
             by_place.setdefault(place(diagnosis, each.located), []).append(text)
         text = "; ".join(f"{at} changed: {listed(changes)}" for at, changes in by_place.items())

@@ -35,14 +35,10 @@ if TYPE_CHECKING:
 
 
 HEAT = LinearSegmentedColormap.from_list("heat", ["#f5f7f9", "#f7d99a", ORANGE, "#a33b00"])
-# Least residual over noise of the darkest colour.
-_MIN_DARKEST_RATIO = 10.0
-_NARROW_WIDTH = 4.2  # of a figure that a screen of 390 px shows whole [in]
 # Units of the signals that a residual may depend on.
 _SIGNAL_UNITS = {"q": "rad", "qd": "rad/s", "qdd": "rad/s^2", "torque": "N m"}
 _ROLE_TITLES = (("test", "test runs"), ("extrapolate", "extrapolation runs"))
 _WINDOW_LENGTH = 0.5  # of a held-out run, in which the residual is averaged [s]
-_MAX_BRIDGED_SAMPLES = 10  # that are missing in a plotted curve
 # Least residual over noise of a listed window, and number of windows.
 _MIN_LISTED_RATIO, _MAX_WINDOWS = 2.0, 8
 
@@ -59,7 +55,8 @@ def residual_figure(diagnosis: Diagnosis) -> Figure:
         stages.append((words, search.after))
     every = np.concatenate([s[1] for s in stages])
     known = every[np.isfinite(every)]
-    top = max(_MIN_DARKEST_RATIO, float(known.max()) if known.size else 0.0)
+    # Least residual over noise of the darkest colour.
+    top = max(10.0, float(known.max()) if known.size else 0.0)
     with figure_style():
         figure = Figure(figsize=(WIDTH, 1.0 + 0.36 * n))
         grid = figure.subplots(1, len(stages), squeeze=False)[0]
@@ -255,7 +252,8 @@ def proof_figure(shown: Trace) -> Figure:
     factor, unit = scale(rest, shown.unit)
     noise = factor * shown.error.noise
     with figure_style():
-        figure = Figure(figsize=(_NARROW_WIDTH, 2.8))
+        # A screen of 390 px shows this width whole [inch].
+        figure = Figure(figsize=(4.2, 2.8))
         axes = figure.subplots()
         axes.axhspan(-2 * noise, 2 * noise, color=PALE, zorder=0, linewidth=0, label="sensor noise")
         for predicted, colour, label in (
@@ -319,7 +317,8 @@ def _draw_curve(
     if not len(known):
         return
     x, y = decimate_curve(time[known], values[known])
-    gap = np.flatnonzero(np.diff(known) > _MAX_BRIDGED_SAMPLES)
+    # So many missing samples are bridged in a plotted curve.
+    gap = np.flatnonzero(np.diff(known) > 10)
     # A nan in the middle of every gap interrupts the line.
     middle = 0.5 * (time[known[gap]] + time[known[gap + 1]])
     x, y = np.concatenate([x, middle]), np.concatenate([y, np.full(len(middle), np.nan)])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
@@ -27,12 +29,23 @@ if TYPE_CHECKING:
     from stiffopt.discovery.comparison.prepared_run import PreparedRun
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
 
-# Definitions of what an equation of a law may contain.
+# Definitions of what an equation of a law may contain, for samples x_0, x_1, ... every dt seconds.
 _OPERATOR_DEFINITIONS = {
-    "lag": "lag(x, T) is y of T dy/dt = x - y, at rest before the first sample",
-    "sprung": "sprung(x, f, z) is the acceleration of a mass on a spring and damper of frequency f"
-    " and damping ratio z whose base accelerates by x",
-    "stop": "stop(x, r) follows x and slides where it would leave -r to r",
+    "sg": "sg(w) is tanh(w / 0.01) of a speed w in rad/s, in a sample where it reverses its mean"
+    " over the sample period",
+    "lag": "lag(x, T) is y with y_0 = x_0 and y_k = p * y_(k-1) + (1 - p) * x_k, p = exp(-dt / T):"
+    " T dy/dt = x - y",
+    "sprung": "sprung(x, f, z) is the acceleration y of a mass on a spring and damper of frequency"
+    " f and damping ratio z whose base accelerates by x: with o = tan(pi * f * dt) and x, y"
+    " constant before the first sample, (1 + 2 * z * o + o**2) * y_k + 2 * (o**2 - 1) * y_(k-1) +"
+    " (1 - 2 * z * o + o**2) * y_(k-2) = (o**2 + 2 * z * o) * x_k + 2 * o**2 * x_(k-1) +"
+    " (o**2 - 2 * z * o) * x_(k-2)",
+    "mode": "mode(x, f, z) is the deflection y of a mass on a spring and damper of frequency f and"
+    " damping ratio z, over that under a constant x: with o = tan(pi * f * dt) and x, y constant"
+    " before the first sample, (1 + 2 * z * o + o**2) * y_k + 2 * (o**2 - 1) * y_(k-1) +"
+    " (1 - 2 * z * o + o**2) * y_(k-2) = o**2 * (x_k + 2 * x_(k-1) + x_(k-2))",
+    "stop": "stop(x, r) follows x and slides where it would leave -r to r: it is x_k - y_k with"
+    " y_0 = x_0 and y_k = min(max(y_(k-1), x_k - r), x_k + r)",
 }
 
 
@@ -67,18 +80,7 @@ def laws_on_page(diagnosis: Diagnosis) -> dict[Finding, LawOnPage]:
 
 
 def _describe_law(diagnosis: Diagnosis, finding: Finding, law: Law) -> LawOnPage:
-    own = dict(
-        zip(
-            (*law.amplitude_names, *law.shape_names),
-            (*finding.estimated.amplitudes, *finding.located.shapes),
-            strict=True,
-        )
-    )
-    units = {p.name: p.unit for p in finding.parameters}
-    signals = [f"{f.source.symbol} is the {f.source.words}" for f in law.factors]
-    signals += [
-        f"{words}" for name, words in _OPERATOR_DEFINITIONS.items() if f" {name}(" in law.equation
-    ]
+    values = (*finding.estimated.amplitudes, *finding.located.shapes)
     lines = [
         _describe_share(diagnosis, finding),
         f"In words: {law.words}{resembled(law)}.",
@@ -86,10 +88,29 @@ def _describe_law(diagnosis: Diagnosis, finding: Finding, law: Law) -> LawOnPage
     ]
     return LawOnPage(
         equation=law.equation,
-        numbers=tuple(f"{name} = {value!r} {units.get(name, '')}" for name, value in own.items()),
-        signals=tuple(dict.fromkeys(signals)),
+        numbers=law_numbers(law, values),
+        signals=law_definitions(law),
         lines=tuple(line for line in lines if line),
     )
+
+
+def law_numbers(law: Law, values: Sequence[float]) -> tuple[str, ...]:
+    """Return every amplitude and shape in full with its unit."""
+    names = (*law.amplitude_names, *law.shape_names)
+    units = (*[law.amplitude_unit] * law.amplitude_count, *law.shape_units)
+    every = zip(names, values, units, strict=True)
+    return tuple(f"{name} = {float(value)!r} {unit}".rstrip() for name, value, unit in every)
+
+
+def law_definitions(law: Law) -> tuple[str, ...]:
+    """Return the meaning of every symbol and function of the equation."""
+    signals = dict.fromkeys(f"{f.source.symbol} is the {f.source.words}" for f in law.factors)
+    used = [
+        words
+        for name, words in _OPERATOR_DEFINITIONS.items()
+        if re.search(rf"\b{name}\(", law.equation)
+    ]
+    return (*signals, *used)
 
 
 def _describe_share(diagnosis: Diagnosis, finding: Finding) -> str:

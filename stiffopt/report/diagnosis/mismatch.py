@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from stiffopt.discovery.answer import format_probability, place
 from stiffopt.discovery.judging.noise_ceiling import SHOWN_SHARE
+from stiffopt.discovery.settings import MAX_NOMINAL_DEVIATIONS
 from stiffopt.report.common.text import listed, significant
 from stiffopt.report.diagnosis.overview import moved_values
 from stiffopt.report.diagnosis.words import (
@@ -25,8 +26,6 @@ if TYPE_CHECKING:
 
 # Share of the mismatch that is written as none; all but that is written as all.
 _MIN_SHARE = 0.005
-# Share of nominal values above which the value that moved most is named.
-_MIN_NOMINAL_SHARE = 0.2
 # Names of nominal values of joints, where they differ from the keys of files.
 _NOMINAL_NAMES = {
     "coulomb": "Coulomb friction",
@@ -250,16 +249,15 @@ def _part_phrase(diagnosis: Diagnosis, share: MismatchShare) -> str:
         return f"offsets{where}"
     if part.kind == "nominal":
         text = _nominal_part_phrase(diagnosis, part.effects)
-        return (
-            f"{text}{_largest_moved_value(diagnosis) if share.share > _MIN_NOMINAL_SHARE else ''}"
-        )
+        # Share of nominal values above which the value that moved most is named.
+        return f"{text}{_largest_moved_value(diagnosis) if share.share > 0.2 else ''}"
     return f"{part.effects[0].effect.title}{where}"
 
 
 def _largest_moved_value(diagnosis: Diagnosis) -> str:
     """Return the nominal value that moved most, where it exceeds its tolerance; else ""."""
     # A value at its bound is no result of a fit.
-    bound = 0.999 * diagnosis.training.box
+    bound = 0.999 * MAX_NOMINAL_DEVIATIONS
     moved = [
         each
         for each in moved_values(diagnosis)

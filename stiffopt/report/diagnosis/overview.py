@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from stiffopt.discovery.identifiable import EffectCheck
     from stiffopt.discovery.judging.detection_limits import DetectionLimit
 
-# A parameter is identifiable where its standard deviation is below this share of the prior's.
-_MAX_SD_OVER_PRIOR = 0.3
 _INERTIAL_UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 6)
 
 
@@ -130,12 +128,13 @@ def moved_bodies(diagnosis: Diagnosis) -> list[MovedBody]:
         own = slice(10 * body, 10 * body + 10)
         spread = np.sqrt(np.diag(posterior.covariance)[own])
         change = posterior.mean[own]
+        # Identifiable where the standard deviation is below this share of the prior's.
         shown = [
             (name, float(value), float(sd), unit)
             for name, value, sd, wide, unit in zip(
                 INERTIAL_PARAMETER_NAMES, change, spread, prior, _INERTIAL_UNITS, strict=True
             )
-            if sd < _MAX_SD_OVER_PRIOR * wide
+            if sd < 0.3 * wide
         ]
         link = diagnosis.training.constants.links[body]
         if shown:

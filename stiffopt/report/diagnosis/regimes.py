@@ -28,9 +28,7 @@ from stiffopt.units import joint_unit
 if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
 
-_BIN_COUNT, _CELL_COUNT = 28, 14
-# Points of a scatter plot.
-_MAX_POINTS = 1500
+_CELL_COUNT = 14
 DIRECTION_STYLES = ((1, VERMILLION, "positive direction"), (-1, BLUE, "negative direction"))
 
 
@@ -95,7 +93,7 @@ def draw_direction(
         if group.sum() < 2:
             continue
         low, high = np.quantile(x[group], (0.002, 0.998))
-        edges = np.linspace(low, high, 6 if regime.apart else _BIN_COUNT)
+        edges = np.linspace(low, high, 6 if regime.apart else 28)
         centre, mean, sd = binned_means(x[group], residual[own][group], edges)
         if not len(centre):
             continue
@@ -159,7 +157,8 @@ def regressor_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Find
     residual = rows.after + added
     factor, unit = scale(float(np.quantile(np.abs(residual), 0.95)), rows.unit)
     x, y = factor * added, factor * residual
-    step = max(1, len(x) // _MAX_POINTS)
+    # Points of a scatter plot.
+    step = max(1, len(x) // 1500)
     with figure_style():
         figure = Figure(figsize=(WIDTH, 3.4))
         left, right = figure.subplots(1, 2, width_ratios=(1.5, 1.0))

@@ -10,6 +10,7 @@ from stiffopt.discovery.answer import missing_physics
 from stiffopt.discovery.comparison.inertial_parameters import nominal_bodies
 from stiffopt.discovery.sanity.doubt import format_numbers
 from stiffopt.discovery.search.nominal_values import values_outside_tolerance
+from stiffopt.discovery.settings import MAX_NOMINAL_DEVIATIONS
 from stiffopt.discovery.signals import PARAMETERS_PER_BODY
 from stiffopt.report.common.text import capital, pm, significant
 from stiffopt.report.diagnosis.overview import moved_bodies
@@ -85,7 +86,7 @@ def _pinned_sentence(diagnosis: Diagnosis, value: OutsideValue) -> str:
         else f"{100.0 * value.change:+.2g} ± {100.0 * value.sd:.1g} %"
     )
     axis = f" along {part}" if kind == "com" else ""
-    most = diagnosis.training.box
+    most = MAX_NOMINAL_DEVIATIONS
     return (
         f"Nominal value pinned at its tolerance: the {_KIND_WORDS.get(kind, kind)}"
         f" joint {joint + 1}{axis} would have to change by {size},"
@@ -97,8 +98,6 @@ def _pinned_sentence(diagnosis: Diagnosis, value: OutsideValue) -> str:
 
 # Standard deviations from which a change of a mass or first moment is told.
 _MIN_DEVIATIONS = 3.0
-# Share of the gain of all bodies below which the best single body is no hint.
-_MIN_SINGLE_SHARE = 0.25
 
 
 def mass_sentences(diagnosis: Diagnosis) -> list[str]:
@@ -127,7 +126,8 @@ def _single_body_sentence(diagnosis: Diagnosis) -> list[str]:
     rigid = diagnosis.search.rigid
     assert rigid is not None
     best = rigid.nearest
-    if best is None or rigid.single is not None or rigid.nearest_share < _MIN_SINGLE_SHARE:
+    # Share of the gain of all bodies below which the best single body is no hint.
+    if best is None or rigid.single is not None or rigid.nearest_share < 0.25:
         return []
     constants = diagnosis.training.constants
     located = best.located

@@ -31,15 +31,7 @@ CHANNEL_OUTCOMES = {
     "nothing": "nothing missing",
     "outside": "outside the catalogue",
 }
-# Residual over noise of held-out runs above which the worst channel is named.
-_LARGE_RESIDUAL_RATIO = 2.0
 
-# Share of the mismatch on held-out runs from which findings lead a headline.
-_MIN_HEADLINE_SHARE = 0.01
-# Length of the mean over the root mean square of forces, above which they are called constant.
-_STEADY_FORCE = 0.9
-# Share of a run above which a saturated torque is reported.
-_MIN_SATURATED_SHARE = 0.05
 # Causes of bursts by the signal that they follow.
 _BURST_CAUSES = {"torque": "saturates", "dtorque": "limits the rate of its torque"}
 
@@ -87,7 +79,8 @@ def headline(diagnosis: Diagnosis) -> str:
         return f"An effect outside the catalogue acts on {where}"
     new, unstated = new_and_unstated(diagnosis)
     text = statement_headline(diagnosis, new)
-    if all(held_out_share(diagnosis, each) < _MIN_HEADLINE_SHARE for each in new) and unstated:
+    # Share of the mismatch on held-out runs from which findings lead a headline.
+    if all(held_out_share(diagnosis, each) < 0.01 for each in new) and unstated:
         values = f"identified values without nominal value: {_unstated_phrase(unstated)}"
         text = f"{values}; small beside them: {text}" if new else values
     left = diagnosis.unexplained
@@ -143,11 +136,8 @@ def saturation_sentences(diagnosis: Diagnosis) -> list[str]:
     """Return a sentence for each joint whose torque saturates."""
     worst: dict[int, tuple[float, str]] = {}
     for run, fault in diagnosis.faults:
-        if (
-            fault.kind == "saturated"
-            and fault.joint is not None
-            and fault.share > _MIN_SATURATED_SHARE
-        ):
+        # Share of a run above which a saturated torque is reported.
+        if fault.kind == "saturated" and fault.joint is not None and fault.share > 0.05:
             worst[fault.joint] = max(worst.get(fault.joint, (0.0, "")), (fault.share, run))
     return [
         f"The torque of joint {joint} is saturated in"
@@ -271,7 +261,8 @@ def _dependence_sentence(unexplained: Unexplained) -> str:
 
 
 def _tool_force_clause(force: ToolForce) -> str:
-    kind = "nearly constant" if force.steadiness > _STEADY_FORCE else "changing"
+    # Length of the mean over the root mean square of forces, above which they are called constant.
+    kind = "nearly constant" if force.steadiness > 0.9 else "changing"
     return (
         f"a {kind} force at the tool, up to {significant(force.size, 2)} N, explains"
         f" {100.0 * force.explained:.0f} % of it: the arm was guided by hand, touched something or"
@@ -291,7 +282,8 @@ def proof_sentence(diagnosis: Diagnosis) -> str:
     change = " and ".join(parts)
     text = f"Validation on held-out runs: residual {change}, in units of the sensor noise."
     left = [diagnosis.nrmse(role)[1] for role in ("test", "extrapolate") if diagnosis.proofs(role)]
-    if max(left) > _LARGE_RESIDUAL_RATIO and diagnosis.findings:
+    # Residual over noise of held-out runs above which the worst channel is named.
+    if max(left) > 2.0 and diagnosis.findings:
         worst = worst_channel(diagnosis, diagnosis.search.after)
         text += (
             f" The largest residual remains in {channels_in_words([worst])}, "

@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 
 # Width of a label line over that of a panel; limits closer than this share one label.
 _LABEL_WIDTH_SHARE = 0.055
-_LABEL_FONT_SIZE = 7.0
 # Margins above the panels, below them with the legend, and between two rows [inch].
 _TOP_INCH, _BOTTOM_INCH, _ROW_GAP_INCH = 0.3, 0.85, 0.5
 
@@ -279,7 +278,7 @@ def _draw_label(
         rotation=90,
         ha="right" if beside_left else "left",
         va="top" if floor else "bottom",
-        fontsize=_LABEL_FONT_SIZE,
+        fontsize=7.0,
         fontweight="bold" if binds else "normal",
         linespacing=1.1,
         color=VERMILLION if floor else GREY,

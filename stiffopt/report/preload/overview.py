@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 Item = TypeVar("Item")
 _KEY_PRESSURE = "key pressure"
-# Least utilisation in any connection for which a kind of requirement has a column there.
-_MIN_SHOWN_UTILISATION = 0.2
 
 
 @dataclass(frozen=True)
@@ -122,11 +120,8 @@ def utilisation_matrix(rows: Sequence[UtilisationRow]) -> UtilisationMatrix | No
         return None
     # Steps of VDI 2230 with low utilisation, and warnings, are in the full list only.
     largest = {k: max(r.utilisation for r in worst if r.kind == k) for k in {r.kind for r in worst}}
-    worst = [
-        row
-        for row in worst
-        if row.binding and (not row.equation or largest[row.kind] >= _MIN_SHOWN_UTILISATION)
-    ]
+    # Least utilisation in any connection for which a kind of requirement has a column there.
+    worst = [row for row in worst if row.binding and (not row.equation or largest[row.kind] >= 0.2)]
     kinds = tuple(dict.fromkeys(row.kind for row in worst))
     keys = [row for row in worst if row.kind == _KEY_PRESSURE]
     if keys:

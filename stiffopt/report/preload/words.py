@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from stiffopt.preload.sensitivity import WindupShare
     from stiffopt.preload.solution import PreloadSolution
 
-# Utilisation of slip below which the loads are negligible or in a wrong unit.
-_NEGLIGIBLE_SLIP_UTILISATION = 0.05
 # Relative change of stiffness below which stiffness does not determine the preload.
 _SMALL_STIFFNESS_GAIN = 0.02
 MARK = " *"  # of an estimated number
@@ -149,7 +147,8 @@ def active_limits_sentence(problem: PreloadProblem, solution: PreloadSolution) -
         return ""
     text = _active_limits(problem, solution)
     slip = [row.utilisation for row in solution.rows if row.kind == "slip safety"]
-    if slip and max(slip) < _NEGLIGIBLE_SLIP_UTILISATION:
+    # Utilisation of slip below which the loads are negligible or in a wrong unit.
+    if slip and max(slip) < 0.05:
         text += (
             f" Slip safety is {1.0 / max(slip):.3g} times the required"
             " one: the loads are negligible."

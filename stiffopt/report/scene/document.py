@@ -17,6 +17,7 @@ from stiffopt.files import to_json_types
 from stiffopt.report.scene.poses import Poses
 from stiffopt.robot.body_tree import arm_reach, joint_radii, link_capsules
 from stiffopt.robot.frames import rotation_from_rpy
+from stiffopt.robot.joint_load import complete_axes
 from stiffopt.robot.link_shapes import JointShape, Kind, LinkShape, mesh_triangles
 
 if TYPE_CHECKING:
@@ -25,11 +26,10 @@ if TYPE_CHECKING:
 
 # Triangles of all meshes of an arm together, so that a page stays below 3 MB.
 _MAX_ARM_TRIANGLES = 60000
-# Triangles of one shape, and initial number of grid cells along its longest edge.
+# Triangles of one shape.
 _MAX_TRIANGLES = 6000
-_INITIAL_GRID_CELLS = 1024
-# A wall is shown as a slab of this thickness [m] and half width [reaches of the arm].
-_WALL_THICKNESS, _WALL_HALF_WIDTH_REACHES = 2e-3, 1.2
+# A wall is shown as a slab of this thickness [m].
+_WALL_THICKNESS = 2e-3
 
 
 def scene_document(
@@ -174,7 +174,7 @@ def compact_mesh(shape: LinkShape, most: int = _MAX_TRIANGLES) -> dict[str, Any]
     vertices, corners = mesh_triangles(shape)
     low = vertices.min(axis=0)
     longest = max(float(np.ptp(vertices, axis=0).max()), 1e-9)
-    cells = _INITIAL_GRID_CELLS
+    cells = 1024  # along the longest edge, to begin with
     while True:
         step = longest / cells
         cell = np.round((vertices - low) / step).astype(int)
@@ -219,13 +219,13 @@ def shapes_around(cell: Cell | None, reach: float) -> list[JointShape]:
     walls = [(plane.name, np.array(plane.point), np.array(plane.normal)) for plane in cell.plane]
     if cell.floor is not None:
         walls.append(("floor", np.array([0.0, 0.0, cell.floor]), np.array([0.0, 0.0, 1.0])))
-    side = 2.0 * _WALL_HALF_WIDTH_REACHES * reach
+    side = 2.4 * reach
     for name, point, normal in walls:
         out = normal / np.linalg.norm(normal)
         # Centred at the base and entirely behind the face.
         middle = out * (out @ point - 0.5 * _WALL_THICKNESS)
         found.append(
-            _shape_at(name, "box", (side, side, _WALL_THICKNESS), middle, _frame_along(out))
+            _shape_at(name, "box", (side, side, _WALL_THICKNESS), middle, complete_axes(out))
         )
     return found
 
@@ -249,14 +249,6 @@ def _shape_at(
         file=file,
     )
     return JointShape(shape, 0, offset, rotation)
-
-
-def _frame_along(axis: np.ndarray) -> np.ndarray:
-    """Return a rotation (3, 3) whose third column is the unit vector `axis`."""
-    other = np.eye(3)[int(np.argmin(np.abs(axis)))]
-    first = np.cross(other, axis)
-    first = first / np.linalg.norm(first)
-    return np.column_stack([first, np.cross(axis, first), axis])
 
 
 def edges_around(cell: Cell | None) -> np.ndarray:

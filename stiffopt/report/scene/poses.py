@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from stiffopt.certificate.assess import joint_windup
-from stiffopt.robot.body_tree import BodyTree
-from stiffopt.robot.frames import LinkFrame
+from stiffopt.robot.batched_kinematics import tool_jacobians
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
@@ -44,15 +42,31 @@ class Poses:
     share: dict[str, np.ndarray]
     deflection: dict[str, np.ndarray]
 
+    @classmethod
+    def bent(
+        cls,
+        robot: Robot,
+        time: np.ndarray,
+        position: np.ndarray,
+        bend: dict[str, np.ndarray],
+        deflection: dict[str, np.ndarray] | None = None,
+    ) -> Poses:
+        """Poses with the shares, and the deflections where none are given, of wind-ups."""
+        jacobian = tool_jacobians(robot.tree, robot.tool, position)[1]
+        moved = {part: np.einsum("kin,kn->ki", jacobian, each) for part, each in bend.items()}
+        sizes = {part: np.linalg.norm(each, axis=1) for part, each in moved.items()}
+        shares = {part: joint_shares(jacobian, each) for part, each in bend.items()}
+        return cls(time, position, bend, shares, sizes if deflection is None else deflection)
 
-def poses_along(problem: TrajectoryProblem, motion: Assessment, frames: int = FRAMES) -> Poses:
+
+def poses_along(problem: TrajectoryProblem, motion: Assessment) -> Poses:
     """Return poses at equal time steps and at the instants of the largest deflections.
 
     Parts of the deflection that are zero throughout, or infinite where a connection slips, are
     omitted.
     """
     robot = problem.robot
-    wanted = np.linspace(0.0, motion.duration, frames)
+    wanted = np.linspace(0.0, motion.duration, FRAMES)
     chosen = {int(k) for k in np.searchsorted(motion.time, wanted)}
     sizes = {part: np.linalg.norm(each, axis=1) for part, each in motion.deflection.items()}
     parts = [part for part, size in sizes.items() if np.isfinite(size).all() and np.any(size > 0)]
@@ -60,7 +74,7 @@ def poses_along(problem: TrajectoryProblem, motion: Assessment, frames: int = FR
     at = np.array(sorted(k for k in chosen if k < len(motion.time)))
     position = motion.position[at]
     bodies = robot.rigid_bodies()
-    jacobian = tool_jacobian(robot.tree, robot.tool, position)
+    jacobian = tool_jacobians(robot.tree, robot.tool, position)[1]
     process = np.einsum("kij,i->kj", jacobian, np.asarray(problem.process_force, dtype=float))
     total = motion.windup[at]
     static = joint_windup(robot, np.array([bodies.gravity_torque(q) for q in position]))
@@ -69,12 +83,12 @@ def poses_along(problem: TrajectoryProblem, motion: Assessment, frames: int = FR
     with np.errstate(invalid="ignore"):
         process_bend, dynamic = total - link, link - static
     bends = {"total": total, "static": static, "process": process_bend, "dynamic": dynamic}
-    return Poses(
-        time=motion.time[at],
-        position=position,
-        bend={part: bends[part] for part in parts},
-        share={part: joint_shares(jacobian, bends[part]) for part in parts},
-        deflection={part: sizes[part][at] for part in parts},
+    return Poses.bent(
+        robot,
+        motion.time[at],
+        position,
+        {part: bends[part] for part in parts},
+        {part: sizes[part][at] for part in parts},
     )
 
 
@@ -83,7 +97,6 @@ def stored_poses(
     time: np.ndarray,
     position: np.ndarray,
     windup: np.ndarray | None = None,
-    frames: int = FRAMES,
 ) -> Poses:
     """Return poses of a stored motion at equal time steps.
 
@@ -93,22 +106,14 @@ def stored_poses(
     position, windup : array (K, n)
         [rad]; without wind-up there are no parts of the deflection.
     """
-    at = np.unique(np.searchsorted(time, np.linspace(0.0, time[-1], frames)))
+    at = np.unique(np.searchsorted(time, np.linspace(0.0, time[-1], FRAMES)))
     at = at[at < len(time)]
     q = position[at]
     bends: dict[str, np.ndarray] = {}
     if windup is not None and np.any(windup):
         weight = np.array([robot.rigid_bodies().gravity_torque(each) for each in q])
         bends = {"dynamic": windup[at] - joint_windup(robot, weight), "total": windup[at]}
-    jacobian = tool_jacobian(robot.tree, robot.tool, q)
-    moved = {part: np.einsum("kin,kn->ki", jacobian, bend) for part, bend in bends.items()}
-    return Poses(
-        time=time[at],
-        position=q,
-        bend=bends,
-        share={part: joint_shares(jacobian, bend) for part, bend in bends.items()},
-        deflection={part: np.linalg.norm(each, axis=1) for part, each in moved.items()},
-    )
+    return Poses.bent(robot, time[at], q, bends)
 
 
 def joint_shares(jacobian: np.ndarray, bend: np.ndarray) -> np.ndarray:
@@ -118,41 +123,3 @@ def joint_shares(jacobian: np.ndarray, bend: np.ndarray) -> np.ndarray:
     square = np.sum(whole**2, axis=1)
     along = np.einsum("kin,ki->kn", each, whole)
     return np.asarray(along / np.where(square > 0.0, square, np.inf)[:, None])
-
-
-def joint_frames(tree: BodyTree, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return joint frames at positions q (K, n): rotations (K, n, 3, 3), origins (K, n, 3) [m]."""
-    rotations, origins = np.empty((len(q), tree.n, 3, 3)), np.empty((len(q), tree.n, 3))
-    for j, body in enumerate(tree.bodies):
-        turn, at = np.broadcast_to(np.eye(3), (len(q), 3, 3)), np.zeros((len(q), 3))
-        if body.parent > 0:
-            turn, at = rotations[:, body.parent - 1], origins[:, body.parent - 1]
-        origins[:, j] = at + turn @ body.translation
-        rotations[:, j] = turn @ body.rotation
-        if body.prismatic:
-            origins[:, j] += q[:, j, None] * (rotations[:, j] @ body.axis)
-        else:
-            own = Rotation.from_rotvec(q[:, j, None] * body.axis).as_matrix()
-            rotations[:, j] = rotations[:, j] @ own
-    return rotations, origins
-
-
-def tool_positions(tree: BodyTree, tool: LinkFrame, q: np.ndarray) -> np.ndarray:
-    """Return the tool position (K, 3) [m] at joint positions q (K, n)."""
-    rotations, origins = joint_frames(tree, q)
-    carrier = tool.joint - 1
-    return np.asarray(origins[:, carrier] + rotations[:, carrier] @ tool.offset)
-
-
-def tool_jacobian(tree: BodyTree, tool: LinkFrame, q: np.ndarray) -> np.ndarray:
-    """Return the translational Jacobian of the tool (K, 3, n) at joint positions q (K, n)."""
-    rotations, origins = joint_frames(tree, q)
-    point = origins[:, tool.joint - 1] + rotations[:, tool.joint - 1] @ tool.offset
-    columns = np.zeros((len(q), 3, tree.n))
-    number = tool.joint
-    while number > 0:
-        j, body = number - 1, tree.bodies[number - 1]
-        axis = rotations[:, j] @ body.axis
-        columns[:, :, j] = axis if body.prismatic else np.cross(axis, point - origins[:, j])
-        number = body.parent
-    return columns

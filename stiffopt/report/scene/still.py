@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,11 +14,13 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
+from stiffopt.report.common.page import PageFigures, write_page
 from stiffopt.report.common.svg import BLUE, GREY, PALE, VERMILLION, WIDTH, figure_style
 from stiffopt.report.common.text import si
 from stiffopt.report.scene.document import edges_around, scene_document, scene_json
-from stiffopt.report.scene.poses import Poses, joint_frames, tool_positions
+from stiffopt.report.scene.poses import Poses
 from stiffopt.report.solve.space_figures import exaggeration
+from stiffopt.robot.batched_kinematics import frame_positions
 from stiffopt.robot.body_tree import BodyTree, joint_radii, link_capsules
 from stiffopt.robot.frames import LinkFrame
 
@@ -26,10 +29,6 @@ if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
 _HEIGHT_INCH = 4.6
-# Least extent of the view [m], for an arm whose joints and tool coincide.
-_MIN_VIEW_SIZE = 0.1
-# Picture over content: lines have a width.
-_VIEW_MARGIN = 1.02
 # Elevation of the viewpoint above the horizon [rad].
 _VIEW_ELEVATION = 0.4
 
@@ -70,7 +69,7 @@ def still_figure(
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
         axes.set_axis_off()
         ends = poses.position[[0, -1]]
-        flats = [tool_positions(tree, tool, each) @ view.T for each, _, _ in paths]
+        flats = [frame_positions(tree, tool, each) @ view.T for each, _, _ in paths]
         seen = np.vstack([flat[:, :2] for flat in flats])
         scale = _fit_view(axes, tree, tool, view, np.vstack([ends, bent[at : at + 1]]), seen)
         for edge in edges_around(cell):
@@ -82,7 +81,7 @@ def still_figure(
         _draw_arm(axes, tree, tool, view, bent[at], scale, "#c3c9d1", share, 1.0)
         for flat, (_, colour, dash) in zip(flats, paths, strict=True):
             axes.plot(*flat[:, :2].T, color=colour, linestyle=dash, zorder=20)
-        flat = tool_positions(tree, tool, bent[at : at + 1]) @ view.T
+        flat = frame_positions(tree, tool, bent[at : at + 1]) @ view.T
         axes.plot(*flat[:, :2].T, "o", color=VERMILLION, markersize=6, zorder=21)
         return figure
 
@@ -113,7 +112,7 @@ def still_caption(motions: Mapping[str, Poses], part: str, factor: float) -> str
 
 def _view_axes(tree: BodyTree, tool: LinkFrame, positions: np.ndarray) -> np.ndarray:
     """Return the view's axes as rows (right, up, towards the viewer), oblique to the motion."""
-    points = tool_positions(tree, tool, positions)
+    points = frame_positions(tree, tool, positions)
     forward = points.mean(axis=0) - np.array([0.0, 0.0, 0.0])
     heading = np.arctan2(forward[1], forward[0]) if np.hypot(*forward[:2]) > 1e-6 else 0.0
     turn = heading - 0.35 * np.pi
@@ -128,14 +127,18 @@ def _capsules_at_pose(
     tree: BodyTree, tool: LinkFrame, q: np.ndarray
 ) -> list[tuple[np.ndarray, np.ndarray, float]]:
     """Return ends and radius of the arm's capsules in the base frame."""
-    rotations, origins = joint_frames(tree, q[None])
     rods = []
     for rod in link_capsules(tree, tool):
-        turn, at = np.eye(3), np.zeros(3)
-        if rod.joint > 0:
-            turn, at = rotations[0, rod.joint - 1], origins[0, rod.joint - 1]
-        rods.append((at + turn @ rod.begin, at + turn @ rod.end, rod.radius))
+        begin, end = (_point_at_pose(tree, rod.joint, each, q) for each in (rod.begin, rod.end))
+        rods.append((begin, end, rod.radius))
     return rods
+
+
+def _point_at_pose(tree: BodyTree, joint: int, point: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Return a point of a joint's body, or of the base, in the base frame."""
+    if joint == 0:
+        return point
+    return np.asarray(frame_positions(tree, LinkFrame(joint, point, np.eye(3)), q[None])[0])
 
 
 def _fit_view(
@@ -156,7 +159,9 @@ def _fit_view(
     ]
     every = np.vstack([*ends, seen])
     low, high = every.min(axis=0), every.max(axis=0)
-    wide, tall = _VIEW_MARGIN * np.maximum(high - low, _MIN_VIEW_SIZE)
+    # Least extent of the view [m], for an arm whose joints and tool coincide.
+    # Picture over content: lines have a width.
+    wide, tall = 1.02 * np.maximum(high - low, 0.1)
     scale = min(WIDTH / wide, _HEIGHT_INCH / tall)
     middle = 0.5 * (low + high)
     half = 0.5 * np.array([WIDTH, _HEIGHT_INCH]) / scale
@@ -183,10 +188,9 @@ def _draw_arm(
         for begin, end, radius in _capsules_at_pose(tree, tool, q)
     ]
     if share is not None:
-        _, origins = joint_frames(tree, q[None])
         for j, radius in enumerate(joint_radii(tree, tool)):
             # Shifted towards the viewer, in front of its links.
-            at = origins[0, j] + 1.5 * radius * view[2]
+            at = _point_at_pose(tree, j + 1, np.zeros(3), q) + 1.5 * radius * view[2]
             parts.append((at, np.stack([at, at]), 0.62 * radius, _share_colour(float(share[j]))))
     depth = [float(view[2] @ middle) for middle, *_ in parts]
     for rank, k in enumerate(np.argsort(depth)):
@@ -247,7 +251,7 @@ def embedded_scene(
     """
     first = next(iter(motions.values()))
     shown = part if part in first.bend else next(iter(first.bend), "")
-    tool = tool_positions(robot.tree, robot.tool, first.position)
+    tool = frame_positions(robot.tree, robot.tool, first.position)
     extent = max(float(np.ptp(tool, axis=0).max()), 1e-3)
     factor = exaggeration(extent, float(first.deflection[shown].max())) if shown else 1.0
     still = still_figure(robot.tree, robot.tool, list(motions.values()), shown, factor, cell)
@@ -263,3 +267,14 @@ def embedded_scene(
         still_caption(motions, shown, factor),
         {name: Markup(text) for name, text in texts.items()},
     )
+
+
+def write_scene_page(
+    title: str, robot: Robot, motions: Mapping[str, Poses], path: Path, cell: Cell | None = None
+) -> Path:
+    """Write a page of its own with a scene; return its path."""
+    space = embedded_scene(robot, motions, "total", cell)
+    figures = PageFigures(path.stem, svg=False, png=False)
+    figures.draw("arm", space.still, "The arm with the paths of its tool")
+    context = {"title": title, "space": space.embedded, "still": space.caption}
+    return write_page("scene/page.html.j2", path, context, figures)

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 _PLANNED_LABEL, _COMPENSATED_LABEL = "as planned", "compensated"
 # Text alternative of the figure.
 COMPENSATED = "Peak deviations on uncertain arms, as planned and compensated"
-# Half height over which the dots of a row are spread.
-_DOT_SPREAD = 0.25
 
 
 def compensation_section(compensation: Compensation) -> ReportSection:
@@ -96,8 +94,7 @@ def _compensation_notes(compensation: Compensation) -> list[str]:
     return [
         *([f"The motors of every arm follow in position loops of {loop}."] if loop else []),
         f"Uncertain: {listed(compensation.uncertainty)}. The worst"
-        " case is over arms with each value "
-        "at a bound, and with the joints' stiffness such that their errors add up; "
+        " case is the worst arm that an exchange of the values at their bounds finds; "
         f"{compensation.draws} arms are drawn uniformly within the bounds. The problem's limits, "
         "settling included, are checked on the nominal arm only.",
         f"{made}; the feedforward lead is {100 * own.share:.0f} % of the nominal wind-up, "
@@ -134,7 +131,8 @@ def compensation_figure(compensation: Compensation) -> Figure:
         for axes, phase in zip(panels, ("flight", "after"), strict=True):
             for place, (_, color, spreads) in enumerate(rows):
                 spread: Spread = getattr(spreads, phase)
-                height = place + _DOT_SPREAD * np.linspace(-1.0, 1.0, len(spread.draws))
+                # Half height over which the dots of a row are spread.
+                height = place + 0.25 * np.linspace(-1.0, 1.0, len(spread.draws))
                 axes.plot(factor * spread.draws, height, ".", color=color, alpha=0.4, markersize=4)
                 axes.plot(factor * spread.nominal, place, "D", color=color, markersize=6)
                 axes.plot(factor * spread.worst, place, "|", color=color, markersize=16)

@@ -25,7 +25,7 @@ from stiffopt.report.common.svg import (
 )
 from stiffopt.report.common.terminal import print_lines, print_table
 from stiffopt.report.common.text import percent, scale, si, significant
-from stiffopt.report.scene.poses import Poses, joint_shares, tool_jacobian
+from stiffopt.report.scene.poses import Poses
 from stiffopt.report.scene.still import embedded_scene
 from stiffopt.report.solve.compensation import (
     COMPENSATED,
@@ -51,7 +51,6 @@ _MOTION_STYLES: tuple[dict[str, Any], ...] = (
 )
 PAGE_FILE = "simulation.html"
 _TIME_AFTER_ARRIVAL = 0.4  # shown in the figure and the scene [s]
-_FRAME_COUNT = 241  # of the scene
 _VIBRATION_PART = "vibratory"  # part of the deflection that the scene magnifies
 
 
@@ -155,18 +154,17 @@ def write_simulation_report(
     return write_page("solve/simulation.html.j2", path, context, figures, COMPENSATION_FILTERS)
 
 
-def elastic_poses(arm: ElasticArm, motion: SimulatedMotion, frames: int = _FRAME_COUNT) -> Poses:
+def elastic_poses(arm: ElasticArm, motion: SimulatedMotion) -> Poses:
     """Return static equilibria at the simulated motor positions, with the links' vibration."""
     end = min(float(motion.time[-1]), motion.duration + _TIME_AFTER_ARRIVAL)
-    at = np.unique(np.searchsorted(motion.time, np.linspace(0.0, end, frames)))
+    at = np.unique(np.searchsorted(motion.time, np.linspace(0.0, end, 241)))
     at = np.unique([*at[at < len(motion.time)], int(np.argmax(motion.distance))])
     hanging = arm.static_equilibrium((motion.position + motion.windup)[at])
     bend = hanging - motion.position[at]
-    jacobian = tool_jacobian(arm.robot.tree, arm.robot.tool, hanging)
-    return Poses(
-        time=motion.time[at],
-        position=hanging,
-        bend={_VIBRATION_PART: bend},
-        share={_VIBRATION_PART: joint_shares(jacobian, bend)},
-        deflection={_VIBRATION_PART: motion.distance[at]},
+    return Poses.bent(
+        arm.robot,
+        motion.time[at],
+        hanging,
+        {_VIBRATION_PART: bend},
+        {_VIBRATION_PART: motion.distance[at]},
     )

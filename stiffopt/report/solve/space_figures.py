@@ -19,15 +19,6 @@ from stiffopt.result.assessment import Assessment
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
 
-_PATH_POINTS = 300
-# Share of the path's extent to which the largest deflection is magnified.
-_DEFLECTION_SHARE = 0.08
-# Paths flatter than this are drawn one projection above the other.
-_MAX_STACKED_ASPECT = 0.45
-# Least height of a projection, and gap between two [inch].
-_MIN_HEIGHT_INCH = 1.1
-_PANEL_GAP_INCH = 0.55
-
 
 def path_figure(problem: TrajectoryProblem, motions: Sequence[ComparedMotion], part: str) -> Figure:
     """Plot the tool path in two projections, planned and with magnified deflection.
@@ -48,7 +39,8 @@ def path_figure(problem: TrajectoryProblem, motions: Sequence[ComparedMotion], p
     factor = exaggeration(max(float(spans.max()), 1e-3), largest)
     with figure_style():
         figure = Figure()
-        stacked = bool(spans[middle] < _MAX_STACKED_ASPECT * spans[widest])
+        # Paths flatter than this are drawn one projection above the other.
+        stacked = bool(spans[middle] < 0.45 * spans[widest])
         rows, columns = (2, 1) if stacked else (1, 2)
         grid = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes, vertical in zip(grid, (middle, least), strict=True):
@@ -65,8 +57,9 @@ def _fit_panels(figure: Figure, grid: list[Axes], stacked: bool) -> None:
     across = max(float(np.ptp(axes.get_xlim())) for axes in grid)
     width = (0.92 if stacked else 0.43) * WIDTH
     scale = width / across
-    tall = [max(scale * float(np.ptp(axes.get_ylim())), _MIN_HEIGHT_INCH) for axes in grid]
-    total = sum(tall) + _PANEL_GAP_INCH if stacked else max(tall)
+    # Least height of a projection, and gap between two [inch].
+    tall = [max(scale * float(np.ptp(axes.get_ylim())), 1.1) for axes in grid]
+    total = sum(tall) + 0.55 if stacked else max(tall)
     figure.set_size_inches(WIDTH, total)
     places = [(0.06, 1.0 - tall[0] / total), (0.06, 0.0)]
     if not stacked:
@@ -90,7 +83,7 @@ def _draw_projection(
     for index, motion in enumerate(motions):
         style = motion_style(index)
         assessment = motion.assessment
-        every = np.linspace(0, len(assessment.time) - 1, _PATH_POINTS).astype(int)
+        every = np.linspace(0, len(assessment.time) - 1, 300).astype(int)
         planned = 1e3 * assessment.tool[every]
         bent = planned + 1e3 * factor * assessment.deflection[part][every]
         thin_line = {"color": style["color"], "linewidth": 0.8, "alpha": 0.55}
@@ -119,7 +112,8 @@ def exaggeration(extent: float, largest: float) -> float:
     """
     if largest <= 0:
         return 1.0
-    wanted = max(_DEFLECTION_SHARE * extent / largest, 1.0)
+    # Share of the path's extent to which the largest deflection is magnified.
+    wanted = max(0.08 * extent / largest, 1.0)
     power = 10.0 ** math.floor(math.log10(wanted))
     return power * max(step for step in (1, 2, 5) if step * power <= wanted * (1 + 1e-12))
 

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 # Ratio below which a gain is written as "3.4 times less", above it as a percentage.
 _MAX_FACTOR_RATIO = 0.6
 _EQUAL_RATIO_TOLERANCE = 5e-4
-# Relative excess or margin that is written as "at the limit".
-_AT_LIMIT_TOLERANCE = 1e-5
 
 
 def objective_phrase(name: str, measure: str) -> str:
@@ -220,7 +218,8 @@ def violation_text(violation: Violation) -> str:
     """Return excess or margin in words: "exceeded by 0.12 %", "margin 8.5 %", "2 mm deep"."""
     if violation.distance is not None:
         return violation.describe_distance()
-    if abs(violation.value) < _AT_LIMIT_TOLERANCE:
+    # Relative excess or margin that is written as "at the limit".
+    if abs(violation.value) < 1e-5:
         return "at the limit"
     size = percent(abs(violation.value))
     return f"exceeded by {size}" if violation.value > 0 else f"margin {size}"

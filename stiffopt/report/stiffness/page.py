@@ -30,8 +30,6 @@ if TYPE_CHECKING:
 
 PAGE_FILE = "stiffness.html"
 SHARE_RATIOS = (0.001, 0.01, 0.1, 1.0)
-# Ratio of the joints' largest losses above which the axis is logarithmic.
-_MAX_LINEAR_RATIO = 10.0
 
 
 @dataclass(frozen=True)
@@ -284,7 +282,8 @@ def loss_figure(
         axes.set_xscale("log")
         axes.xaxis.set_major_formatter("{x:g}")
         highest = [float(np.max(each)) for each in losses]
-        if min(highest) > 0.0 and max(highest) > _MAX_LINEAR_RATIO * min(highest):
+        # Ratio of the joints' largest losses above which the axis is logarithmic.
+        if min(highest) > 0.0 and max(highest) > 10.0 * min(highest):
             axes.set_yscale("log")
             axes.yaxis.set_major_formatter("{x:g}")
         else:

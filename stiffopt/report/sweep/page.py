@@ -71,7 +71,7 @@ def axes_figure(summary: SweepSummary) -> Figure | None:
         return None
     drawn = {}
     for place in summary.sweep.places:
-        numbers = [_value_and_unit(changes[place]) for changes, _ in points]
+        numbers = [number_and_unit(changes[place]) for changes, _ in points]
         units = {unit for _, unit in numbers}
         if None not in units and len(units) == 1 and len(set(numbers)) > 1:
             drawn[place] = (np.array([value for value, _ in numbers]), numbers[0][1] or "SI")
@@ -127,9 +127,3 @@ def spread_figure(summary: SweepSummary) -> Figure:
         axes.set_ylabel("worst over best optimum")
         figure.tight_layout()
     return figure
-
-
-def _value_and_unit(value: object) -> tuple[float, str | None]:
-    if isinstance(value, bool) or not isinstance(value, int | float | str):
-        return 0.0, None
-    return number_and_unit(value)

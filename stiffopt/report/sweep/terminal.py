@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 from stiffopt.report.common.terminal import StatusLine, print_lines
@@ -10,20 +9,13 @@ from stiffopt.report.common.text import listed, si
 from stiffopt.sweep.run import SweepProgress
 from stiffopt.sweep.summary import TABLE_FILE, SweepSummary
 
-PLAIN_INTERVAL = 5.0
-
 
 class SweepDisplay(StatusLine):
-    """A status line that is called with each event of a sweep; rate-limited without a terminal."""
-
-    _printed_at = -math.inf
+    """A status line that is called with each event of a sweep."""
 
     def __call__(self, event: SweepProgress) -> None:
         """Show progress and remaining time."""
-        now = self._clock()
-        if self.moves or now - self._printed_at >= PLAIN_INTERVAL or event.done == event.total:
-            self._printed_at = now
-            self.show(progress_line(event))
+        self.show_limited(progress_line(event), 5.0, at_once=event.done == event.total)
 
 
 def progress_line(event: SweepProgress) -> str:

@@ -1,0 +1,165 @@
+"""Shapes of the forms of laws: units, initial values and bounds over the range of a signal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+ShapeUnit = Literal["signal", "per signal", "s", "Hz", ""]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SignalRange:
+    """Range of a signal in the recordings.
+
+    Parameters
+    ----------
+    low, high : float
+    duration : float
+        Of the longest recording [s], or the whole range of a clock.
+    rate : float
+        Rate up to which recordings resolve a motion [Hz].
+    peaks : tuple of float
+        Likeliest frequencies of the residual over a clock [Hz], or orders over an angle beyond
+        those of the grid [1/rad].
+    """
+
+    low: float
+    high: float
+    duration: float
+    rate: float
+    peaks: tuple[float, ...] = ()
+
+    @property
+    def size(self) -> float:
+        """Largest magnitude."""
+        return max(abs(self.low), abs(self.high), 1e-12)
+
+    @property
+    def span(self) -> float:
+        """Difference of the ends."""
+        return max(self.high - self.low, 1e-12)
+
+    def at(self, *shares: float) -> tuple[float, ...]:
+        """Return values at shares of the range."""
+        return tuple(self.low + share * (self.high - self.low) for share in shares)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FormShape:
+    """Shape of a form.
+
+    Parameters
+    ----------
+    name : str
+    unit : str
+        "signal" and "per signal" stand for the unit of the signal.
+    starts : callable
+        Range of the signal -> initial values.
+    bounds : callable
+        Range of the signal -> lowest and highest value.
+    """
+
+    name: str
+    unit: ShapeUnit
+    starts: Callable[[SignalRange], Sequence[float]]
+    bounds: Callable[[SignalRange], tuple[float, float]]
+
+    def unit_of(self, signal: str) -> str:
+        """Return its unit for a signal of a unit."""
+        if self.unit == "signal":
+            return signal
+        if self.unit == "per signal":
+            return f"1/({signal})" if "/" in signal else f"1/{signal}" if signal else ""
+        return self.unit
+
+
+def scale(*shares: float, least: float = 0.02, most: float = 5.0) -> dict[str, Any]:
+    """Return starts and bounds of a scale as shares of the largest magnitude."""
+    return {
+        "starts": lambda r: tuple(share * r.size for share in shares),
+        "bounds": lambda r: (least * r.size, most * r.size),
+    }
+
+
+def width(*shares: float, least: float = 0.01, most: float = 1.5) -> dict[str, Any]:
+    """Return starts and bounds of a width as shares of the span."""
+    return {
+        "starts": lambda r: tuple(share * r.span for share in shares),
+        "bounds": lambda r: (least * r.span, most * r.span),
+    }
+
+
+def centre(*shares: float, beyond: float = 0.1) -> dict[str, Any]:
+    """Return starts and bounds of a place, as far beyond the range as a share of it."""
+    return {"starts": lambda r: r.at(*shares), "bounds": lambda r: r.at(-beyond, 1.0 + beyond)}
+
+
+def fixed(starts: Sequence[float], low: float, high: float) -> dict[str, Any]:
+    """Return starts and bounds whatever the range."""
+    return {"starts": lambda r: tuple(starts), "bounds": lambda r: (low, high)}
+
+
+# Orders of an angle up to the first value are tried in steps that the range tells apart, with any
+# carrier; higher ones, of gears and motors, where the residual has peaks [1/rad]. Fewer waves than
+# the second value within the range are no period.
+MAX_GRID_ORDER, _MIN_WAVES = 60.0, 0.6
+_ORDERS_PER_WAVE = 3.0
+
+
+def _orders(r: SignalRange) -> tuple[float, ...]:
+    """Return orders that the range tells apart."""
+    step = 2.0 * np.pi / r.span / _ORDERS_PER_WAVE
+    low, high = _order_bounds(r)
+    grid = np.arange(low, min(high, MAX_GRID_ORDER), step)
+    return (*(grid.tolist() or [low]), *r.peaks)
+
+
+def _order_bounds(r: SignalRange) -> tuple[float, float]:
+    low = 2.0 * np.pi * _MIN_WAVES / r.span
+    return low, max(MAX_GRID_ORDER, 2.0 * low, *(1.1 * order for order in r.peaks))
+
+
+def _frequency_bounds(r: SignalRange) -> tuple[float, float]:
+    low = 2.0 / r.duration
+    return low, max(0.4 * r.rate, 2.0 * low)
+
+
+# Ratio of neighbouring frequencies of a mode that are tried: between them a fit finds its way.
+_MODE_RATIO = 1.2
+
+
+def _mode_bounds(r: SignalRange) -> tuple[float, float]:
+    """Return the frequencies of hidden modes that ring in a recording and that its rows show."""
+    low = 1.5 / r.duration
+    return low, max(0.4 * r.rate, 2.0 * low)
+
+
+def _mode_frequencies(low: float, high: float) -> tuple[float, ...]:
+    count = 1 + int(np.log(high / low) / np.log(_MODE_RATIO))
+    return tuple(np.geomspace(low, high, count))
+
+
+SCALE_SHAPE = FormShape(name="s", unit="signal", **scale(0.1, 0.3, 1.0))
+PLACE_SHAPE = FormShape(name="c", unit="signal", **centre(0.15, 0.35, 0.5, 0.65, 0.85))
+ORDER_SHAPE = FormShape(name="k", unit="per signal", starts=_orders, bounds=_order_bounds)
+FREQUENCY_SHAPE = FormShape(name="f", unit="Hz", starts=lambda r: r.peaks, bounds=_frequency_bounds)
+MODE_SHAPES = (
+    FormShape(
+        name="f",
+        unit="Hz",
+        starts=lambda r: _mode_frequencies(*_mode_bounds(r)),
+        bounds=lambda r: _mode_bounds(r),
+    ),
+    FormShape(name="z", unit="", **fixed((0.03, 0.2), 0.002, 1.5)),
+)
+PLAY_SHAPE = FormShape(
+    name="r",
+    unit="signal",
+    starts=lambda r: (0.01 * r.span, 0.05 * r.span),
+    bounds=lambda r: (1e-3 * r.span, 0.5 * r.span),
+)
+HINGE_POWER_SHAPE = FormShape(name="n", unit="", **fixed((1.5, 3.0), 1.0, 5.0))

@@ -1,0 +1,82 @@
+"""Worst arms within an uncertainty, by exchange of the corners of its parameters.
+
+In flight errors are almost additive in the parameters; after arrival they depend on the phases of
+the modes, and no arm with all joints alike is the worst. From the worst corners with joints alike,
+parameters whose change alone makes the error larger are changed together, those of most gain first.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stiffopt.elastic.uncertain_arms import Member, SimulationRequest, SimulationRequests
+
+if TYPE_CHECKING:
+    from stiffopt.elastic.motor import MotorMotion
+    from stiffopt.elastic.uncertain_arms import UncertainArms
+    from stiffopt.elastic.uncertainty import ParameterBox
+
+# Rounds of exchanges: most searches end after three.
+_MAX_ROUNDS = 5
+# Relative increase of a peak that counts.
+_MIN_INCREASE = 1e-3
+
+
+def worst_levels(
+    many: UncertainArms, command: MotorMotion, box: ParameterBox
+) -> SimulationRequests[np.ndarray]:
+    """Search the levels of the worst arms of a command: the worst in flight, then after arrival.
+
+    Parameters
+    ----------
+    many : UncertainArms
+    command : MotorMotion
+    box : ParameterBox
+
+    Returns
+    -------
+    array (s, 2 n + 3)
+        By search, of which each phase has one from soft and one from stiff joints.
+    """
+
+    def simulated(levels: np.ndarray) -> SimulationRequests[np.ndarray]:
+        """Peaks (2, ...) in flight and after arrival on arms of levels (..., m)."""
+        flat = levels.reshape(-1, levels.shape[-1])
+        members = [Member(command=command, departure=box.departure(each)) for each in flat]
+        error = yield SimulationRequest(many, members)
+        peaks = [error.peaks(phase)["position"] for phase in (error.flight, error.after)]
+        return np.array(peaks).reshape(2, *levels.shape[:-1])
+
+    corners = box.alike_corners()
+    peaks = yield from simulated(corners)
+    # The first half of the corners is soft, the second stiff.
+    halves = np.array_split(np.arange(len(corners)), 2 if len(corners) > 1 else 1)
+    chosen = [half[np.argmax(own[half])] for own in peaks for half in halves]
+    phase = np.repeat([0, 1], len(halves))
+    levels, worst = corners[chosen], peaks[phase, chosen]
+    searches, flips = np.arange(len(levels)), len(box.free)
+    active = searches if flips else searches[:0]
+    for _ in range(_MAX_ROUNDS):
+        if not active.size:
+            break
+        own = phase[active, None], np.arange(len(active))[:, None]
+        # Each parameter alone, then the first, the first two, ... in order of gain.
+        alone = np.repeat(levels[active, None], flips, axis=1)
+        alone[:, np.arange(flips), box.free] *= -1.0
+        single = (yield from simulated(alone))[(*own, np.arange(flips))]
+        order = np.argsort(-single, axis=1)
+        turned = np.repeat(levels[active, None], flips, axis=1)
+        for k in range(flips):
+            turned[own[1][:, 0], k:, box.free[order[:, k]]] *= -1.0
+        gaining = int(np.max(np.sum(single > worst[active, None], axis=1), initial=0))
+        together = turned[:, : max(gaining, 1)]
+        joined = (yield from simulated(together))[(*own, np.arange(together.shape[1]))]
+        best = np.argmax(joined, axis=1)
+        found = joined[np.arange(len(active)), best]
+        better = found > (1.0 + _MIN_INCREASE) * worst[active]
+        levels[active[better]] = together[better, best[better]]
+        worst[active[better]] = found[better]
+        active = active[better]
+    return levels

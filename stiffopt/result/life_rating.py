@@ -1,0 +1,56 @@
+"""Rated life of a robot's reducers, at the output of their joints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from stiffopt.robot.robot import Robot
+
+# Exponent of reducers without a rating: strain-wave gears.
+_USUAL_EXPONENT = 3.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class LifeRating:
+    """Rated life of a reducer.
+
+    Parameters
+    ----------
+    torque, speed : float
+        At the output [N m], [rad/s].
+    life : float or None
+        L10 [s]; None where it is not known.
+    exponent : float
+        Of the torque.
+    """
+
+    torque: float
+    speed: float
+    life: float | None
+    exponent: float
+
+
+def life_rating(robot: Robot, joint: int) -> LifeRating:
+    """Return the rating of the reducer of a joint; the drive's limits without one."""
+    chain = robot.chains[joint]
+    for stage in () if chain is None else chain.stages:
+        # Elements of other kinds, which this layer does not import, have no rating.
+        torque, speed, life, exponent = (
+            getattr(stage.element, name, None)
+            for name in ("rated_torque", "rated_speed", "rated_life", "life_exponent")
+        )
+        if None not in (torque, speed, life, exponent):
+            return LifeRating(
+                torque=torque * stage.reduction,
+                speed=speed / stage.ratio,
+                life=life,
+                exponent=exponent,
+            )
+    return LifeRating(
+        torque=float(robot.torque_max[joint]),
+        speed=float(robot.velocity_max[joint]),
+        life=None,
+        exponent=_USUAL_EXPONENT,
+    )

@@ -1,0 +1,92 @@
+"""Another simulator: torques of a law from the text of a page, by formulas of its own."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+# What a page calls the signals of a joint, or of the robot.
+_JOINT_SIGNALS = {
+    "position": "motor_position",
+    "speed": "motor_velocity",
+    "direction of motion": "motor_direction",
+    "acceleration": "motor_acceleration",
+    "load": "spring_torque",
+    "nominal wind-up": "windup",
+    "drive torque": "drive_torque",
+    "temperature": "temperature_rise",
+}
+_ROBOT_SIGNALS = {
+    "time since power-on": lambda s: s.session_time,
+    "time since the begin of the motion": lambda s: s.time,
+    "height of the tool": lambda s: s.tool_position[:, 2],
+    "place of the tool along x": lambda s: s.tool_position[:, 0],
+    "place of the tool along y": lambda s: s.tool_position[:, 1],
+}
+
+
+def signal_of(words: str, signals) -> np.ndarray:
+    """Return the signal (K,) that a page describes."""
+    if words in _ROBOT_SIGNALS:
+        return np.asarray(_ROBOT_SIGNALS[words](signals))
+    kind, joint = re.fullmatch(r"(.+) of joint (\d+)", words).groups()
+    j = int(joint) - 1
+    if kind == "nominal friction":
+        own = signals.constants.joints[j]
+        w, side = signals.motor_velocity[:, j], signals.motor_direction[:, j]
+        return own.coulomb * side + own.viscous * w
+    return np.array(getattr(signals, _JOINT_SIGNALS[kind])[:, j])
+
+
+def _operators(dt: float) -> dict[str, Callable]:
+    """The operators, sample by sample as the page defines them."""
+
+    def lag(x, T):
+        p, y = math.exp(-dt / T), [x[0]]
+        for now in x[1:]:
+            y.append(p * y[-1] + (1.0 - p) * now)
+        return np.array(y)
+
+    def second_order(x, f, z, over):
+        o = math.tan(math.pi * f * dt)
+        x, y = [x[0], x[0], *x], [x[0], x[0]]
+        for k in range(2, len(x)):
+            right = (o**2 + over * o) * x[k] + 2 * o**2 * x[k - 1] + (o**2 - over * o) * x[k - 2]
+            before = 2 * (o**2 - 1) * y[k - 1] + (1 - 2 * z * o + o**2) * y[k - 2]
+            y.append((right - before) / (1 + 2 * z * o + o**2))
+        return np.array(y[2:])
+
+    def stop(x, r):
+        y = [x[0]]
+        for now in x[1:]:
+            y.append(min(max(y[-1], now - r), now + r))
+        return np.asarray(x) - np.array(y)
+
+    return {
+        "lag": lag,
+        "sprung": lambda x, f, z: second_order(x, f, z, 2 * z),
+        "mode": lambda x, f, z: second_order(x, f, z, 0.0),
+        "stop": stop,
+    }
+
+
+def typed_torque(equation: str, numbers: Sequence[str], meanings: Sequence[str], signals):
+    """Return what an equation adds (K,), from the lines of a page alone."""
+    text = equation.partition("+=")[2]
+    space: dict[str, object] = {
+        name: getattr(np, name) for name in ("tanh", "exp", "log", "abs", "sqrt", "sign")
+    }
+    space |= {"cos": np.cos, "sin": np.sin, "pi": math.pi, **_operators(signals.dt)}
+    for line in numbers:
+        name, value = re.match(r"(\w+) = (\S+)", line).groups()
+        space[name] = float(value)
+    for line in meanings:
+        symbol, _, words = line.partition(" is the ")
+        if re.fullmatch(r"\w+|sg\(\w+\)", symbol):
+            name = f"signal{len(space)}"
+            space[name] = signal_of(words, signals)
+            text = re.sub(rf"(?<!\w){re.escape(symbol)}(?!\w)", name, text)
+    return eval(text, space) + 0.0 * signals.time
