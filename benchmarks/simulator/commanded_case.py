@@ -29,6 +29,9 @@ _RUNS, _SECONDS, _SETTLE_SECONDS = 4, 10.0, 1.0
 _COMMAND_FREQUENCIES = ((0.08, 0.2), (0.25, 0.45), (0.5, 0.9), (1.0, 1.6))  # [Hz]
 # An effect moves some joint at least so many times as far as the tolerances do, or is enlarged.
 _MIN_VISIBLE, _ENLARGED, _MAX_ENLARGEMENTS = 1.0, 1.6, 3
+# Largest share of its motion by which an effect moves a joint: one that hardly moves, as where a
+# servo chatters in a wide gap, is no recording that anyone diagnoses.
+_MAX_SHARE_AWAY = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,6 +141,8 @@ def _with_effect(
             try:
                 moved = np.sqrt(np.mean((simulate(world, command)[0] - plain) ** 2, axis=0))
             except FloatingPointError:  # e.g. a servo that chatters in a wide gap: the next joint
+                break
+            if np.any(moved > _MAX_SHARE_AWAY * np.std(plain, axis=0)):
                 break
             seen = float(np.max(moved / tolerated))
             found = (world, int(joint), params, size, seen)
