@@ -70,6 +70,15 @@ class FoldPredictions:
             left[own] -= self._columns[own][:, kept] @ values
         return left
 
+    def prior_squares(self, kept: np.ndarray, count: int) -> float:
+        """Return the squares over priors of the first columns (k,), fitted to all folds."""
+        prior, limits = self._prior[kept], self._limits[kept]
+        whole, moment = self._gram.sum(axis=0)[kept][:, kept], self._moment.sum(axis=0)[kept]
+        values = np.linalg.solve(whole + np.diag(prior**-2.0), moment)
+        if np.any(np.abs(values) > limits * prior):
+            values = solve_boxed(whole, moment, prior, limits)
+        return float(np.sum((values[:count] / prior[:count]) ** 2))
+
     def squares(self, first: np.ndarray) -> float:
         """Return the sum of squares of the residual with other priors of the first columns (k,).
 

@@ -95,8 +95,16 @@ def left_out_gains(
     ways = {fine: predict_folds(comparison, effects, own) for fine, own in folds.items()}
     now = {fine: way.residual() for fine, way in ways.items()}
     judge = _GainJudge(comparison, fold)
+    # Free bodies have no tolerance that they could leave.
+    nominal = int(np.sum(owner < 0)) if comparison.bodies is None else 0
+    relieved = ways[few[0]].prior_squares(owner >= -1, nominal)
     return tuple(
-        judge.gain(columns[:, owner == k], now[fine], ways[fine].residual(owner != k))
+        judge.gain(
+            columns[:, owner == k],
+            now[fine],
+            ways[fine].residual(owner != k),
+            ways[fine].prior_squares(owner != k, nominal) - relieved,
+        )
         for k, fine in enumerate(few)
     )
 
@@ -119,8 +127,14 @@ class _GainJudge:
         held = np.fmax(noise_above_cutoff(comparison.nominal_runs) / stated, 1.0)
         self._usual = (UNEXPLAINED_RATIO * held) ** 2
 
-    def gain(self, columns: np.ndarray, now: np.ndarray, without: np.ndarray) -> LeftOutGain:
-        """Return the gain of an effect with columns (m, k) from weighted residuals (m,)."""
+    def gain(
+        self, columns: np.ndarray, now: np.ndarray, without: np.ndarray, relief: float
+    ) -> LeftOutGain:
+        """Return the gain of an effect with columns (m, k) from weighted residuals (m,).
+
+        Nominal values that would leave their tolerances without it (`relief`, squares over their
+        priors) count like squares that it removes.
+        """
         comparison, rows = self._comparison, self._comparison.rows.channel
         fall = without**2 - now**2
         square = np.bincount(rows, np.sum(columns**2, axis=1))
@@ -128,10 +142,11 @@ class _GainJudge:
         channel = int(np.argmax(np.where(acted, np.bincount(rows, fall), -np.inf)))
         own, noise = rows == channel, float(comparison.inflation[channel])
         after, before = (noise**2 * float(np.sum(left[own] ** 2)) for left in (now, without))
+        falls = np.bincount(self._stretch, fall * acted[rows])
         count = int(own.sum())
         beyond = before - count
         return LeftOutGain(
-            removed=max(before - after, 0.0),
+            removed=max(before - after + relief, 0.0),
             left_open=max(
                 _smooth_squares(comparison, now * noise, own),
                 after - float(self._usual[channel]) * count,
@@ -139,7 +154,7 @@ class _GainJudge:
             share=float(np.clip(1.0 - after / before, 0.0, 1.0)) if before > 0.0 else 0.0,
             explained=float(np.clip((before - after) / beyond, 0.0, 1.0)) if beyond > 0.0 else 0.0,
             channel=channel,
-            support=_probability_of_gain(np.bincount(self._stretch, fall * acted[rows])),
+            support=_probability_of_gain(falls + relief / len(falls)),
         )
 
 
