@@ -145,11 +145,11 @@ def _simulate_together(
         ).reshape(len(state), _CALL_STEPS, lanes)
         state = states[:, -1]
         for lane, drive in enumerate(drives):
-            rows = np.flatnonzero((drive.ends > first) & (drive.ends <= first + _CALL_STEPS))
-            own = states[:, drive.ends[rows] - first - 1, lane].T
-            found[lane].position[rows + 1] = own[:, :n]
-            slopes = own[:, 2 * n :].reshape(-1, m, 2 * n)[:, :, :n]
-            found[lane].slopes[rows + 1] = slopes.transpose(0, 2, 1)
+            met = np.flatnonzero((drive.ends > first) & (drive.ends <= first + _CALL_STEPS))
+            at_rows = states[:, drive.ends[met] - first - 1, lane].T
+            found[lane].position[met + 1] = at_rows[:, :n]
+            slopes = at_rows[:, 2 * n :].reshape(-1, m, 2 * n)[:, :, :n]
+            found[lane].slopes[met + 1] = slopes.transpose(0, 2, 1)
     return found
 
 

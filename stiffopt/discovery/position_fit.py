@@ -94,19 +94,17 @@ def fit_positions(
 
     Joints whose gain gives torque no scale begin with the drives of `estimated`.
 
-    Findings that make the loop unstable are left out of it. None where a joint has no gain, which
-    would not be held, or no command.
+    Findings with which the loop is unstable, or fits the training runs worse than without them,
+    are left out of it. None where a joint has no gain, which would not be held, or no command.
     """
-    fit = None
+    robots: list[tuple[Robot, LoopTorque | None, dict[int, float]]] = [(recordings.robot, None, {})]
     if model is not None:
-        fit = _fit_robot(recordings, runs, estimated, say, *robot_in_loop(recordings, model))
-        if fit is None:
-            say("the loop with the findings is unstable: simulate without them")
-    if fit is None:
-        fit = _fit_robot(recordings, runs, estimated, say, recordings.robot, None, {})
-    if fit is None:
+        robots.append(robot_in_loop(recordings, model))
+    tried = [_fit_robot(recordings, runs, estimated, say, *each) for each in robots]
+    fits = [each for each in tried if each is not None]
+    if not fits:
         return None
-    loop, fitted = fit
+    loop, fitted = min(fits, key=lambda each: float(np.log(each[1].residual).sum()))
     return ClosedLoopModel(
         nominal_loop=CommandedArm(recordings.robot.tree, loop.law, loop.middle),
         loop=loop,
