@@ -8,7 +8,8 @@ of the optimised cycle and of the S-curves.
 
 With `--lead` motors lead the links by the wind-up in both, within the limits of the motors, and the
 error is that of the commands, simulated on the same uncertain arms: its largest value in flight and
-after arrival over all moves. The S-curves (ruckig) are as fast as their commands keep the limits.
+after arrival over all moves. The S-curves (ruckig) are as fast as their commands keep the limits;
+the last column has the moves of least tool error in 15 % less time than theirs.
 """
 
 from __future__ import annotations
@@ -27,8 +28,11 @@ from stiffopt.cycle.solve_cycle import solve_cycle
 from stiffopt.problem.cycle import Cycle
 from stiffopt.problem.cycle_files import load_cycle
 from stiffopt.problem.limit import Limits
+from stiffopt.problem.objective import Objective
 from stiffopt.problem.resolve import resolve
 from stiffopt.result.compensation import CompensatedMotion
+from stiffopt.solver.simulated_solution import with_simulation
+from stiffopt.solver.solve import solve
 
 PROBLEMS = Path(__file__).resolve().parents[1] / "problems"
 FILES = ("er3a_cycle.toml", "ur10_cycle.toml")
@@ -93,30 +97,44 @@ def led_s_curves(cycle: Cycle) -> tuple[float, Errors]:
     return total, _largest(found)
 
 
-def led_cycle(cycle: Cycle) -> tuple[float, Errors, str]:
-    """Time [s] and errors of the optimised cycle whose motors lead, and its status."""
+def led_cycle(cycle: Cycle) -> tuple[list[float], Errors, str]:
+    """Durations of the legs [s] and errors of the fastest cycle whose motors lead, its status."""
     found = solve_cycle(cycle)
     led = [leg.solution.compensation for leg in found.legs]
     if any(each is None or each.refusal for each in led):
-        return np.inf, (np.inf, np.inf), str(found.status)
-    return found.duration, _largest(each.optimised for each in led), str(found.status)
+        return [np.inf], (np.inf, np.inf), str(found.status)
+    lasted = [leg.arrival - leg.start for leg in found.legs]
+    return lasted, _largest(each.optimised for each in led), str(found.status)
+
+
+def led_errors_at(cycle: Cycle, durations: list[float]) -> Errors:
+    """Errors of the legs of least tool error at given durations [s]."""
+    found = []
+    for leg, duration in zip(cycle.legs, durations, strict=True):
+        objectives = (Objective(name="tool_error"),)
+        problem = replace(leg.lasting(duration).problem, objectives=objectives)
+        led = with_simulation(problem, solve(problem)).compensation
+        found.append(led.optimised)
+    return _largest(found)
 
 
 def print_led(paths: list[Path]) -> None:
-    """Print the table of cycles whose motors lead."""
-    print(
-        "| cycle | optimised [s] | in flight, after [mm] | S-curves [s] | in flight, after [mm] |"
-    )
-    print("|---|---|---|---|---|")
+    """Print the table of cycles whose motors lead; the last columns at 15 % less than S-curves."""
+    errors_head = "in flight, after [mm]"
+    print(f"| cycle | S-curves [s] | {errors_head} | fastest [s] | {errors_head} | {errors_head} |")
+    print("|---|---|---|---|---|---|")
     for path in paths:
-        cycles = [
+        whole, stopping = (
             without_deflection(load_cycle(path, ["uncertainty.draws=50", *stops]).cycle)
             for stops in ((), stopping_changes(path))
-        ]
-        curve_time, curve_errors = led_s_curves(cycles[1])
-        time, errors, status = led_cycle(cycles[0])
-        told = [f"{1e3 * a:.3f}, {1e3 * b:.3f}" for a, b in (errors, curve_errors)]
-        print(f"| {path.stem} | {time:.3f} ({status}) | {told[0]} | {curve_time:.3f} | {told[1]} |",
+        )
+        curve_time, curve_errors = led_s_curves(stopping)
+        lasted, errors, status = led_cycle(whole)
+        slowing = (0.85 * curve_time - whole.rest) / sum(lasted)
+        slow = led_errors_at(whole, [slowing * each for each in lasted])
+        told = [f"{1e3 * a:.3f}, {1e3 * b:.3f}" for a, b in (curve_errors, errors, slow)]
+        fastest = f"{sum(lasted) + whole.rest:.3f} ({status})"
+        print(f"| {path.stem} | {curve_time:.3f} | {told[0]} | {fastest} | {told[1]} | {told[2]} |",
               flush=True)  # fmt: skip
 
 
