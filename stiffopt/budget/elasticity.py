@@ -62,7 +62,7 @@ def elastic_errors(
     share = _DEVIATION_OVER_BOUND * uncertainty.bearing_stiffness
     for j in np.flatnonzero(np.any(tilt != 0.0, axis=(0, 2)) & (share > 0.0)):
         yield ErrorSource(
-            name=f"{_name_mounts(robot, j)} of {robot.joint_names[j]}",
+            name=f"{_name_mounts(robot, int(j))} of {robot.joint_names[j]}",
             group="tilt",
             effect=share * tilt[:, j],
         )

@@ -228,14 +228,10 @@ class CommandSearch:
         )
         best = [tried[k] for k in np.argsort(flight + after, kind="stable")]
         # The trial grid may miss excesses shorter than its step, such as the jerk at an end.
-        return next(
-            (
-                each
-                for each in best
-                if self._excess_beyond_plan(each.motors) <= CERTIFICATE_TOLERANCE
-            ),
-            best[0],
-        )
+        for each in best:
+            if self._excess_beyond_plan(each.motors) <= CERTIFICATE_TOLERANCE:
+                return each
+        return best[0]
 
     def _worst_arms(self, command: MotorMotion) -> SimulationRequests[list[Departure]]:
         """Return the corners with joints alike, and the worst arms of a command."""

@@ -109,8 +109,8 @@ def with_simulation(
         return _add_note(solution, f"Not simulated on the elastic arm: {error}")
     if compensation is None:
         return _add_note(solution, _COMMAND_INTERRUPTED)
-    found = _judge_beside_rivals(problem, replace(solution, compensation=compensation))
-    return with_path_notes(problem, found)
+    judged = _judge_beside_rivals(problem, replace(solution, compensation=compensation))
+    return with_path_notes(problem, judged)
 
 
 def _judge_beside_rivals(problem: TrajectoryProblem, solution: Solution) -> Solution:

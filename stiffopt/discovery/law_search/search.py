@@ -220,15 +220,16 @@ def beats(
     """Return True where a law in place of findings, which leave the squares `named`, is likelier.
 
     By the odds that tell rivals of the catalogue apart: nature follows formulas nearly, those of
-    the catalogue and of laws alike, and each is one of as many as there are. A law that is the
-    findings' function in other words, of no fewer parameters, is not likelier.
+    the catalogue and of laws alike, and each is one of as many as there are: of laws there are more.
+    A law that is the findings' function in other words, of no fewer parameters, is not likelier.
     """
     left, own = channel.square - best.fit.removed, best.law
     fewer = _parameter_count(findings) - own.parameter_count
     if fewer <= 0 and named - left < SAME_FUNCTION**2 * (channel.square - left):
         return False
     odds = _log_odds(channel, left, named, findings, own.parameter_count)
-    return odds + own.log_prior(channel.comparison.robot.n) > RIVAL_LOG_ODDS
+    prior = min(own.log_prior(channel.comparison.robot.n), -float(np.log(len(CATALOGUE))))
+    return odds + prior > RIVAL_LOG_ODDS
 
 
 def _parameter_count(findings: Sequence[LocatedEffect]) -> int:
