@@ -220,8 +220,8 @@ def beats(
     """Return True where a law in place of findings, which leave the squares `named`, is likelier.
 
     By the odds that tell rivals of the catalogue apart: nature follows formulas nearly, those of
-    the catalogue and of laws alike, and each is one of as many as there are: of laws there are more.
-    A law that is the findings' function in other words, of no fewer parameters, is not likelier.
+    the catalogue and of laws alike, and each is one of as many as there are, of laws more. A law
+    that is the findings' function in other words, of no fewer parameters, is not likelier.
     """
     left, own = channel.square - best.fit.removed, best.law
     fewer = _parameter_count(findings) - own.parameter_count
