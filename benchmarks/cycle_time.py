@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from stiffopt.baseline.rivals import fair_rivals
-from stiffopt.command.compensation import commands_on_arms, slow_until_led
+from stiffopt.command.compensation import rival_commands
 from stiffopt.command.simulation import PlannedMotion, elastic_arm
 from stiffopt.cycle.solve_cycle import solve_cycle
 from stiffopt.problem.cycle import Cycle
@@ -90,8 +90,7 @@ def led_s_curves(cycle: Cycle) -> tuple[float, Errors]:
         rival, motion = next(each for each in rivals if each[0].name == "S-curve")
         arm = elastic_arm(problem, motion.position[0])
         planned = PlannedMotion.of_rival(rival.smoothed, motion, True)
-        (own,) = commands_on_arms(problem, arm, [planned])
-        own = slow_until_led(problem, arm, own)
+        (own,) = rival_commands(problem, arm, [planned])
         total += np.inf if own.excess else own.motion.time[-1]
         found.append(own.for_reports())
     return total, _largest(found)

@@ -210,7 +210,7 @@ class CommandSearch:
             worst=arms[int(np.argmax(errors.peak(errors.flight)[count:]))],
             spacing=made.spacing,
             share=made.share,
-            excess=self._motor_violations(made.motors),
+            excess=self.motor_violations(made.motors),
             simulated=functools.partial(self._simulate_on, command),
             law=self._law,
         )
@@ -304,11 +304,11 @@ class CommandSearch:
 
     def _excess_beyond_plan(self, motors: JointMotion, points: int | None = None) -> float:
         """Return the largest excess of the limits that the plan keeps."""
-        excess = self._motor_violations(motors, points)
+        excess = self.motor_violations(motors, points)
         kept = [each.value for each in excess if each.limit not in self._motion.exceeded]
         return max(kept, default=0.0)
 
-    def _motor_violations(
+    def motor_violations(
         self, motors: JointMotion, points: int | None = None
     ) -> tuple[Violation, ...]:
         """Return the motor limits that a motion exceeds, worst first."""

@@ -115,22 +115,37 @@ def rival_commands(
     progress: Progress | None = None,
 ) -> list[CommandOnArms]:
     """Return the commands of rivals, each slowed until its command keeps the limits, if it does."""
-    found = commands_on_arms(problem, arm, motions, law, progress=progress)
-    return [slow_until_led(problem, arm, each) for each in found]
+    law = law or MotorLaw(problem.robot, problem.process_force)
+    return answer_together(
+        _command_within_limits(problem, arm, each, law) for each in _tell_each(motions, progress)
+    )
 
 
-def slow_until_led(
-    problem: TrajectoryProblem, arm: ElasticArm, found: CommandOnArms
-) -> CommandOnArms:
-    """Return a rival at the duration at which its command keeps the limits, as far as it does."""
+def _command_within_limits(
+    problem: TrajectoryProblem, arm: ElasticArm, motion: PlannedMotion, law: MotorLaw
+) -> SimulationRequests[CommandOnArms]:
+    """Choose the command of a rival at the duration at which it keeps the limits, and judge it."""
     slowed = 1.0
-    while found.excess and found.motion.rival is not None and slowed < _MAX_RIVAL_SLOWDOWN:
+    while True:
+        search = CommandSearch(problem, arm, motion, law)
+        chosen = yield from search.chosen_command()
+        excess = search.motor_violations(chosen.motors)
+        if not excess or motion.rival is None or slowed >= _MAX_RIVAL_SLOWDOWN:
+            return (yield from search.judge_existing(chosen))
         # Limits of the velocity scale with the duration, those of the jerk with its cube.
-        over = (1.0 + found.excess[0].value) ** (1.0 / 3.0)
+        over = (1.0 + excess[0].value) ** (1.0 / 3.0)
         factor = float(np.clip(over, _MIN_SLOWDOWN_STEP, _MAX_SLOWDOWN_STEP))
         slowed *= factor
-        (found,) = commands_on_arms(problem, arm, [found.motion.slowed(problem, factor)], found.law)
-    return found
+        motion = motion.slowed(problem, factor)
+
+
+def _tell_each(
+    motions: Sequence[PlannedMotion], progress: Progress | None
+) -> Iterator[PlannedMotion]:
+    for motion in motions:
+        if progress is not None:
+            progress(motion.name)
+        yield motion
 
 
 def judge_existing_command(
@@ -202,14 +217,10 @@ def commands_on_arms(
     Parameters as of `compensate`; `law` is the problem's motor law, where it exists already.
     """
     law = law or MotorLaw(problem.robot, problem.process_force)
-
-    def asking() -> Iterator[SimulationRequests[CommandOnArms]]:
-        for motion in motions:
-            if progress is not None:
-                progress(motion.name)
-            yield CommandSearch(problem, arm, motion, law).evaluate_command()
-
-    return answer_together(asking())
+    return answer_together(
+        CommandSearch(problem, arm, each, law).evaluate_command()
+        for each in _tell_each(motions, progress)
+    )
 
 
 def compensate_motion(

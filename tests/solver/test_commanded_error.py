@@ -11,6 +11,7 @@ import pytest
 from small_arms import load
 
 from stiffopt.baseline.rivals import quintic_law
+from stiffopt.certificate import assess as certificate
 from stiffopt.connection import Constant
 from stiffopt.drivetrain.bearing import OutputBearing
 from stiffopt.drivetrain.chain import Chain, Stage
@@ -105,6 +106,15 @@ def test_quasi_static_error_is_that_of_simulated_arms_in_a_slow_motion(problem, 
     true = np.sqrt(np.sum((away / steps[:, None, None]) ** 2, axis=(0, 2)))
     at = np.interp(times, simulated.time, true)
     assert found == pytest.approx(at, abs=0.05 * at.max())
+
+
+def test_known_error_of_the_links_is_not_searched_again(problem, solution, monkeypatch):
+    def refused(*_):
+        raise AssertionError("searched again")
+
+    monkeypatch.setattr(certificate, "led_error", refused)
+    known = solution.assessment.led
+    assert certificate.assess(problem, solution.trajectory, led=known).led is known
 
 
 def test_certain_stiffness_and_a_start_in_motion_have_no_tool_error(problem):

@@ -10,10 +10,10 @@ import pytest
 from small_arms import load
 
 from stiffopt.baseline.baselines import baselines
-from stiffopt.baseline.rivals import quintic_law
+from stiffopt.baseline.rivals import fair_rivals, quintic_law
 from stiffopt.certificate.assess import assess
 from stiffopt.command import command_search
-from stiffopt.command.compensation import compensate, compensate_motion
+from stiffopt.command.compensation import compensate, compensate_motion, rival_commands
 from stiffopt.command.simulation import PlannedMotion, elastic_arm
 from stiffopt.drivetrain.bearing import OutputBearing
 from stiffopt.elastic.servo import MAX_LEAD_AT_END
@@ -185,3 +185,21 @@ def test_command_leads_the_tool_against_elastic_bearings(tmp_path):
         by_windup, _ = compensate_motion(problem, arm, motion)
     assert found.compensated.flight.nominal < 0.4 * by_windup.compensated.flight.nominal
     assert found.compensated.flight.worst < by_windup.compensated.flight.worst
+
+
+def test_rival_is_slowed_before_its_command_is_judged_on_drawn_arms(tmp_path, monkeypatch):
+    problem = replace(load(tmp_path), uncertainty=Uncertainty(draws=50))
+    rival, fastest = fair_rivals(problem, resolve(problem), 0.1)[1]
+    assert rival.name == "S-curve"
+    motion = PlannedMotion.of_rival(rival, fastest, True)
+    judged, judge = [], command_search.CommandSearch.judge_existing
+
+    def noted(search, made):
+        judged.append(made)
+        return judge(search, made)
+
+    monkeypatch.setattr(command_search.CommandSearch, "judge_existing", noted)
+    (found,) = rival_commands(problem, elastic_arm(problem, fastest.position[0]), [motion])
+    assert found.motion.time[-1] > 1.01 * fastest.duration
+    assert found.excess == ()
+    assert len(judged) == 1

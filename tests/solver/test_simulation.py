@@ -197,6 +197,19 @@ def test_interruption_names_missing_results(solved, monkeypatch, stage, told):
     assert ("stiffopt simulate" in found.notes[-1]) == (stage == "simulate_motions")
 
 
+def test_rivals_of_the_solve_are_not_searched_again(solved, monkeypatch):
+    problem, solution = solved
+    searched = []
+    monkeypatch.setattr(
+        "stiffopt.solver.simulated_solution.rival_motions", lambda *_: searched.append(1) or []
+    )
+    plain = replace(solution, simulation=None, compensation=None)
+    assert with_simulation(problem, plain, rivals=(solution.duration, [], [])).simulation
+    assert not searched
+    with_simulation(problem, plain, rivals=(1.1 * solution.duration, [], []))
+    assert searched
+
+
 def test_no_command_without_elastic_objective_or_limit(tmp_path):
     plain = load(tmp_path, duration="0.6")
     solution = solve(plain, simulate=True)
