@@ -10,7 +10,7 @@ import pytest
 from small_arms import load
 
 from stiffopt.baseline.baselines import baselines
-from stiffopt.baseline.rivals import fair_rivals, quintic_law
+from stiffopt.baseline.rivals import FairRival, quintic_law
 from stiffopt.certificate.assess import assess
 from stiffopt.command import command_search
 from stiffopt.command.compensation import compensate, compensate_motion, rival_commands
@@ -189,8 +189,9 @@ def test_command_leads_the_tool_against_elastic_bearings(tmp_path):
 
 def test_rival_is_slowed_before_its_command_is_judged_on_drawn_arms(tmp_path, monkeypatch):
     problem = replace(load(tmp_path), uncertainty=Uncertainty(draws=50))
-    rival, fastest = fair_rivals(problem, resolve(problem), 0.1)[1]
-    assert rival.name == "S-curve"
+    path = JointPath.through(resolve(problem).points)
+    rival = FairRival(problem, path, "quintic", quintic_law(1.0))
+    fastest = assess(problem, rival.at(0.33))
     motion = PlannedMotion.of_rival(rival, fastest, True)
     judged, judge = [], command_search.CommandSearch.judge_existing
 
