@@ -207,7 +207,7 @@ class CommandSearch:
             planned=_summarise_spreads(errors, slice(count), arms, len(drawn)),
             compensated=_summarise_spreads(errors, slice(count, None), arms, len(drawn)),
             nominal=self._nominal,
-            worst=arms[int(np.argmax(errors.peaks(errors.flight)["position"][count:]))],
+            worst=arms[int(np.argmax(errors.peak(errors.flight)[count:]))],
             spacing=made.spacing,
             share=made.share,
             excess=self._motor_violations(made.motors),
@@ -223,7 +223,7 @@ class CommandSearch:
         members = [Member(command=own, departure=arm) for own in commands for arm in arms]
         errors = yield SimulationRequest(self._many, members)
         flight, after = (
-            errors.peaks(phase)["position"].reshape(len(commands), len(arms)).max(axis=1)
+            errors.peak(phase).reshape(len(commands), len(arms)).max(axis=1)
             for phase in (errors.flight, errors.after)
         )
         order = np.argsort(flight + after, kind="stable").tolist()
