@@ -226,7 +226,8 @@ class CommandSearch:
             errors.peak(phase).reshape(len(commands), len(arms)).max(axis=1)
             for phase in (errors.flight, errors.after)
         )
-        best = [tried[k] for k in np.argsort(flight + after, kind="stable")]
+        order = np.argsort(flight + after, kind="stable").tolist()
+        best: list[ExistingCommand] = [tried[k] for k in order]
         # The trial grid may miss excesses shorter than its step, such as the jerk at an end.
         for each in best:
             if self._excess_beyond_plan(each.motors) <= CERTIFICATE_TOLERANCE:

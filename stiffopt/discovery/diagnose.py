@@ -67,6 +67,7 @@ from stiffopt.discovery.search_training import search_training_runs
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.steps import (
     BAND_NOT_VARIED,
+    BANDS_NOT_CHOSEN,
     FRICTION_NOT_REFITTED,
     NO_BURSTS,
     NO_EXPERIMENT,
@@ -238,9 +239,15 @@ def _run_diagnosis(
     )
     stopped = describe_stop(result)
     start = () if base is None else (base.extension,)
-    # Bands that were asked for hold, and a stopped diagnosis takes no longer.
-    asked_band = settings.cutoff is not None or bool(stopped)
-    training = _with_prediction_bands(training, start, result, say, fixed=asked_band)
+    if settings.cutoff is None:  # bands that were asked for hold
+        training = (
+            skip_if_stopped(
+                stopped,
+                BANDS_NOT_CHOSEN,
+                lambda: _with_prediction_bands(training, start, result, say),
+            )
+            or training
+        )
     settings = training.settings
     laws = skip_if_stopped(stopped, NO_LAWS, lambda: find_laws(result, say)) or LawSearch(
         result=result
@@ -415,14 +422,12 @@ def _with_prediction_bands(
     start: tuple[Extension, ...],
     result: SearchResult,
     say: Say,
-    *,
-    fixed: bool,
 ) -> Training:
     """Return the training runs with the bands of predictions, unless these are fixed.
 
     Those of a model hold, poses at rest have none, and vibration follows the band of the fit.
     """
-    fixed |= training.settings.predict is not None or training.robot.vibrates
+    fixed = training.settings.predict is not None or training.robot.vibrates
     if fixed or training.recorded[0].at_rest:
         return training
     say("choose how fast a motion predictions follow")
