@@ -67,6 +67,7 @@ from stiffopt.discovery.search_training import search_training_runs
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.steps import (
     BAND_NOT_VARIED,
+    BANDS_NOT_CHOSEN,
     FRICTION_NOT_REFITTED,
     NO_BURSTS,
     NO_EXPERIMENT,
@@ -240,7 +241,9 @@ def _run_diagnosis(
     start = () if base is None else (base.extension,)
     # Bands that were asked for hold, and a stopped diagnosis takes no longer.
     asked_band = settings.cutoff is not None or bool(stopped)
-    training = _with_prediction_bands(training, start, result, say, fixed=asked_band)
+    if not asked_band:
+        bands = partial(_with_prediction_bands, training, start, result, say)
+        training = skip_if_stopped(stopped, BANDS_NOT_CHOSEN, bands) or training
     settings = training.settings
     laws = skip_if_stopped(stopped, NO_LAWS, lambda: find_laws(result, say)) or LawSearch(
         result=result
@@ -259,13 +262,11 @@ def _run_diagnosis(
     )
     parameters = add_scale_deviation(parameters, selected)
     located = tuple(s.located for s in selected)
-    again = skip_if_stopped(
+    again, selected = skip_if_stopped(
         stopped,
         NOT_PERTURBED,
         lambda: _perturb_findings(training, result, selected, half_band, say),
-    )
-    if again is None:
-        again = np.ones(len(selected))
+    ) or (np.ones(len(selected)), selected)
     findings = finish_step(
         stopped,
         lambda: build_findings(result.comparison, selected, parameters, training, again),
@@ -415,14 +416,12 @@ def _with_prediction_bands(
     start: tuple[Extension, ...],
     result: SearchResult,
     say: Say,
-    *,
-    fixed: bool,
 ) -> Training:
     """Return the training runs with the bands of predictions, unless these are fixed.
 
     Those of a model hold, poses at rest have none, and vibration follows the band of the fit.
     """
-    fixed |= training.settings.predict is not None or training.robot.vibrates
+    fixed = training.settings.predict is not None or training.robot.vibrates
     if fixed or training.recorded[0].at_rest:
         return training
     say("choose how fast a motion predictions follow")
@@ -446,10 +445,10 @@ def _perturb_findings(
     selected: Sequence[Selected],
     half_band: Callable[[], Comparison | None],
     say: Say,
-) -> np.ndarray:
-    """Return the share of the perturbation ensemble in which each finding is named again."""
+) -> tuple[np.ndarray, tuple[Selected, ...]]:
+    """Return how often each finding is named again in the ensemble, and their odds there."""
     if not selected:
-        return np.ones(0)
+        return np.ones(0), ()
     say("fit the findings again to perturbed runs and models")
     vibrates = training.runs[0].vibration is not None
     other = None if vibrates else half_band()
