@@ -24,6 +24,7 @@ from stiffopt.discovery.comparison.evidence import (
     savage_dickey,
 )
 from stiffopt.discovery.comparison.inertial_parameters import body_units
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.search.cross_validation import number_folds, stack_columns
 from stiffopt.discovery.search.rigid_model import PRIOR_WIDTHS
@@ -72,20 +73,21 @@ def recurrence(
     """
     signs = np.sign(comparison.fit([each.located for each in selected]).amplitudes())
     own = _Member(comparison, selected, signs)
-    ranked = own.rival_leads()
-    kinds = [[own.judge(ranked, kept) for kept in kind] for kind in _kept_rows(comparison)]
+    kinds = [[own.judge(kept) for kept in kind] for kind in _kept_rows(comparison)]
     for others in _other_members(comparison, half_band, free_bodies=free_bodies):
-        kinds.append([_Member(other, selected, signs).judge(ranked) for other in others])
+        kinds.append([_Member(other, selected, signs).judge() for other in others])
     share = _mean_by_kind([[(m.again, m.acts) for m in kind] for kind in kinds])
-    odds = [
-        _mean_by_kind([[(m.odds[k], m.acts[k]) for m in kind] for kind in kinds])
-        for k in range(len(selected))
-    ]
+    ranked, odds = own.judge().leads, []
+    for k, (each, before) in enumerate(zip(selected, ranked, strict=True)):
+        own_odds = [
+            [(odds_in_member(each, m.leads[k], before), m.acts[k]) for m in kind] for kind in kinds
+        ]
+        odds.append(_mean_by_kind(own_odds))
     drifts = np.array([each.located.effect.of_runs is not None for each in selected])
     if drifts.any():
         number = comparison.rows.sample_signal(lambda run: np.full(len(run.time), run.index))
         for left_out in np.unique(number):
-            member = own.judge(ranked, number != left_out)
+            member = own.judge(number != left_out)
             share = np.where(drifts & member.acts & ~member.again, 0.0, share)
     return np.nan_to_num(share, nan=1.0), tuple(map(_with_odds, selected, odds))
 
@@ -150,13 +152,13 @@ class _Judgement:
     ----------
     again, acts : array (e,) of bool
         Findings that are named again, and that act in its rows.
-    odds : sequence of array (1 + r,)
-        Probabilities of each finding and of its rivals, which add up to one.
+    leads : sequence of array (1 + r,)
+        Log evidence for each finding, and the leads of its rivals over it in its place.
     """
 
     again: np.ndarray
     acts: np.ndarray
-    odds: Sequence[np.ndarray]
+    leads: Sequence[np.ndarray]
 
 
 class _Member:
@@ -175,29 +177,28 @@ class _Member:
     ) -> None:
         located = [each.located for each in selected]
         self._selected, self._signs, self._target = selected, signs, comparison.target
-        self._every_row = np.ones(len(comparison.target), dtype=bool)
         self._columns, self._prior, self._owner = stack_columns(comparison, located)
         self._rivals = [
             [comparison.effect_columns(rival) for rival, _ in each.rivals] for each in selected
         ]
 
-    def judge(self, ranked: Sequence[np.ndarray], kept: np.ndarray | None = None) -> _Judgement:
-        """Return which findings are named again, and their odds.
+    def judge(self, kept: np.ndarray | None = None) -> _Judgement:
+        """Return which findings are named again, and the leads of their rivals.
 
         Parameters
         ----------
-        ranked : sequence of array (1 + r,)
-            Evidence and leads in the comparison that they were ranked in.
         kept : array (m,) of bool, optional
             Rows that are fitted; default all.
         """
-        kept = self._every_row if kept is None else kept
+        if kept is None:
+            kept = np.ones(len(self._target), dtype=bool)
         columns, target = self._columns[kept], self._target[kept]
         found = _fit(columns, target, self._prior)
         share = float(np.mean(kept))
         first = int(np.sum(self._owner < 0))
         again = np.zeros(len(self._selected), dtype=bool)
         acts = np.zeros(len(self._selected), dtype=bool)
+        leads = []
         for k, each in enumerate(self._selected):
             rows = np.flatnonzero(self._owner == k)
             square = float(np.sum(self._columns[:, rows] ** 2))
@@ -210,29 +211,31 @@ class _Member:
             same_sign = drifts or mean[main] * self._signs[rows[main] - first] > 0.0
             asked = MIN_EVIDENCE_KEPT * share * min(NAMED_EVIDENCE, each.loss)
             again[k] = gained >= asked and same_sign
-        leads = self.rival_leads(kept)
-        odds = list(map(odds_in_member, self._selected, leads, ranked))
-        return _Judgement(again=again, acts=acts, odds=odds)
+            ahead = [
+                self._lead(k, located, rival, kept, mean, covariance)
+                for (located, _), rival in zip(each.rivals, self._rivals[k], strict=True)
+            ]
+            leads.append(np.array([gained, *ahead]))
+        return _Judgement(again=again, acts=acts, leads=leads)
 
-    def rival_leads(self, kept: np.ndarray | None = None) -> list[np.ndarray]:
-        """Return the log evidence (1 + r,) for every finding, and its rivals' leads over it."""
-        kept = self._every_row if kept is None else kept
-        found = _fit(self._columns[kept], self._target[kept], self._prior)
-        leads = []
-        for k, each in enumerate(self._selected):
-            rows, others = np.flatnonzero(self._owner == k), self._owner != k
-            own = found.mean[rows], found.covariance[np.ix_(rows, rows)]
-            leads.append([savage_dickey(*own)])
-            for (located, _), rival in zip(each.rivals, self._rivals[k], strict=True):
-                columns = np.column_stack([self._columns[:, others], rival])[kept]
-                prior = np.concatenate([self._prior[others], np.ones(rival.shape[1])])
-                instead = _fit(columns, self._target[kept], prior)
-                last = slice(int(others.sum()), None)
-                twin = located.effect.is_twin(each.located.effect)
-                measure = log_likelihood_gain if twin else savage_dickey
-                ahead = measure(instead.mean[last], instead.covariance[last, last])
-                leads[-1].append(ahead - measure(*own))
-        return [np.array(each) for each in leads]
+    def _lead(
+        self,
+        k: int,
+        located: LocatedEffect,
+        columns: np.ndarray,
+        kept: np.ndarray,
+        mean: np.ndarray,
+        covariance: np.ndarray,
+    ) -> float:
+        """Return the lead of a rival with some columns in place of a finding."""
+        others = self._owner != k
+        beside = np.column_stack([self._columns[:, others], columns])[kept]
+        prior = np.concatenate([self._prior[others], np.ones(columns.shape[1])])
+        found = _fit(beside, self._target[kept], prior)
+        rows = slice(int(others.sum()), None)
+        twin = located.effect.is_twin(self._selected[k].located.effect)
+        measure = log_likelihood_gain if twin else savage_dickey
+        return measure(found.mean[rows], found.covariance[rows, rows]) - measure(mean, covariance)
 
 
 def odds_in_member(selected: Selected, leads: np.ndarray, ranked: np.ndarray) -> np.ndarray:
