@@ -32,6 +32,7 @@ from stiffopt.result.trajectory import JointMotion
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.result.tool_error import LedError
     from stiffopt.robot.robot import Robot
 
 _MotionArrays = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -50,6 +51,7 @@ def assess(
     motion: JointMotion,
     *,
     times: np.ndarray | None = None,
+    led: LedError | None = None,
 ) -> Assessment:
     """Evaluate `motion` with the unsmoothed model.
 
@@ -63,6 +65,8 @@ def assess(
     times : array, optional [s]
         Default: 6001 equal steps and, where the motion has them, its own break times. Only then is
         the elastic arm simulated, where a limit or an objective concerns residual vibration.
+    led : LedError, optional
+        Of the same links with other motors, where known: an exact lead depends on the links alone.
     """
     robot = problem.robot
     whole = times is None
@@ -120,8 +124,8 @@ def assess(
         if values is not None
         for j, value in enumerate(values, start=1)
     }
-    swing = led = None
-    if whole and problem.judges_uncertain_arms:
+    swing = None
+    if whole and led is None and problem.judges_uncertain_arms:
         with suppress(NotSimulatedError):
             led = led_error(
                 ElasticArm(robot, position[0], problem.process_force),

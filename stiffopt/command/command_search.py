@@ -207,7 +207,7 @@ class CommandSearch:
             planned=_summarise_spreads(errors, slice(count), arms, len(drawn)),
             compensated=_summarise_spreads(errors, slice(count, None), arms, len(drawn)),
             nominal=self._nominal,
-            worst=arms[int(np.argmax(errors.peaks(errors.flight)["position"][count:]))],
+            worst=arms[int(np.argmax(errors.peak(errors.flight)[count:]))],
             spacing=made.spacing,
             share=made.share,
             excess=self._motor_violations(made.motors),
@@ -223,10 +223,11 @@ class CommandSearch:
         members = [Member(command=own, departure=arm) for own in commands for arm in arms]
         errors = yield SimulationRequest(self._many, members)
         flight, after = (
-            errors.peaks(phase)["position"].reshape(len(commands), len(arms)).max(axis=1)
+            errors.peak(phase).reshape(len(commands), len(arms)).max(axis=1)
             for phase in (errors.flight, errors.after)
         )
-        best = [tried[k] for k in np.argsort(flight + after, kind="stable")]
+        order = np.argsort(flight + after, kind="stable").tolist()
+        best: list[ExistingCommand] = [tried[k] for k in order]
         # The trial grid may miss excesses shorter than its step, such as the jerk at an end.
         for each in best:
             if self._excess_beyond_plan(each.motors) <= CERTIFICATE_TOLERANCE:

@@ -239,11 +239,15 @@ def _run_diagnosis(
     )
     stopped = describe_stop(result)
     start = () if base is None else (base.extension,)
-    # Bands that were asked for hold, and a stopped diagnosis takes no longer.
-    asked_band = settings.cutoff is not None or bool(stopped)
-    if not asked_band:
-        bands = partial(_with_prediction_bands, training, start, result, say)
-        training = skip_if_stopped(stopped, BANDS_NOT_CHOSEN, bands) or training
+    if settings.cutoff is None:  # bands that were asked for hold
+        training = (
+            skip_if_stopped(
+                stopped,
+                BANDS_NOT_CHOSEN,
+                lambda: _with_prediction_bands(training, start, result, say),
+            )
+            or training
+        )
     settings = training.settings
     laws = skip_if_stopped(stopped, NO_LAWS, lambda: find_laws(result, say)) or LawSearch(
         result=result

@@ -25,8 +25,8 @@ FRICTION_NOT_REFITTED = (
 )
 NO_LIMITS = "Stopped by the user: detection limits were not calculated."
 NO_BURSTS = "Stopped by the user: torque bursts above the filter's band were not searched for."
+BANDS_NOT_CHOSEN = "Stopped by the user: predicted torques follow the band of the fit."
 BAND_NOT_VARIED = "Stopped by the user: standard deviations do not include a fit in half the band."
-BANDS_NOT_CHOSEN = "Stopped by the user: predictions follow the motion in the band of the fit."
 NOT_PERTURBED = "Stopped by the user: findings were not fitted again to perturbed runs."
 NO_SIMULATION = "Stopped by the user: no simulation from commands was fitted."
 NO_LAWS = "Stopped by the user: no law beyond the catalogue was searched for."

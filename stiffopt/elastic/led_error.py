@@ -69,7 +69,7 @@ def _worst_error(
     levels = np.concatenate([worst, alone])
     members = [Member(command=command, departure=box.departure(each)) for each in levels]
     error = yield SimulationRequest(many, members)
-    flight, after = (error.peaks(each)["position"] for each in (error.flight, error.after))
+    flight, after = (error.peak(each) for each in (error.flight, error.after))
     hardest = int(np.argmax(flight[: len(worst)]))
     instant = int(np.argmax(np.where(error.flight, error.distance[hardest], -1.0)))
     nominal, *single = error.position[len(worst) :, instant]

@@ -46,7 +46,7 @@ def worst_levels(
         flat = levels.reshape(-1, levels.shape[-1])
         members = [Member(command=command, departure=box.departure(each)) for each in flat]
         error = yield SimulationRequest(many, members)
-        peaks = [error.peaks(phase)["position"] for phase in (error.flight, error.after)]
+        peaks = [error.peak(phase) for phase in (error.flight, error.after)]
         return np.array(peaks).reshape(2, *levels.shape[:-1])
 
     corners = box.alike_corners()

@@ -77,12 +77,16 @@ class ToolError:
         The keys are "position", "along", "across" [m] and "orientation" [rad].
         """
         parts = {
-            "position": self.distance,
             "along": np.abs(self.along),
             "across": self.across,
             "orientation": self.angle,
         }
-        return {name: part[..., phase].max(axis=-1) for name, part in parts.items()}
+        others = {name: part[..., phase].max(axis=-1) for name, part in parts.items()}
+        return {"position": self.peak(phase), **others}
+
+    def peak(self, phase: np.ndarray) -> np.ndarray:
+        """Largest position error (..,) over the instants of a mask (K,) [m]."""
+        return np.asarray(self.distance[..., phase].max(axis=-1))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -29,7 +29,7 @@ from stiffopt.solver.exact_rows import (
 from stiffopt.solver.exchange import OutcomeOracle, Proposal, Rank, exchange, keep_better
 from stiffopt.solver.programme import Outcome, motors_with_law, solve_again
 from stiffopt.solver.solve_run import SolveRun
-from stiffopt.solver.vibration_suppression import suppress_vibration
+from stiffopt.solver.vibration_suppression import SimulatedMotors, suppress_vibration
 from stiffopt.transcription.constraint_back_off import back_off_uniformly
 from stiffopt.transcription.nlp import Nlp
 
@@ -143,7 +143,8 @@ def _suppress_vibration(run: SolveRun, outcome: Outcome) -> Outcome:
         return outcome
     try:
         arm = run.arm.with_fast_joints_following(run.motion.start)
-        found = suppress_vibration(run, arm, outcome.trajectory, CERTIFICATE_TOLERANCE)
+        start = SimulatedMotors.of(arm, outcome.trajectory, outcome.assessment)
+        found = suppress_vibration(run, arm, start, CERTIFICATE_TOLERANCE)
     except NotSimulatedError:
         return outcome
     changed = replace(outcome, trajectory=found.motors, assessment=found.assessment, arm=found)
@@ -157,7 +158,7 @@ def _replace_motors(
     trajectory = motors_with_law(run, outcome, share, sagged=sagged)
     if drive_violations(run.problem, trajectory)[0].value > CERTIFICATE_TOLERANCE:
         return None
-    assessment = assess(run.problem, trajectory)
+    assessment = assess(run.problem, trajectory, led=outcome.assessment.led)
     if worst_flight_violation(assessment) > CERTIFICATE_TOLERANCE:
         return None
     return replace(outcome, trajectory=trajectory, assessment=assessment)

@@ -58,6 +58,8 @@ class Outcome:
     ----------
     raw : RawSolution
     transcription : Transcription
+    planned : Trajectory
+        As integrated by the transcription, of the links or of the path parameter.
     trajectory : Trajectory
     assessment : Assessment
     objective_gap : float
@@ -74,6 +76,7 @@ class Outcome:
 
     raw: RawSolution
     transcription: Transcription
+    planned: Trajectory
     trajectory: Trajectory
     assessment: Assessment
     objective_gap: float
@@ -262,11 +265,13 @@ def certify_outcome(
     run: SolveRun, made: Programme, raw: RawSolution, smoothing: Smoothing
 ) -> Outcome:
     """Return the certified motion of a solved stage, kept where it is the best so far."""
-    trajectory = _build_trajectory(run, made.transcription, raw.x, smoothing.law)
+    planned = Trajectory.from_acceleration(*made.transcription.acceleration_polynomials(raw.x))
+    trajectory = _follow_plan(run, planned, smoothing.law)
     assessment = assess(run.problem, trajectory)
     outcome = Outcome(
         raw=raw,
         transcription=made.transcription,
+        planned=planned,
         trajectory=trajectory,
         assessment=assessment,
         objective_gap=_objective_gap(run, made.transcription, raw, smoothing, assessment),
@@ -303,21 +308,14 @@ def motors_with_law(run: SolveRun, outcome: Outcome, share: float, *, sagged: bo
 
     With `sagged` the spring torques are those at the sagged, else at the planned link positions.
     """
-    law, x = share * outcome.smoothing.law, outcome.raw.x
-    return _build_trajectory(run, outcome.transcription, x, law, sagged=sagged)
+    return _follow_plan(run, outcome.planned, share * outcome.smoothing.law, sagged=sagged)
 
 
-def _build_trajectory(
-    run: SolveRun,
-    transcription: Transcription,
-    x: np.ndarray,
-    law: float,
-    *,
-    sagged: bool = False,
+def _follow_plan(
+    run: SolveRun, motion: Trajectory, law: float, *, sagged: bool = False
 ) -> Trajectory:
-    """Return the motion of the joints, exactly as the transcription integrates it."""
+    """Return the motion of the joints by a planned motion."""
     problem = run.problem
-    motion = Trajectory.from_acceleration(*transcription.acceleration_polynomials(x))
     if problem.plans_links:
         return run.motors.motion(motion, LAW_SMOOTHING_FACTOR * law, run.lag, sagged=sagged)
     if problem.path is None:

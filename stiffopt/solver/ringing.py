@@ -43,8 +43,9 @@ class RingingBesideRivals(OutcomeOracle):
         with suppress(NotSimulatedError):
             arm, duration = elastic_arm(run.problem, run.motion.start), outcome.assessment.duration
             motions = rival_motions(run.problem, run.motion, duration)
-            run.rivals = duration, rival_commands(run.problem, arm, motions, run.motors)
-            kept = [each.compensated for each in run.rivals[1] if not each.excess]
+            found = rival_commands(run.problem, arm, motions, run.motors)
+            run.rivals = duration, motions, found
+            kept = [each.compensated for each in found if not each.excess]
             self._best = min(kept, key=lambda each: each.worst_case, default=None)
 
     def rank(self, found: Outcome) -> Rank:

@@ -58,7 +58,7 @@ def with_simulation(
     progress: ProgressCallback | None = None,
     motion: ResolvedMotion | None = None,
     command: CommandOnArms | None = None,
-    rivals: tuple[float, list[CommandOnArms]] | None = None,
+    rivals: tuple[float, list[PlannedMotion], list[CommandOnArms]] | None = None,
 ) -> Solution:
     """Return the solution with its simulation and its command, or with a note on why there is none.
 
@@ -81,8 +81,12 @@ def with_simulation(
         if solution.trajectory is not None and solution.trajectory.link is not None:
             own = replace(own, motors=solution.trajectory)
 
+        if rivals is not None and not np.isclose(rivals[0], assessment.duration):
+            rivals = None
+
         def simulated() -> tuple[list[PlannedMotion], Simulation] | None:
-            motions = [own, *rival_motions(problem, motion, assessment.duration)]
+            others = rivals[1] if rivals else rival_motions(problem, motion, assessment.duration)
+            motions = [own, *others]
             band = problem.active_limits.settling_band
             return motions, simulate_motions(problem, arm, motions, band=band)
 
@@ -98,11 +102,9 @@ def with_simulation(
         if command is not None and command.motion.motors is not solution.trajectory:
             command = None
         tell = _progress_callback(progress, solution)
-        others = None
-        if rivals is not None and np.isclose(rivals[0], assessment.duration):
-            others = rivals[1]
+        known = rivals[2] if rivals else None
         compensation = until_interrupted(
-            lambda: compensate(problem, arm, motions, known=command, rivals=others, progress=tell),
+            lambda: compensate(problem, arm, motions, known=command, rivals=known, progress=tell),
             lambda: None,
         )
     except NotSimulatedError as error:

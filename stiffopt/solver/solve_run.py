@@ -29,6 +29,7 @@ from stiffopt.solver.stage_plan import SolveStage
 
 if TYPE_CHECKING:
     from stiffopt.command.command_search import CommandOnArms
+    from stiffopt.command.simulation import PlannedMotion
     from stiffopt.result.solution import Solution
     from stiffopt.solver.programme import Outcome
 
@@ -95,8 +96,8 @@ class SolveRun:
     detour: Baseline | None = None
     strict: Baseline | None = None
     command: CommandOnArms | None = None
-    # Duration for which the rivals' commands were made [s], and those.
-    rivals: tuple[float, list[CommandOnArms]] | None = None
+    # Duration for which the rivals were searched [s], those, and their commands.
+    rivals: tuple[float, list[PlannedMotion], list[CommandOnArms]] | None = None
     begin: float = field(default_factory=time.perf_counter)
     build_s: float = 0.0
     solve_s: float = 0.0

@@ -360,9 +360,9 @@ class SimulatedMotors:
     simulated: SimulatedMotion
 
     @classmethod
-    def of(cls, problem: TrajectoryProblem, arm: ElasticArm, motors: Trajectory) -> SimulatedMotors:
-        """Certify and simulate a motion of the motors."""
-        return cls(motors, assess(problem, motors), simulate(arm, MotorMotion.of(motors)))
+    def of(cls, arm: ElasticArm, motors: Trajectory, assessment: Assessment) -> SimulatedMotors:
+        """Simulate a certified motion of the motors."""
+        return cls(motors, assessment, simulate(arm, MotorMotion.of(motors)))
 
     @cached_property
     def planned(self) -> float:
@@ -390,7 +390,7 @@ class SimulatedMotors:
 
 
 def suppress_vibration(
-    run: SolveRun, arm: ElasticArm, motors: Trajectory, tolerance: float
+    run: SolveRun, arm: ElasticArm, start: SimulatedMotors, tolerance: float
 ) -> SimulatedMotors:
     """Return motors whose links follow their plan most closely, unchanged where no change helps.
 
@@ -398,7 +398,7 @@ def suppress_vibration(
     ----------
     run : SolveRun
     arm : ElasticArm
-    motors : Trajectory
+    start : SimulatedMotors
         Of planned links that are at rest at both ends.
     tolerance : float
         Allowed relative excess of limits.
@@ -408,7 +408,6 @@ def suppress_vibration(
     NotSimulatedError
         The arm cannot be simulated.
     """
-    start = SimulatedMotors.of(run.problem, arm, motors)
     return exchange(run, MotorChanges(run.problem, arm, start, tolerance), start)
 
 
@@ -455,6 +454,7 @@ class MotorChanges(Oracle[SimulatedMotors]):
             motors = change_motors(
                 self._problem, self._arm, last.motors, last.assessment, last.simulated, near, after
             )
-            return SimulatedMotors.of(self._problem, self._arm, motors)
+            assessment = assess(self._problem, motors, led=last.assessment.led)
+            return SimulatedMotors.of(self._arm, motors, assessment)
 
         return Proposal(f"the tool leaves its plan by {last.off:.1%} of the peak", change)

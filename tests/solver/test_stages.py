@@ -61,9 +61,6 @@ def test_coarse_meshes_grow_with_the_phases():
     assert coarse.intervals >= 6 * 31
     assert middle.intervals >= 10 * 31
     assert fine.intervals == 600
-    assert solver_options(many).linear_solver == "auto"
-    hundred = replace(problem, vias=problem.vias[:1] * 100)
-    assert solver_options(hundred).linear_solver == "mumps"
     assert solver_options(many).max_iterations > solver_options(problem).max_iterations
 
 

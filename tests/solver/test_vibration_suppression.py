@@ -135,8 +135,9 @@ def test_motors_within_target_deviation_are_unchanged(solved, monkeypatch):
     problem, _, after = solved
     arm = elastic_arm(problem, after.assessment.position[0])
     monkeypatch.setattr(vibration_suppression, "_TARGET_DEVIATION", 1.0)
+    start = vibration_suppression.SimulatedMotors.of(arm, after.trajectory, after.assessment)
     motors = vibration_suppression.suppress_vibration(
-        solve_run(problem), arm, after.trajectory, CERTIFICATE_TOLERANCE
+        solve_run(problem), arm, start, CERTIFICATE_TOLERANCE
     ).motors
     assert motors is after.trajectory
 
@@ -145,7 +146,7 @@ def test_second_change_follows_a_worse_first_one(monkeypatch):
     away = iter([0.5, 0.6, 0.1, 0.095, 0.0])
 
     class Judged:
-        planned, motors, assessment, simulated = 1.0, None, None, None
+        planned, motors, led, assessment, simulated = 1.0, None, None, None, None
 
         def __init__(self, *_):
             self.off, self.assessment = next(away), self
@@ -156,11 +157,14 @@ def test_second_change_follows_a_worse_first_one(monkeypatch):
         def feasible(self, _):
             return True
 
+    monkeypatch.setattr(vibration_suppression, "assess", lambda *_, **__: None)
     monkeypatch.setattr(vibration_suppression.SimulatedMotors, "of", Judged)
     monkeypatch.setattr(vibration_suppression, "change_motors", lambda *_: None)
     # Past a kink the response is not linear; later changes without gain end it.
     assert (
-        vibration_suppression.suppress_vibration(solve_run(), None, None, CERTIFICATE_TOLERANCE).off
+        vibration_suppression.suppress_vibration(
+            solve_run(), None, Judged(), CERTIFICATE_TOLERANCE
+        ).off
         == 0.095
     )
 
@@ -169,7 +173,7 @@ def test_changes_continue_while_a_limit_after_arrival_is_exceeded(monkeypatch):
     away, given = iter([(0.02, 3.0), (0.015, 1.0), (0.01, 0.0)]), []
 
     class Judged:
-        planned, motors, simulated = 1.0, None, None
+        planned, motors, led, simulated = 1.0, None, None, None
 
         def __init__(self, *_):
             self.off, self.excess = next(away)
@@ -181,12 +185,15 @@ def test_changes_continue_while_a_limit_after_arrival_is_exceeded(monkeypatch):
         def feasible(self, _):
             return self.excess <= 0.0
 
+    monkeypatch.setattr(vibration_suppression, "assess", lambda *_, **__: None)
     monkeypatch.setattr(vibration_suppression.SimulatedMotors, "of", Judged)
     monkeypatch.setattr(
         vibration_suppression, "change_motors", lambda *asked: given.append(asked[-2:])
     )
     assert (
-        vibration_suppression.suppress_vibration(solve_run(), None, None, CERTIFICATE_TOLERANCE).off
+        vibration_suppression.suppress_vibration(
+            solve_run(), None, Judged(), CERTIFICATE_TOLERANCE
+        ).off
         == 0.01
     )
     # By how much it is exceeded, the change is to be nearer, and after arrival the more.
@@ -199,7 +206,7 @@ def test_limit_after_arrival_gets_twice_as_many_changes(monkeypatch):
     away, made = iter([0.2, 0.15, 0.16, 0.14, 0.15, 0.12, 0.05]), []
 
     class Judged:
-        planned, motors, simulated = 1.0, None, None
+        planned, motors, led, simulated = 1.0, None, None, None
 
         def __init__(self, *_):
             self.off = next(away)
@@ -211,10 +218,13 @@ def test_limit_after_arrival_gets_twice_as_many_changes(monkeypatch):
         def feasible(self, _):
             return self.off < 0.1
 
+    monkeypatch.setattr(vibration_suppression, "assess", lambda *_, **__: None)
     monkeypatch.setattr(vibration_suppression.SimulatedMotors, "of", Judged)
     monkeypatch.setattr(vibration_suppression, "change_motors", lambda *_: made.append(1))
     assert (
-        vibration_suppression.suppress_vibration(solve_run(), None, None, CERTIFICATE_TOLERANCE).off
+        vibration_suppression.suppress_vibration(
+            solve_run(), None, Judged(), CERTIFICATE_TOLERANCE
+        ).off
         == 0.05
     )
     assert len(made) == 6
