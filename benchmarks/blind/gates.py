@@ -156,7 +156,7 @@ GATES = tuple(
         ("left_open", "odds: laws left open", (f"{_CONCLUSIONS}:left_out_gains",), _gains_with(left_open=0.0), None),
         ("spread", "odds: spread of the gain", (f"{_CONCLUSIONS}:left_out_gains",), _gains_with(support=1.0), None),
         ("null", "odds: p-value", (f"{_CONCLUSIONS}:_null_share",), _always(0.0), None),
-        ("ensemble", "odds: perturbation ensemble", (f"{_DIAGNOSE}:recurrence",), lambda _, comparison, selected, *__, **___: np.ones(len(selected)), None),
+        ("ensemble", "odds: perturbation ensemble", (f"{_DIAGNOSE}:recurrence",), lambda _, comparison, selected, *__, **___: (np.ones(len(selected)), tuple(selected)), None),
         ("quasi_static", "quasi-static retry", (f"{_TRAINING}:_retry_quasi_static",), lambda _, recordings, training, asked, base, say, result: (training, result), None),
         ("contacts", "contact intervals excluded", (f"{_TRAINING}:_exclude_contacts",), lambda _, r, training, a, s, b, say, result: (training, result, ()), None),
     )

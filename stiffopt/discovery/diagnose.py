@@ -266,13 +266,11 @@ def _run_diagnosis(
     )
     parameters = add_scale_deviation(parameters, selected)
     located = tuple(s.located for s in selected)
-    again = skip_if_stopped(
+    again, selected = skip_if_stopped(
         stopped,
         NOT_PERTURBED,
         lambda: _perturb_findings(training, result, selected, half_band, say),
-    )
-    if again is None:
-        again = np.ones(len(selected))
+    ) or (np.ones(len(selected)), selected)
     findings = finish_step(
         stopped,
         lambda: build_findings(result.comparison, selected, parameters, training, again),
@@ -451,10 +449,10 @@ def _perturb_findings(
     selected: Sequence[Selected],
     half_band: Callable[[], Comparison | None],
     say: Say,
-) -> np.ndarray:
-    """Return the share of the perturbation ensemble in which each finding is named again."""
+) -> tuple[np.ndarray, tuple[Selected, ...]]:
+    """Return how often each finding is named again in the ensemble, and their odds there."""
     if not selected:
-        return np.ones(0)
+        return np.ones(0), ()
     say("fit the findings again to perturbed runs and models")
     vibrates = training.runs[0].vibration is not None
     other = None if vibrates else half_band()

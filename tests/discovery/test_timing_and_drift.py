@@ -122,6 +122,20 @@ def test_shift_agrees_with_the_one_it_is_linear_about(name: str, about: float) -
     assert max(abs(low), abs(high)) < 10.0 * min(abs(low), abs(high))
 
 
+@pytest.mark.parametrize(
+    ("name", "least"), [("time_delay", 7e-5), ("run_clock", 4e-4), ("clock_drift", 7e-5)]
+)
+def test_every_shift_agrees_with_one_that_a_search_starts_from(name: str, least: float) -> None:
+    """A drift of clocks of 1e-4 was at 20 deviations, and ten times below the least start."""
+    entry = effect(name)
+    starts = [LocatedEffect(effect=entry, shapes=(s,)) for s in entry.shapes[0].starts]
+    size = starts[0].sizes(ROBOT.constants)[0]
+    ranges = np.array([each.bounds(ROBOT.constants)[0] * size for each in starts])
+    for shift in np.geomspace(least, 2.0 * abs(entry.shapes[0].starts[0]), 100):
+        for signed in (shift, -shift):
+            assert np.any((ranges[:, 0] <= signed) & (signed <= ranges[:, 1])), signed
+
+
 @pytest.mark.parametrize("rate", [2e-3, -5e-3])
 def test_clock_drift_reads_torque_at_drifted_instants(rate: float) -> None:
     time = 0.004 * np.arange(1500)

@@ -9,7 +9,7 @@ from shipped_set import SHIPPED
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.judging.ensemble import _mean_share, recurrence
+from stiffopt.discovery.judging.ensemble import _mean_by_kind, odds_in_member, recurrence
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.tournament import (
     CATALOGUE_MODEL,
@@ -38,20 +38,31 @@ def _selected(located: LocatedEffect) -> Selected:
 
 def test_present_effect_is_named_by_all_members_and_absent_by_none(comparison: Comparison) -> None:
     found = [_selected(PRESENT), _selected(ABSENT)]
-    again = recurrence(comparison, found, None, free_bodies=False)
+    again, _ = recurrence(comparison, found, None, free_bodies=False)
     np.testing.assert_array_equal(again, [1.0, 0.0])
 
 
-@pytest.mark.parametrize(("width", "share"), [(1.0, 0.0), (5.0, 1.0)])
-def test_only_a_rival_that_is_far_ahead_is_named_instead(
-    comparison: Comparison, width: float, share: float
+@pytest.mark.parametrize("width", [1.5, 5.0])
+def test_a_rival_ahead_in_all_members_alike_takes_nothing_beyond_its_odds(
+    comparison: Comparison, width: float
 ) -> None:
-    """A bump as wide as the stroke is dry friction in all but name."""
+    """Its lead over a bump, dry friction in all but name, is in the odds of the ranking already."""
     bump = LocatedEffect(effect=effect("position_friction"), joint=1, shapes=(0.5, width))
-    beaten = Selected(bump, 1.0, 1.0, 1.0, ((PRESENT, 0.9),), 1)
-    assert recurrence(comparison, [beaten], None, free_bodies=False) == [share]
-    ahead = Selected(PRESENT, 1.0, 1.0, 1.0, ((bump, 0.1),), 1)
-    assert recurrence(comparison, [ahead], None, free_bodies=False) == [1.0]
+    ranked = Selected(bump, 1.0, 1.0, 0.6, ((PRESENT, 0.4),), 1)
+    again, (found,) = recurrence(comparison, [ranked], None, free_bodies=False)
+    assert again == [1.0]
+    assert found.probability + found.rivals[0][1] == pytest.approx(1.0, abs=1e-9)
+    assert found.probability == pytest.approx(0.6, abs=0.15)
+
+
+def test_a_rival_that_gains_in_members_takes_the_probability_of_the_finding() -> None:
+    found = Selected(ABSENT, 1.0, 1.0, 0.9, ((PRESENT, 0.1),), 1)
+    ranked = np.array([40.0, 8.0])
+    same = odds_in_member(found, np.array([20.0, 4.0]), ranked)
+    assert same == pytest.approx([0.9, 0.1])
+    one = odds_in_member(found, np.array([20.0, 5.0]), ranked)
+    assert one[1] / one[0] == pytest.approx(np.exp(1.0) / 9.0)
+    assert odds_in_member(found, np.array([20.0, 24.0]), ranked)[1] > 0.999
 
 
 def test_model_with_the_present_effect_wins(comparison: Comparison) -> None:
@@ -75,5 +86,5 @@ def test_friction_lines_win_over_an_effect_that_only_fits_noise(comparison: Comp
 def test_kinds_of_perturbation_have_equal_weight() -> None:
     """Named without each of nine stretches, but not with free masses."""
     acts, yes, no = np.ones(1, dtype=bool), np.ones(1, dtype=bool), np.zeros(1, dtype=bool)
-    share = _mean_share([[(yes, acts)] * 9, [(no, acts)], [(yes, ~acts)]], 1)
+    share = _mean_by_kind([[(yes, acts)] * 9, [(no, acts)], [(yes, ~acts)]])
     np.testing.assert_array_equal(share, [0.5])

@@ -38,7 +38,7 @@ CLOCK_DRIFT = Effect(
         Shape(
             "about",
             "",
-            (-4e-3, -1e-3, 1e-3, 4e-3),
+            (-4e-3, -1e-3, -2e-4, 2e-4, 1e-3, 4e-3),
             -_MAX_RATE_DIFFERENCE,
             _MAX_RATE_DIFFERENCE,
             1e-5,

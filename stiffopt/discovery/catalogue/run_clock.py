@@ -26,7 +26,12 @@ RUN_CLOCK = Effect(
     amplitudes=(Amplitude("d", "s", 0.02, -10.0, 10.0),),
     shapes=(
         Shape(
-            "about", "s", (-0.08, -0.02, -0.005, 0.005, 0.02, 0.08), -_MAX_OFFSET, _MAX_OFFSET, 1e-4
+            "about",
+            "s",
+            (-0.08, -0.02, -0.005, -1e-3, 1e-3, 0.005, 0.02, 0.08),
+            -_MAX_OFFSET,
+            _MAX_OFFSET,
+            1e-4,
         ),
     ),
     linear_about=True,

@@ -30,7 +30,14 @@ TIME_DELAY = Effect(
     term=delay_term,
     amplitudes=(Amplitude("d", "s", 5e-3, -10.0, 10.0),),
     shapes=(
-        Shape("about", "s", (-0.02, -5e-3, -1e-3, 1e-3, 5e-3, 0.02), -_MAX_DELAY, _MAX_DELAY, 1e-4),
+        Shape(
+            "about",
+            "s",
+            (-0.02, -5e-3, -1e-3, -2e-4, 2e-4, 1e-3, 5e-3, 0.02),
+            -_MAX_DELAY,
+            _MAX_DELAY,
+            1e-4,
+        ),
     ),
     linear_about=True,
     signals_key="torque_delay",

@@ -2,16 +2,18 @@
 
 The evidence of one fit takes its formulas for nature's. A finding that rests on a few seconds, on
 the start of the runs, on one band or on the nominal masses does not come again in fits that lack
-these. The probability of every finding is multiplied by the share of the members that name it
-again, stretches, starts, band and masses of equal weight.
+these. The probability of every finding, and of its rivals, is multiplied by the share of the
+members that name it again; the odds among them are the mean of those of the members. Stretches,
+starts, band and masses have equal weight.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import softmax
 
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.evidence import (
@@ -22,11 +24,12 @@ from stiffopt.discovery.comparison.evidence import (
     savage_dickey,
 )
 from stiffopt.discovery.comparison.inertial_parameters import body_units
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.search.cross_validation import number_folds, stack_columns
 from stiffopt.discovery.search.rigid_model import PRIOR_WIDTHS
 from stiffopt.discovery.search.rivals import Selected, tempering_width
-from stiffopt.discovery.thresholds import MIN_ACTIVE_SHARE, NAMED_EVIDENCE, RIVAL_LOG_ODDS
+from stiffopt.discovery.thresholds import MIN_ACTIVE_SHARE, NAMED_EVIDENCE
 
 # Shares of each run's start that members leave out: filters, contacts and warm-up act there.
 START_CUTS = (0.03, 0.05, 0.10)
@@ -36,6 +39,8 @@ MIN_EVIDENCE_KEPT = 0.5
 # Prior standard deviations of inertial parameters over their typical sizes in the members with free
 # masses: the two widest of the re-identification.
 FREE_WIDTHS = PRIOR_WIDTHS[-2:]
+# Probability below which rounding made it zero.
+_LEAST_ODDS = float(np.finfo(float).tiny)
 
 
 def recurrence(
@@ -44,8 +49,8 @@ def recurrence(
     half_band: Comparison | None,
     *,
     free_bodies: bool,
-) -> np.ndarray:
-    """Return the share (e,) of ensemble members in which each finding is named again.
+) -> tuple[np.ndarray, tuple[Selected, ...]]:
+    """Return the share (e,) of members that name each finding again, and findings with mean odds.
 
     Parameters
     ----------
@@ -61,40 +66,56 @@ def recurrence(
     Notes
     -----
     A member names a finding again if the evidence for it, beside the other findings, reaches half
-    of the one required of all data in proportion to its rows, its main amplitude keeps its sign,
-    and no rival in its place is so far ahead that the finding would be none of its rivals: smaller
-    leads are in the odds among rivals already. Members in which an effect does not act are not
-    counted for it. A drift between runs is named only if it is named again without each single run:
-    one odd run is no drift.
+    of the one required of all data in proportion to its rows, and its main amplitude keeps its
+    sign. A rival that gains on it takes its probability, not that of the two together: one of
+    them is there. Members in which an effect does not act are not counted for it. A drift between
+    runs is named only if it is named again without each single run: one odd run is no drift.
     """
     signs = np.sign(comparison.fit([each.located for each in selected]).amplitudes())
     own = _Member(comparison, selected, signs)
-    kinds = [[own.named_again(kept) for kept in kind] for kind in _kept_rows(comparison)]
+    kinds = [[own.judge(kept) for kept in kind] for kind in _kept_rows(comparison)]
     for others in _other_members(comparison, half_band, free_bodies=free_bodies):
-        kinds.append([_Member(other, selected, signs).named_again() for other in others])
-    share = _mean_share(kinds, len(selected))
+        kinds.append([_Member(other, selected, signs).judge() for other in others])
+    share = _mean_by_kind([[(m.again, m.acts) for m in kind] for kind in kinds])
+    ranked, odds = own.judge().leads, []
+    for k, (each, before) in enumerate(zip(selected, ranked, strict=True)):
+        own_odds = [
+            [(odds_in_member(each, m.leads[k], before), m.acts[k]) for m in kind] for kind in kinds
+        ]
+        odds.append(_mean_by_kind(own_odds))
     drifts = np.array([each.located.effect.of_runs is not None for each in selected])
     if drifts.any():
         number = comparison.rows.sample_signal(lambda run: np.full(len(run.time), run.index))
         for left_out in np.unique(number):
-            again, acts = own.named_again(number != left_out)
-            share = np.where(drifts & acts & ~again, 0.0, share)
-    return share
+            member = own.judge(number != left_out)
+            share = np.where(drifts & member.acts & ~member.again, 0.0, share)
+    return np.nan_to_num(share, nan=1.0), tuple(map(_with_odds, selected, odds))
 
 
-def _mean_share(kinds: Sequence[Sequence[tuple[np.ndarray, np.ndarray]]], count: int) -> np.ndarray:
-    """Return the share (e,) of members that name a finding again, every kind of equal weight.
+def _with_odds(selected: Selected, odds: np.ndarray) -> Selected:
+    """Return a finding with probabilities (1 + r,) of its own and of its rivals, where known."""
+    if not np.isfinite(odds).all():
+        return selected
+    itself, *theirs = map(float, odds)
+    rivals = tuple((located, p) for (located, _), p in zip(selected.rivals, theirs, strict=True))
+    return replace(selected, probability=itself, rivals=rivals)
+
+
+def _mean_by_kind(
+    kinds: Sequence[Sequence[tuple[np.ndarray, np.ndarray | np.bool_]]],
+) -> np.ndarray:
+    """Return the mean of values of members that count, every kind of equal weight; nan of none.
 
     A finding that rests on one kind of assumption does not become surer by many members of others.
     """
-    shares = []
+    means = []
     for kind in kinds:
-        named = sum((again & acts for again, acts in kind), np.zeros(count))
-        counted = sum((acts for _, acts in kind), np.zeros(count))
-        shares.append(np.where(counted > 0, named / np.maximum(counted, 1), np.nan))
-    known = np.isfinite(shares)
+        total = sum(np.where(counts, value, 0.0) for value, counts in kind)
+        counted = sum(np.asarray(counts, dtype=float) for _, counts in kind)
+        means.append(np.where(counted > 0, total / np.maximum(counted, 1), np.nan))
+    known = np.isfinite(means)
     return np.where(
-        known.any(axis=0), np.nansum(shares, axis=0) / np.maximum(known.sum(axis=0), 1), 1.0
+        known.any(axis=0), np.nansum(means, axis=0) / np.maximum(known.sum(axis=0), 1), np.nan
     )
 
 
@@ -123,6 +144,23 @@ def _other_members(
         yield (comparison.with_bodies(width * units) for width in FREE_WIDTHS)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Judgement:
+    """Judgement of a member on the findings.
+
+    Parameters
+    ----------
+    again, acts : array (e,) of bool
+        Findings that are named again, and that act in its rows.
+    leads : sequence of array (1 + r,)
+        Log evidence for each finding, and the leads of its rivals over it in its place.
+    """
+
+    again: np.ndarray
+    acts: np.ndarray
+    leads: Sequence[np.ndarray]
+
+
 class _Member:
     """Columns of the findings and of their rivals in one comparison.
 
@@ -144,8 +182,8 @@ class _Member:
             [comparison.effect_columns(rival) for rival, _ in each.rivals] for each in selected
         ]
 
-    def named_again(self, kept: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Return masks (e,) of the findings that are named again, and that act.
+    def judge(self, kept: np.ndarray | None = None) -> _Judgement:
+        """Return which findings are named again, and the leads of their rivals.
 
         Parameters
         ----------
@@ -160,6 +198,7 @@ class _Member:
         first = int(np.sum(self._owner < 0))
         again = np.zeros(len(self._selected), dtype=bool)
         acts = np.zeros(len(self._selected), dtype=bool)
+        leads = []
         for k, each in enumerate(self._selected):
             rows = np.flatnonzero(self._owner == k)
             square = float(np.sum(self._columns[:, rows] ** 2))
@@ -171,27 +210,49 @@ class _Member:
             drifts = each.located.effect.of_runs is not None
             same_sign = drifts or mean[main] * self._signs[rows[main] - first] > 0.0
             asked = MIN_EVIDENCE_KEPT * share * min(NAMED_EVIDENCE, each.loss)
-            ahead = self._rival_lead(k, kept, mean, covariance) / tempering_width(gained)
-            again[k] = gained >= asked and same_sign and ahead <= RIVAL_LOG_ODDS
-        return again, acts
+            again[k] = gained >= asked and same_sign
+            ahead = [
+                self._lead(k, located, rival, kept, mean, covariance)
+                for (located, _), rival in zip(each.rivals, self._rivals[k], strict=True)
+            ]
+            leads.append(np.array([gained, *ahead]))
+        return _Judgement(again=again, acts=acts, leads=leads)
 
-    def _rival_lead(
-        self, k: int, kept: np.ndarray, mean: np.ndarray, covariance: np.ndarray
+    def _lead(
+        self,
+        k: int,
+        located: LocatedEffect,
+        columns: np.ndarray,
+        kept: np.ndarray,
+        mean: np.ndarray,
+        covariance: np.ndarray,
     ) -> float:
-        """Return the largest lead of a rival in place of a finding; -inf without one."""
-        others, effect = self._owner != k, self._selected[k].located.effect
-        best = -math.inf
-        for (located, _), rival in zip(self._selected[k].rivals, self._rivals[k], strict=True):
-            columns = np.column_stack([self._columns[:, others], rival])[kept]
-            prior = np.concatenate([self._prior[others], np.ones(rival.shape[1])])
-            found = _fit(columns, self._target[kept], prior)
-            rows = slice(int(others.sum()), None)
-            measure = log_likelihood_gain if located.effect.is_twin(effect) else savage_dickey
-            best = max(
-                best,
-                measure(found.mean[rows], found.covariance[rows, rows]) - measure(mean, covariance),
-            )
-        return best
+        """Return the lead of a rival with some columns in place of a finding."""
+        others = self._owner != k
+        beside = np.column_stack([self._columns[:, others], columns])[kept]
+        prior = np.concatenate([self._prior[others], np.ones(columns.shape[1])])
+        found = _fit(beside, self._target[kept], prior)
+        rows = slice(int(others.sum()), None)
+        twin = located.effect.is_twin(self._selected[k].located.effect)
+        measure = log_likelihood_gain if twin else savage_dickey
+        return measure(found.mean[rows], found.covariance[rows, rows]) - measure(mean, covariance)
+
+
+def odds_in_member(selected: Selected, leads: np.ndarray, ranked: np.ndarray) -> np.ndarray:
+    """Return probabilities (1 + r,) of a finding and of its rivals in a member.
+
+    Parameters
+    ----------
+    selected : Selected
+        With the odds of the ranking.
+    leads, ranked : array (1 + r,)
+        Log evidence for the finding and leads of the rivals, in the member and in the comparison
+        of the ranking. Leads grow with the evidence, and count beyond that.
+    """
+    kept = np.clip(leads[0] / max(ranked[0], 1.0), 0.0, 1.0)
+    gains = (leads[1:] - kept * ranked[1:]) / tempering_width(leads[0])
+    known = np.array([selected.probability, *(p for _, p in selected.rivals)])
+    return np.asarray(softmax(np.log(np.fmax(known, _LEAST_ODDS)) + np.append(0.0, gains)))
 
 
 def _fit(columns: np.ndarray, target: np.ndarray, prior: np.ndarray) -> Posterior:
