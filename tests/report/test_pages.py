@@ -13,7 +13,7 @@ from stiffopt.report.common.text import si
 from stiffopt.report.compare import compare_results
 from stiffopt.report.file_reference import explain_key
 from stiffopt.report.solve.page import write_solve_report
-from stiffopt.report.solve.wording import amount, comparison, objective_text
+from stiffopt.report.solve.wording import amount, comparison, objective_text, violation_text
 from stiffopt.report.stiffness.page import write_stiffness_report
 from stiffopt.result.assessment import Violation
 from stiffopt.result.provenance import inputs_hash
@@ -211,3 +211,10 @@ def test_compared_quantities_have_units(tmp_path):
     _, rows = compare_results(tmp_path / "one", tmp_path / "two")
     assert rows[0] == ("objective, value", "0.1 mm", "0.2 mm", "+100 %")
     assert rows[1][:3] == ("baselines, toppra, objective", "0.3 mm", "0.6 mm")
+
+
+def test_a_limit_within_the_tolerance_of_the_certificate_is_kept():
+    texts = [
+        violation_text(Violation(value, "velocity", 1, 0.0)) for value in (3e-4, 5.1e-3, -0.02)
+    ]
+    assert texts == ["at the limit (+0.03 %)", "exceeded by 0.51 %", "margin 2 %"]

@@ -9,6 +9,7 @@ import numpy as np
 
 from stiffopt.baseline.baselines import better_baseline
 from stiffopt.certificate.objective_value import is_maximised
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.problem.objective import OBJECTIVES, ObjectiveKind
 from stiffopt.report.common.terminal import ReportSection
 from stiffopt.report.common.text import DASH, listed, percent, si, significant, words
@@ -215,13 +216,18 @@ def limit_text(violation: Violation) -> str:
 
 
 def violation_text(violation: Violation) -> str:
-    """Return excess or margin in words: "exceeded by 0.12 %", "margin 8.5 %", "2 mm deep"."""
+    """Return excess or margin in words: "exceeded by 1.2 %", "margin 8.5 %", "2 mm deep".
+
+    Within the certificate's tolerance a limit is kept: "at the limit (+0.04 %)".
+    """
     if violation.distance is not None:
         return violation.describe_distance()
     # Relative excess or margin that is written as "at the limit".
     if abs(violation.value) < 1e-5:
         return "at the limit"
     size = percent(abs(violation.value))
+    if 0.0 < violation.value <= CERTIFICATE_TOLERANCE:
+        return f"at the limit (+{size})"
     return f"exceeded by {size}" if violation.value > 0 else f"margin {size}"
 
 
