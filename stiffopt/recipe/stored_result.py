@@ -305,10 +305,13 @@ def read_stored_solution(folder: Path) -> tuple[TrajectoryProblem, Solution]:
     path = folder / RESULT_FILE
     document = read_document(path)
     if not is_regular(folder, ARCHIVE_FILE):
+        drawn = is_regular(folder, "report.html")
         raise InputFileError(
             folder / ARCHIVE_FILE,
             "",
-            "is missing: only `stiffopt solve --no-report` stores what a page shows. Solve again.",
+            "is missing: `stiffopt solve` drew report.html itself and stored nothing to draw from."
+            if drawn
+            else "is missing: `stiffopt solve --no-report` stores what a page shows. Solve again.",
         )
     check_result(folder, ARCHIVE_FILE)
     named = problem_file(path, document)
