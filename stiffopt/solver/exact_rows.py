@@ -22,6 +22,7 @@ from stiffopt.command.smoothing_width import (
 )
 from stiffopt.problem.formulation import exact_path_rows
 from stiffopt.problem.limit import LIMITS
+from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment, Violation
 from stiffopt.solver.exchange import OutcomeOracle, Proposal, Rank, rank_outcome
 from stiffopt.solver.programme import Outcome, motors_with_law, solve_again
@@ -29,6 +30,7 @@ from stiffopt.solver.solve_run import SolveRun
 from stiffopt.solver.verdict import MAX_OBJECTIVE_GAP
 from stiffopt.transcription.constraint_back_off import (
     Excess,
+    KnownRows,
     back_off_exceeded,
     back_off_uniformly,
     path_row_excess,
@@ -84,6 +86,7 @@ class ExactRows(OutcomeOracle):
             last.raw.x,
             smoothing.narrowed(share).parameters,
             self._rows,
+            _known_drive_rows(self.run.problem, last.assessment),
         )
         closer = back_off_exceeded(
             last.nlp, known, last.transcription.nlp, most=_MAX_BACK_OFF_STEP, limits=LIMITS
@@ -115,6 +118,23 @@ def _widen_motor_smoothing(run: SolveRun, outcome: Outcome) -> float:
 
     found = narrowest_sufficient_width(beyond, 2.0 * corners, TOLERABLE_KINK_EXCESS)
     return found if beyond(found) <= MAX_REMAINING_EXCESS * beyond(corners) else corners
+
+
+def _known_drive_rows(problem: TrajectoryProblem, motion: Assessment) -> dict[str, KnownRows]:
+    """Return the certified drive quantities over their limits, by name of the limit.
+
+    Not of torques with dry friction, whose rows bound both directions of friction.
+    """
+    if not problem.plans_links:
+        return {}
+    found = {}
+    for name in DRIVE_LIMITS:
+        if name == "torque" and np.any(problem.robot.coulomb):
+            continue
+        limit = np.broadcast_to(getattr(problem.active_limits, name), (problem.joints,))
+        bounded = np.isfinite(limit)
+        found[name] = KnownRows(motion.time, getattr(motion, name)[:, bounded] / limit[bounded])
+    return found
 
 
 def _unexplained_excess(known: Excess, excess: dict[str, float]) -> dict[str, float]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -42,11 +43,28 @@ class Excess:
     near: tuple[tuple[Block, np.ndarray, np.ndarray, np.ndarray], ...]
 
 
+@dataclass(frozen=True)
+class KnownRows:
+    """Exact values of rows that were computed outside the programme.
+
+    Parameters
+    ----------
+    times : array (K,)
+        From 0 [s].
+    values : array (K, m)
+        In the unit of the rows and in their order.
+    """
+
+    times: np.ndarray
+    values: np.ndarray
+
+
 def path_row_excess(
     transcription: Transcription,
     x: np.ndarray,
     parameters: np.ndarray,
     rows: PointFunction,
+    found: Mapping[str, KnownRows] = MappingProxyType({}),
 ) -> Excess:
     """Excess of the exact path rows of a motion, at the points of the programme and between them.
 
@@ -57,6 +75,8 @@ def path_row_excess(
     parameters : array (np,)
     rows : PointFunction
         Exact path rows.
+    found : mapping of row name to KnownRows
+        Further values to be considered, as of motors, which arrive later than the links.
     """
     motion = transcription.guess_from(x)
     steps = transcription.intervals.shares @ transcription.phase_durations(x)
@@ -76,13 +96,19 @@ def path_row_excess(
         own = values[:, entries] / block.rows.scale
         index = block.offset + np.arange(block.size).reshape(len(places), -1)[order]
         name = block.rows.name
+        seen = [(times, own)]
+        if name in found:
+            seen.append((found[name].times, found[name].values / block.rows.scale))
         both = []
         for limit, sign in ((block.rows.upper, 1.0), (block.rows.lower, -1.0)):
-            with np.errstate(invalid="ignore"):
-                excess = np.maximum(sign * (own - limit / block.rows.scale), 0.0)
-            excess = np.nan_to_num(excess, nan=0.0, posinf=0.0)
-            largest[name] = max(largest.get(name, 0.0), float(excess.max(initial=0.0)))
-            both.append(largest_adjacent_excess(times, places[order], excess))
+            beside = np.zeros((len(places), own.shape[1]))
+            for when, known in seen:
+                with np.errstate(invalid="ignore"):
+                    excess = np.maximum(sign * (known - limit / block.rows.scale), 0.0)
+                excess = np.nan_to_num(excess, nan=0.0, posinf=0.0)
+                largest[name] = max(largest.get(name, 0.0), float(excess.max(initial=0.0)))
+                beside = np.maximum(beside, largest_adjacent_excess(when, places[order], excess))
+            both.append(beside)
         near.append((block, index, both[0], both[1]))
     return Excess(largest, tuple(near))
 

@@ -36,6 +36,7 @@ from stiffopt.transcription import constraint_back_off
 from stiffopt.transcription.build import transcribe
 from stiffopt.transcription.constraint_back_off import (
     Excess,
+    KnownRows,
     back_off_exceeded,
     path_row_excess,
 )
@@ -300,6 +301,31 @@ def test_back_off_from_both_sides_keeps_rows_feasible(monkeypatch):
     found = back_off_exceeded(given, Excess({}, ((block, index, near, near),)), given, most=1.0)
     assert found.lower_g == pytest.approx([-0.5, -0.3])
     assert found.upper_g == pytest.approx([0.5, 0.3])
+
+
+def test_exact_motor_rows_determine_the_back_off(planar):
+    motion = resolve(planar)
+    transcription = transcribe(formulate(planar, motion, Scales()), mesh=uniform_mesh(8))
+    x = transcription.pack(initial_guess(planar, motion, baselines(planar, motion)))
+    rows = PointFunction(exact_path_rows(planar, motion, Scales()))
+    duration = float(transcription.phase_durations(x).sum())
+    times = np.linspace(0.0, duration, 201)
+    speed = np.zeros((201, planar.joints))
+    speed[times > 0.9 * duration, 1] = 1.5
+    asked = (transcription, x, Smoothing(SMOOTHING).parameters, rows)
+    plain = path_row_excess(*asked)
+    found = path_row_excess(*asked, {"velocity": KnownRows(times, speed)})
+    assert found.largest["velocity"] == pytest.approx(max(0.5, plain.largest["velocity"]))
+    for (block, _, above, below), (_, _, known, same) in zip(found.near, plain.near, strict=True):
+        changed = above != known
+        assert np.array_equal(below, same)
+        if block.rows.name != "velocity":
+            assert not changed.any()
+            continue
+        assert changed.any()
+        assert not changed[:, 0].any()
+        late = transcription.times_of(block.places, x)
+        assert np.all(np.sort(late)[changed[:, 1]] > 0.7 * duration)
 
 
 def test_wide_smoothing_applies_to_the_lead_law_only(planar):
