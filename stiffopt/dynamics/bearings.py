@@ -43,9 +43,9 @@ def dynamic_bearing_displacements(
     place = point_position(tree, tool.joint, tool.offset, q)
     found: dict[int, Quantity] = {}
     joints = axis_joints(tree)
-    frames = axis_frames(joints, q, tool.joint)
+    frames, mounts = axis_frames(joints, q, tool.joint), robot.mounts
     for number, (origin, rotation) in frames.items():
-        for mount in robot.mounts[number - 1] if number else ():
+        for mount in mounts[number - 1] if number else ():
             loads = mount.loads(number - 1)
             if loads[-1] + 1 not in frames:
                 continue

@@ -81,6 +81,11 @@ class Signals:
         """True where a torque is still a current."""
         return bool(self.current_joints)
 
+    @property
+    def some_currents(self) -> bool:
+        """True where some torques are still currents, but not all."""
+        return 0 < len(self.current_joints) < sum(map(bool, self.torque))
+
     def scale_of(self, kind: str, n: int) -> np.ndarray:
         """Factors (n,) of the columns of a kind to SI."""
         return np.asarray(self.scale.get(kind, np.ones(n)))

@@ -55,7 +55,7 @@ def bearing_deflections(
     wrench = joint_wrenches(robot, position, velocity, acceleration, force)
     axes, arm = joint_frames(robot, position)
     carrying = supports_tool(robot)
-    for j, mount in ((k, mount) for k in range(robot.n) for mount in robot.mounts[k]):
+    for j, mount in ((k, each) for k, mounts in enumerate(robot.mounts) for each in mounts):
         loads = mount.loads(j)
         if not carrying[loads[-1]]:
             continue

@@ -64,7 +64,7 @@ def with_bearing_joints(robot: Robot) -> tuple[Robot, np.ndarray]:
     # Last joint of each body, and the body's frame on it; the same beyond a bending link.
     ends = {0: (0, pin.SE3.Identity())}
     beyond: dict[int, tuple[int, pin.SE3]] = {}
-    for i, body in enumerate(robot.tree.bodies, start=1):
+    for i, (body, mounts) in enumerate(zip(robot.tree.bodies, robot.mounts, strict=True), start=1):
         before, frame = beyond.get(i, ends[body.parent])
         kind = (
             pin.JointModelPrismaticUnaligned if body.prismatic else pin.JointModelRevoluteUnaligned
@@ -73,9 +73,9 @@ def with_bearing_joints(robot: Robot) -> tuple[Robot, np.ndarray]:
         last = model.addJoint(before, kind(body.axis), at, body.name)
         springs.append(0.0)
         chains.append(robot.chains[i - 1])
-        axes, frame, bends = complete_axes(body.axis), pin.SE3.Identity(), False
-        ends[i] = (last, frame)
-        for number, mount in enumerate(robot.mounts[i - 1], start=1):
+        axes, frame = complete_axes(body.axis), pin.SE3.Identity()
+        mounted = [(last, frame)]
+        for number, mount in enumerate(mounts, start=1):
             here = pin.SE3(axes @ mount.axes, axes @ mount.place)
             at, frame = frame * here, here.inverse()
             for name, joint, compliance in zip(
@@ -86,18 +86,17 @@ def with_bearing_joints(robot: Robot) -> tuple[Robot, np.ndarray]:
                     springs.append(1.0 / float(compliance))
                     chains.append(None)
                     at = pin.SE3.Identity()
-            bends = mount.carries is not None
             if mount.carries is None:
-                ends[i] = (last, frame)
+                mounted = [(last, frame)]
             else:
+                # Half of a bending link moves with its outer end.
+                mounted.append((last, frame))
                 beyond[mount.carries + 1] = (last, frame)
-        inertia, mounted = robot.model.inertias[i], [ends[i]]
-        if bends:
-            # Half of a bending link moves with its outer end.
-            mounted.append((last, frame))
-            inertia = pin.Inertia(0.5 * inertia.mass, inertia.lever, 0.5 * inertia.inertia)
+        ends[i], share = mounted[0], 1.0 / len(mounted)
+        own = robot.model.inertias[i]
         for joint, at in mounted:
-            model.appendBodyToJoint(joint, inertia, at)
+            part = pin.Inertia(share * own.mass, own.lever, share * own.inertia)
+            model.appendBodyToJoint(joint, part, at)
 
     def move_frame(link: LinkFrame) -> LinkFrame:
         joint, frame = ends[link.joint]

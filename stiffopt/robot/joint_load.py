@@ -67,7 +67,7 @@ def joint_frames(robot: Robot, position: np.ndarray) -> tuple[np.ndarray, np.nda
     """
     data = robot.model.createData()
     own = [complete_axes(body.axis) for body in robot.tree.bodies]
-    loaded = _supporting_joints(robot.model, robot.tool.joint)
+    loaded = supporting_joints(robot.model, robot.tool.joint)
     axes, arm = np.empty((*position.shape, 3, 3)), np.zeros((*position.shape, 3))
     for k, pose in enumerate(position):
         pin.forwardKinematics(robot.model, data, pose)
@@ -83,7 +83,7 @@ def joint_frames(robot: Robot, position: np.ndarray) -> tuple[np.ndarray, np.nda
 
 def supports_tool(robot: Robot) -> np.ndarray:
     """Return which joints (n,) carry the tool."""
-    joints = _supporting_joints(robot.model, robot.tool.joint)
+    joints = supporting_joints(robot.model, robot.tool.joint)
     return np.array([i + 1 in joints for i in range(robot.n)])
 
 
@@ -111,8 +111,8 @@ def complete_axes(axis: np.ndarray) -> np.ndarray:
     return np.column_stack([first, np.cross(axis, first), axis])
 
 
-def _supporting_joints(model: pin.Model, joint: int) -> set[int]:
-    """Joints from the base to that of a link, inclusive."""
+def supporting_joints(model: pin.Model, joint: int) -> set[int]:
+    """Return the joints (from 1) from the base to that of a link, inclusive."""
     found = set()
     while joint > 0:
         found.add(joint)

@@ -20,6 +20,7 @@ from stiffopt.robot.added_torque import AddedTorque
 from stiffopt.robot.body_tree import BodyTree, body_tree
 from stiffopt.robot.frames import LinkFrame, link_frame, named_frame
 from stiffopt.robot.held_joints import HeldJoint
+from stiffopt.robot.joint_load import supporting_joints
 from stiffopt.robot.link_shapes import JointShape, LinkShape, Purpose, joint_shapes
 from stiffopt.robot.rigid_body import BodiesInMotion, RigidBodies
 
@@ -140,7 +141,7 @@ class Robot:
     @property
     def tilts(self) -> bool:
         """Return whether the output bearing of any joint or any link is elastic."""
-        return any(self.mounts)
+        return any(each is not None for each in (*self.bearings, *self.links))
 
     @property
     def mounts(self) -> tuple[tuple[ElasticMount, ...], ...]:
@@ -313,27 +314,19 @@ class Robot:
 
     def _links_without(self, left: np.ndarray) -> tuple[ElasticMount | None, ...]:
         """Bending links of joints that are left (n,), up to the next joint that is."""
-        places = np.cumsum(left) - 1
+        places, kept = np.cumsum(left) - 1, np.flatnonzero(left)
         found: list[ElasticMount | None] = []
-        for j in np.flatnonzero(left[: len(self.links)]):
-            link, following = self.links[j], None
-            if link is not None:
-                beyond = [k for k in range(self.n) if left[k] and link.carries in self._supports(k)]
-                following = min(beyond, default=None)
+        for link in (each for each, stays in zip(self.links, left, strict=False) if stays):
+            following = None
+            if link is not None and link.carries is not None:
+                chains = ((k, supporting_joints(self.model, int(k) + 1)) for k in kept)
+                following = next((k for k, chain in chains if link.carries + 1 in chain), None)
             found.append(
                 None
                 if link is None or following is None
                 else replace(link, carries=int(places[following]))
             )
         return tuple(found)
-
-    def _supports(self, joint: int) -> set[int]:
-        """Joints (from 0) from the base to a joint, inclusive."""
-        found, number = set(), joint + 1
-        while number > 0:
-            found.add(number - 1)
-            number = int(self.model.parents[number])
-        return found
 
     def with_inertial_parameters(self, joint: int, parameters: np.ndarray) -> Robot:
         """Copy with other inertial parameters of a joint's body.

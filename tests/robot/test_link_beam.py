@@ -172,3 +172,12 @@ def test_incomplete_beams_are_refused(changes: list[str], told: str) -> None:
     with pytest.raises(InputFileError, match=told) as caught:
         load_robot("er3a_c60", changes=changes)
     assert "beam" in str(caught.value)
+
+
+def test_a_link_up_to_a_locked_joint_carries_the_next_one() -> None:
+    changes = [*UPPER_ARM, 'joint[3].beam.diameter="60 mm"', 'joint[3].beam.wall="3 mm"']
+    robot = load_robot("er3a_c60", changes=changes)
+    locked = robot.with_joints_locked(["joint_3"])
+    assert [each and each.carries for each in locked.links] == [None, 2, None, None, None]
+    last = robot.with_joints_locked(["joint_4", "joint_5", "joint_6"])
+    assert [each and each.carries for each in last.links] == [None, 2, None]

@@ -17,6 +17,7 @@ from stiffopt.discovery.laws import operators
 from stiffopt.discovery.laws.shapes import (
     FREQUENCY_SHAPE,
     HINGE_POWER_SHAPE,
+    LAG_SHAPE,
     MODE_SHAPES,
     ORDER_SHAPE,
     PLACE_SHAPE,
@@ -105,6 +106,18 @@ class Form:
                 ends.append(self.values(x, dt, moved))
             found.append([(b - a) / (2.0 * step) for a, b in zip(*ends, strict=True)])
         return [list(each) for each in zip(*found, strict=True)]
+
+
+def _form_with_memory(*, formula: str, **entries: Any) -> Form:
+    """Return a form that depends on the past of its signal, and on its sign as the signal does."""
+    return Form(
+        formulas=(formula,),
+        symmetry="odd",
+        in_signal=True,
+        unscreened=True,
+        has_memory=True,
+        **entries,
+    )
 
 
 FORMS = {
@@ -319,83 +332,55 @@ FORMS = {
             shapes=(FormShape(name="s", unit="signal", **scale(0.3, 1.0, least=0.01)),),
             resembles="warming up",
         ),
-        Form(
+        _form_with_memory(
             name="lag",
-            formulas=("lag(x, T, dt)",),
+            formula="lag(x, T, dt)",
             words="with the {x}, late by a time constant",
-            symmetry="odd",
-            shapes=(FormShape(name="T", unit="s", **fixed((0.05, 0.2, 1.0), 0.01, 10.0)),),
-            in_signal=True,
-            unscreened=True,
-            has_memory=True,
+            shapes=(LAG_SHAPE,),
             resembles="a viscous coupling or a creeping material",
         ),
-        Form(
+        _form_with_memory(
             name="slip",
-            formulas=("(x - lag(x, T, dt))",),
+            formula="(x - lag(x, T, dt))",
             words="with the {x} relative to something that follows late by a time constant",
-            symmetry="odd",
-            shapes=(FormShape(name="T", unit="s", **fixed((0.05, 0.2, 1.0), 0.01, 10.0)),),
-            in_signal=True,
-            unscreened=True,
-            has_memory=True,
+            shapes=(LAG_SHAPE,),
             resembles="a liquid or a loose ring that is taken along",
         ),
-        Form(
+        _form_with_memory(
             name="sprung",
-            formulas=("sprung(x, f, z, dt)",),
+            formula="sprung(x, f, z, dt)",
             words="with the {x} of a hidden mass on a spring",
-            symmetry="odd",
             shapes=MODE_SHAPES,
-            in_signal=True,
-            unscreened=True,
-            has_memory=True,
             resembles="something loose: a pendulum, a hose or a liquid",
         ),
-        Form(
+        _form_with_memory(
             name="mode",
-            formulas=("mode(x, f, z, dt)",),
+            formula="mode(x, f, z, dt)",
             words="with the {x}, as it deflects a hidden mass on a spring",
-            symmetry="odd",
             shapes=MODE_SHAPES,
-            in_signal=True,
-            unscreened=True,
-            has_memory=True,
             resembles="a part that bends and rings: a bracket, a cover or a liquid",
         ),
-        Form(
+        _form_with_memory(
             name="loose",
-            formulas=("(x - sprung(x, f, z, dt))",),
+            formula="(x - sprung(x, f, z, dt))",
             words="with the {x} relative to that of a hidden mass on a spring",
-            symmetry="odd",
             shapes=MODE_SHAPES,
-            in_signal=True,
-            unscreened=True,
-            has_memory=True,
             resembles="a part of the link that is not fixed to it: a pendulum, a hose or a liquid",
         ),
-        Form(
+        _form_with_memory(
             name="stop",
-            formulas=("stop(x, r)",),
+            formula="stop(x, r)",
             words="with the {x} since the last reversal, up to a limit",
-            symmetry="odd",
             shapes=(PLAY_SHAPE,),
-            in_signal=True,
             analytic=False,
-            unscreened=True,
-            has_memory=True,
             resembles="a seal or cable that sticks before it slides",
         ),
-        Form(
+        _form_with_memory(
             name="play",
-            formulas=("(x - stop(x, r))",),
+            formula="(x - stop(x, r))",
             words="with the {x}, which has to go beyond a play after every reversal",
-            symmetry="odd",
             shapes=(PLAY_SHAPE,),
-            in_signal=True,
             analytic=False,
-            unscreened=True,
-            has_memory=True,
             resembles="a part that is taken along with play",
         ),
     )

@@ -156,6 +156,7 @@ MODE_SHAPES = (
     ),
     FormShape(name="z", unit="", **fixed((0.03, 0.2), 0.002, 1.5)),
 )
+LAG_SHAPE = FormShape(name="T", unit="s", **fixed((0.05, 0.2, 1.0), 0.01, 10.0))
 PLAY_SHAPE = FormShape(
     name="r",
     unit="signal",

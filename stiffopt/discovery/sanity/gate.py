@@ -144,7 +144,7 @@ class SanityGate:
     def _without_currents(self) -> SanityGate | None:
         """Gate of the other joints, where the weight tells no factor of the remaining currents."""
         signals = self.recordings.signals
-        if not 0 < len(signals.current_joints) < sum(map(bool, signals.torque)):
+        if not signals.some_currents:
             return None
         explanation = None if self._explanation_search is None else self._explanation_search.best()
         gains = None if explanation is None else explanation.gains
@@ -204,7 +204,7 @@ def _doubt_masses(recordings: RecordingSet) -> Doubt:
 
 def _doubt_currents(recordings: RecordingSet) -> Iterator[Doubt]:
     """Doubt torques that are all still currents."""
-    if len(recordings.signals.current_joints) == sum(map(bool, recordings.signals.torque)) > 0:
+    if recordings.signals.currents and not recordings.signals.some_currents:
         yield Doubt(
             kind="torque unit",
             evidence="The torques are stated as currents in A. Give N m per A at each joint (the"
@@ -228,9 +228,9 @@ def leave_out_currents(
     recordings: RecordingSet, runs: Sequence[RecordedRun]
 ) -> tuple[RecordingSet, list[RecordedRun]]:
     """Return a set and its runs without torques that are still currents, unless all are."""
-    joints = list(recordings.signals.current_joints)
-    if not 0 < len(joints) < sum(map(bool, recordings.signals.torque)):
+    if not recordings.signals.some_currents:
         return recordings, list(runs)
+    joints = list(recordings.signals.current_joints)
     torque = tuple("" if j in joints else c for j, c in enumerate(recordings.signals.torque))
     signals = replace(recordings.signals, torque=torque, current_joints=())
     left = []
