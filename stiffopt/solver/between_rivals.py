@@ -20,7 +20,6 @@ from stiffopt.command.simulation import elastic_arm, rival_motions
 from stiffopt.elastic.led_error import led_error
 from stiffopt.elastic.smooth_motion import smooth_motion
 from stiffopt.errors import NotSimulatedError
-from stiffopt.result.compensation import Spreads
 from stiffopt.result.tool_error import LedError
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.arrival import suppress_vibration_of_links
@@ -43,7 +42,7 @@ class BetweenRivals(OutcomeOracle):
     def __init__(self, run: SolveRun, outcome: Outcome) -> None:
         super().__init__(run)
         self._rivals: dict[str, Trajectory] = {}
-        self._best: Spreads | None = None
+        self._best: LedError | None = None
         if not any(each.kind.of_uncertain_arms for each in run.problem.objectives):
             return
         duration = outcome.assessment.duration
@@ -54,7 +53,10 @@ class BetweenRivals(OutcomeOracle):
             run.rivals = duration, motions, found
             kept = [each for each in found if not each.excess]
             best = min(kept, key=lambda each: each.worst_case_peaks, default=None)
-            self._best = None if best is None else best.compensated
+            if best is not None:
+                # By an ideal lead too, as the motions beside it.
+                own = _smooth_rival(best, float(best.motion.time[-1]))
+                self._best = self._led_error(own)
             # Others pass vias at other instants, or reach other ends.
             if run.motion.start_fixed and run.motion.end_fixed and not len(run.motion.vias):
                 self._rivals = {
@@ -93,10 +95,11 @@ class BetweenRivals(OutcomeOracle):
 
     def _worse(self, led: LedError) -> Rank:
         """Return the error over the best rival's, of the phase that is worse, and its sum."""
-        best, ratios = self._best, [1.0]
-        if best is not None and min(best.flight.worst, best.after.worst) > 0.0:
-            ratios += [led.in_flight / best.flight.worst, led.after_arrival / best.after.worst]
-        return max(ratios), led.whole
+        best = self._best
+        if best is None or not min(best.in_flight, best.after_arrival) > 0.0:
+            return 1.0, led.whole
+        flight, after = led.in_flight / best.in_flight, led.after_arrival / best.after_arrival
+        return max(flight, after, 1.0), led.whole
 
     def _led_error(self, plan: Trajectory) -> LedError:
         problem = self.run.problem
