@@ -8,11 +8,13 @@ there is a better one, and none is worse than the rival of its duration.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 
 import numpy as np
 
-from stiffopt.certificate.assess import assess
+from stiffopt.certificate.assess import assess, drive_violations
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.command.command_search import CommandOnArms
 from stiffopt.elastic.led_error import led_error
 from stiffopt.elastic.smooth_motion import smooth_motion
@@ -59,19 +61,19 @@ class BetweenRivals(OutcomeOracle):
         if last.assessment.led is None or not last.raw.converged:
             return None
         tried = [
-            (self._led_error(plan), plan, f"{100 * share:.0f} % of the {name} motion")
+            (self._worse(self._led_error(plan)), plan, f"{100 * share:.0f} % of the {name} motion")
             for name, rival in self._rivals.items()
             for share in _RIVAL_SHARES
             for plan in (last.planned.mixed_with(rival, share),)
         ]
-        if not tried:
-            return None
-        led, plan, text = min(tried, key=lambda each: self._worse(each[0]))
-        if self._worse(led) >= self._worse(last.assessment.led):
-            return None
-        ratio = led.whole / last.assessment.led.whole
-        reason = f"with {text} the worst arm has {ratio:.2f} times the error"
-        return Proposal(reason, lambda: self._follow(last, plan, led))
+        own = self._worse(last.assessment.led)
+        better = [each for each in tried if each[0] < own]
+        for worse, plan, text in sorted(better, key=lambda each: each[0]):
+            motors = follow_plan(self.run, plan, last.smoothing.law)
+            if drive_violations(self.run.problem, motors)[0].value <= CERTIFICATE_TOLERANCE:
+                reason = f"with {text} the worst arm has {worse[-1] / own[-1]:.2f} times the error"
+                return Proposal(reason, functools.partial(self._follow, last, plan, motors))
+        return None
 
     def rank(self, found: Outcome) -> Rank:
         """Return the rank with the excess over the best rival before the objective."""
@@ -95,9 +97,8 @@ class BetweenRivals(OutcomeOracle):
         problem = self.run.problem
         return led_error(self.run.arm, plan, problem.uncertainty, problem.servo)
 
-    def _follow(self, last: Outcome, plan: Trajectory, led: LedError) -> Outcome:
-        motors = follow_plan(self.run, plan, last.smoothing.law)
-        assessment = assess(self.run.problem, motors, led=led)
+    def _follow(self, last: Outcome, plan: Trajectory, motors: Trajectory) -> Outcome:
+        assessment = assess(self.run.problem, motors)
         found = replace(last, planned=plan, trajectory=motors, assessment=assessment, arm=None)
         return suppress_vibration_of_links(self.run, found)
 
