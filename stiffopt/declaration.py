@@ -358,16 +358,7 @@ def bounds(cls: type, name: str) -> Bounds:
 def check_fields(
     instance: Any, owner: str = "", error: Callable[[str], InputError] = InputError
 ) -> None:
-    """Check every field of a dataclass instance against its bounds and allowed words.
-
-    Parameters
-    ----------
-    instance : dataclass instance
-    owner : str
-        Kind and name of the object, for messages.
-    error : type of InputError
-        Raised with the field, its value and the allowed range or words.
-    """
+    """Raise `error` for a field outside its bounds or allowed words; `owner` begins the message."""
     try:
         _check_fields(instance, owner)
     except InputError as refused:

@@ -113,13 +113,7 @@ def read_text(path: str | os.PathLike[str], most: int = MAX_TEXT_BYTES) -> str:
 
 
 def read_bytes(path: str | os.PathLike[str], most: int = MAX_TEXT_BYTES) -> bytes:
-    """Read a file of at most `most` bytes.
-
-    Raises
-    ------
-    InputFileError
-        No such file, no regular one, not to be read, or larger.
-    """
+    """Read a regular file of at most `most` bytes; raise `InputFileError` for any other."""
     path = Path(path)
     check_file(path, most)
     try:
@@ -246,13 +240,7 @@ def check_header(data: Mapping[str, Any], path: object, kind: str, schema: int =
 def read_document(
     path: str | os.PathLike[str], model: type[Model], kind: str, changes: Sequence[str] = ()
 ) -> Model:
-    """Read a TOML file of one kind, with `changes` of its entries.
-
-    Raises
-    ------
-    InputFileError
-        Unreadable file, wrong header, or an invalid entry or change.
-    """
+    """Read a TOML file of one kind, with `changes` of its entries; or raise `InputFileError`."""
     # pydantic loads slowly, and help and folders do without it.
     from stiffopt.validation import validate
 
@@ -312,20 +300,10 @@ def atomic_write(path: str | os.PathLike[str], content: str | bytes) -> None:
 def read_table(
     path: str | os.PathLike[str], columns: Sequence[str], optional: Sequence[str] = ()
 ) -> dict[str, list[float]]:
-    """Read the numbers of a CSV file with a header, by column.
+    """Read the numbers of a CSV file with a header, by column; `optional` ones if present.
 
-    Parameters
-    ----------
-    columns : sequence of str
-        Required columns.
-    optional : sequence of str
-        Columns read if present.
-
-    Raises
-    ------
-    InputFileError
-        No such file, no CSV text, a missing column, fewer than two rows, or an entry that is no
-        finite number, with row (the first below the header is 1) and column.
+    Raises `InputFileError` without at least two rows of finite numbers in every required column,
+    with row (the first below the header is 1) and column.
     """
     path = Path(path)
     text = read_text(path, MAX_TABLE_BYTES)

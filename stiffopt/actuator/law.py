@@ -83,17 +83,9 @@ def mean_command(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return means of held commands over intervals (m, n), and their rate per time [rad/s].
 
-    An actuator holds each command until the next one arrives. Means over intervals change
-    continuously with a delay, which the command itself does not.
-
-    Parameters
-    ----------
-    time : array (K,)
-        When each command arrived [s], increasing.
-    command : array (K, n)
-        [rad]
-    begin, end : array (m,)
-        Intervals [s]; before the first command that one holds.
+    Each of `command` (K, n) [rad] holds from its `time` (K,) [s] until the next one. Means over the
+    intervals `begin` to `end` (m,) [s] change continuously with a delay, which the command itself
+    does not.
     """
     area = np.cumsum(command[:-1] * np.diff(time)[:, None], axis=0)
     area = np.vstack([np.zeros(command.shape[1]), area])

@@ -70,13 +70,7 @@ class Disagreement:
 def find_disagreements(
     problem: TrajectoryProblem, motion: JointMotion, believed: PredictedMotion
 ) -> tuple[Disagreement, ...]:
-    """Return the largest difference of every quantity, the worst over its tolerance first.
-
-    Parameters
-    ----------
-    motion : callable
-        As for `assess`.
-    """
+    """Return the largest difference of every quantity, the worst over its tolerance first."""
     found = list(_compare_quantities(problem, motion, believed))
     return tuple(sorted(found, key=lambda d: -d.excess))
 

@@ -235,16 +235,10 @@ def _link_torques_added(robot: Robot, *motion: np.ndarray) -> np.ndarray:
 def added_torques(
     robot: Robot, motion: Sequence[np.ndarray], direction: np.ndarray, *, in_spring: bool
 ) -> np.ndarray:
-    """Return the robot's added torques in the springs, or of the drives alone (K, n) [N m].
+    """Return the added torques in the springs, or of the drives alone (K, n) [N m].
 
-    Parameters
-    ----------
-    robot : Robot
-    motion : sequence of four arrays (K, n)
-        Position, velocity, acceleration, torque in the springs.
-    direction : array (K, n)
-        Sign of the velocity.
-    in_spring : bool
+    `motion` is position, velocity, acceleration and torque in the springs, each (K, n); `direction`
+    the sign of the velocity.
     """
     position, velocity, acceleration, load = (list(each.T) for each in motion)
     state = MotionState(

@@ -27,13 +27,7 @@ _BOUNDARY_VALUE_TOLERANCE = 1e-3
 
 
 def find_violations(problem: TrajectoryProblem, motion: Assessment) -> Assessment:
-    """Return the assessment with its `violations` filled, worst first.
-
-    Parameters
-    ----------
-    problem : TrajectoryProblem
-        Its limits, targets and boundary values are read.
-    """
+    """Return the assessment with its `violations` filled, worst first."""
     limits = problem.active_limits
     found = [each for kind in limits.kinds for each in kind.violations(limits, motion)]
     found += _target_violations(problem, motion)

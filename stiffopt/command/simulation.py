@@ -44,12 +44,7 @@ _STANDSTILL_SPEED = 1e-6
 def elastic_arm(problem: TrajectoryProblem, start: np.ndarray) -> ElasticArm:
     """Return the problem's robot as an elastic arm, checked in its start pose (n,) [rad].
 
-    Raises
-    ------
-    RobotError
-        Damping or hysteresis is not physical.
-    NotSimulatedError
-        The arm cannot be simulated.
+    Raises `RobotError` for unphysical damping or hysteresis, `NotSimulatedError` for other arms.
     """
     arm = ElasticArm(problem.robot, start, problem.process_force)
     parts = {objective.kind.deflection_part for objective in problem.objectives}
@@ -187,22 +182,9 @@ def simulate_motions(
     servo: Servo | None = None,
     band: float = SETTLING_BAND,
 ) -> Simulation:
-    """Simulate motions of a problem, the optimised one first.
+    """Simulate motions of a problem, the optimised one first, with a settling band [m].
 
-    Parameters
-    ----------
-    problem : TrajectoryProblem
-    arm : ElasticArm
-    motions : sequence of PlannedMotion
-    servo : Servo, optional
-        Default that of the problem.
-    band : float
-        Settling band of the tool [m].
-
-    Raises
-    ------
-    NotSimulatedError
-        The arm cannot be simulated.
+    `servo` defaults to the problem's. Raises `NotSimulatedError`.
     """
     terms = problem.objectives
     part = terms[0].kind.deflection_part if len(terms) == 1 else ""

@@ -63,13 +63,8 @@ def narrowest_sufficient_width(
 ) -> float:
     """Return the narrowest factor, by doubling, with an allowed excess, or that of the least one.
 
-    Parameters
-    ----------
-    beyond : callable
-        Excess for a factor on the law's smoothing widths.
-    smoothing : float
-        The narrowest factor.
-    allowed : float
+    `beyond` gives the excess for a factor on the law's smoothing widths; `smoothing` is the
+    narrowest.
     """
     worst = beyond(smoothing)
     for _ in range(_MAX_DOUBLINGS):

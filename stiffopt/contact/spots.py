@@ -71,27 +71,12 @@ def spot_laws(
 ) -> tuple[SpotLaw, ...]:
     """Laws of plastic, elastic-plastic and elastic spots, from the smallest to the largest.
 
-    Parameters
-    ----------
-    dimension : float
-        Fractal dimension of the surface, 2 < D < 3.
-    roughness : float
-        Fractal roughness G [m].
-    gamma : float
-        Frequency ratio of the surface, above 1.
-    modulus : float
-        Contact modulus E* [Pa].
-    hardness, poisson : float
-        Of the softer body, [Pa] and [-].
-    loading : {"first", "cyclic"}
-        cyclic: an elastic or elastic-plastic spot keeps its area a and deforms as an elastic punch,
-        k = 2 E* sqrt(a/pi). Plastic spots remain without stiffness: the sum of theirs diverges
-        towards small sizes of a fractal, so the cyclic stiffness is a lower bound.
-
-    Raises
-    ------
-    OutOfValidityError
-        When the critical area is no usable number (D very close to 2).
+    Of a surface with fractal dimension 2 < D < 3, roughness G [m] and frequency ratio gamma > 1;
+    contact modulus E* [Pa], hardness [Pa] and Poisson's ratio of the softer body. Cyclic loading:
+    an elastic or elastic-plastic spot keeps its area a and deforms as an elastic punch, k = 2 E*
+    sqrt(a/pi). Plastic spots remain without stiffness: the sum of theirs diverges towards small
+    sizes of a fractal, so the cyclic stiffness is a lower bound. Raises `OutOfValidityError` for D
+    very close to 2.
     """
     big_lambda = roughness ** (dimension - 2) * math.sqrt(math.log(gamma))
     yield_factor = 0.454 + 0.41 * poisson

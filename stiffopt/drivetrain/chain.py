@@ -255,17 +255,9 @@ def _group_secant(
 def smooth_shares(
     stages: Sequence[Stage], torque: Quantity, preloads: Preloads, smoothing: Quantity
 ) -> list[Quantity]:
-    """Return the share of the torque that each stage of a group carries, a smooth expression.
+    """Return the share of the torque [N m] that each stage of a group carries, a smooth expression.
 
-    Parameters
-    ----------
-    stages : sequence of Stage
-        At least two.
-    torque : scalar or (n,) or SX or MX [N m]
-
-    Returns
-    -------
-    list, one a stage, same kind as `torque` [-]; they sum to 1
+    At least two stages; the shares are of the torque's kind and sum to 1.
     """
     if len(stages) == 1:
         return [1.0 + 0.0 * torque]

@@ -68,16 +68,10 @@ def spring_torques(
     a: Quantity,
     process_force: Quantity = None,
 ) -> SpringTorques:
-    """Return the spring torques of an arm in motion under a process force on its tool.
+    """Return the spring torques of an arm in motion (q, v, a) under a process force on its tool.
 
-    Parameters
-    ----------
-    joint, offset : int, array_like (3,)
-        The tool point: number of its joint and the place in that joint's frame. [m]
-    q, v, a : SX or MX (n,)
-        Position, velocity, acceleration of the joints.
-    process_force : array_like or SX or MX (3,), optional
-        Acts ON the tool, base axes. [N]
+    The tool point has the place `offset` [m] in the frame of `joint`; the force [N] acts ON the
+    tool, in base axes.
     """
     rest = np.zeros(tree.n)
     gravity = newton_euler(tree, q, rest, rest)

@@ -78,13 +78,7 @@ class ExportFormat(ABC):
         return stored.sampled(rate, whole_steps=self.whole_steps)
 
     def with_pulses(self, pulses: Sequence[float]) -> ExportFormat:
-        """Return the format with pulses per degree of each axis.
-
-        Raises
-        ------
-        InputError
-            Its positions are no pulses.
-        """
+        """Return the format with pulses per degree of each axis; `InputError` if it has none."""
         raise InputError(f"--pulses: {self.title} takes no pulses. Leave it out.")
 
     def check(self, stored: StoredMotion, rate: float) -> None:  # noqa: B027

@@ -169,13 +169,7 @@ class StoredMotion:
         )
 
     def judge(self, motion: SampledMotion) -> Violation:
-        """Return the tightest limit of the drives at the exported samples.
-
-        Raises
-        ------
-        InputError
-            A limit is exceeded.
-        """
+        """Return the tightest limit of the drives at the samples; `InputError` beyond it."""
         rows = (motion.position, motion.velocity, motion.acceleration)
         return judge_samples(
             self.problem, SampledRows(motion.time, rows, self.link), f"{self.title}, sampled"

@@ -157,18 +157,8 @@ def read_rows(
 ) -> tuple[np.ndarray, np.ndarray, CubicSpline | None]:
     """Read times (K,), position to acceleration (3, K, n) and links of a table.
 
-    Parameters
-    ----------
-    file : Path
-        trajectory.csv or command.csv.
-    path : Path
-        Path of its result.json, whose content is `document`.
-
-    Raises
-    ------
-    InputFileError
-        The table is not the certified one: another hash, missing rows, inconsistent times or
-        columns.
+    `path` is that of its result.json, `document` its content. Raises `InputFileError` where the
+    table is not the certified one: another hash, missing rows, inconsistent times or columns.
     """
     joints = problem.joints
     names = [[f"{quantity}{j}" for j in range(1, joints + 1)] for quantity in ("q", "qd", "qdd")]
@@ -242,13 +232,7 @@ def judge_plan(problem: TrajectoryProblem, motion: SampledRows, file: Path) -> N
 
 
 def judge_samples(problem: TrajectoryProblem, motion: SampledRows, name: str) -> Violation:
-    """Return the tightest limit of the drives at the samples.
-
-    Raises
-    ------
-    InputError
-        A limit is exceeded.
-    """
+    """Return the tightest limit of the drives at the samples; raise `InputError` beyond it."""
     found = drive_violations(problem, motion, motion.time)
     _require_within_limits(found, name)
     return found[0]

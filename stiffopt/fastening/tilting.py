@@ -100,13 +100,7 @@ class TiltingFlange:
 
 
 def closed_compliance(flange: BoltedFlange, preload: Quantity) -> Quantity:
-    """Return the tilting compliance when closed, by the smooth contact law [rad/(N m)].
-
-    Parameters
-    ----------
-    preload : scalar
-        Of each bolt in service [N].
-    """
+    """Return the tilting compliance when closed, by the smooth contact law [rad/(N m)]."""
     bolt, plates = bolts.joint_compliances(flange)
     count = flange.bolt_count * flange.sectors
     area, moment = ring_section(flange.inner_radius, flange.outer_radius, count, 1.0, 0.0)

@@ -187,21 +187,13 @@ def slip_probability(
 ) -> SlipProbability:
     """Compute the probability of too little preload, and confirm it by random tightening.
 
-    The wrench setting gives `preload` at the stated friction. Friction in thread and under the head
-    is independent and normal: two standard deviations below the mean is the stated, lowest value,
-    two above it the value that leaves `preload`/alpha_A. The wrench error of +-5 % is two standard
-    deviations. Embedding and thermal losses are subtracted.
-
-    Parameters
-    ----------
-    preload : float
-        Largest assembly preload [N].
-
-    Notes
-    -----
-    A preload is below F where the torque M is less than F times the lever, which is linear in both
-    frictions: M - F lever is normal, so the closed form is exact. A flange carries by the sum of
-    its bolts, so it slips less often than a single bolt is too loose.
+    The wrench setting gives `preload` (the largest assembly preload) at the stated friction.
+    Friction in thread and under the head is independent and normal: two standard deviations below
+    the mean is the stated, lowest value, two above it the value that leaves `preload`/alpha_A. The
+    wrench error of +-5 % is two standard deviations. A preload is below F where the torque M is
+    less than F times the lever, which is linear in both frictions: M - F lever is normal, so the
+    closed form is exact. A flange carries by the sum of its bolts, so it slips less often than a
+    single bolt is too loose.
     """
     tightening, bolt = steps.tightening, steps.data
     lowest = (tightening.thread_friction, tightening.head_friction)

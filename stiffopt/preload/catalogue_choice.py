@@ -105,26 +105,14 @@ class CatalogueChoice:
 def choose_design(
     problem: PreloadProblem, progress: ProgressReport | None = None
 ) -> CatalogueChoice:
-    """Find the optimum catalogue design.
+    """Find the optimum catalogue design of the best tightening method and coating.
 
     Sizes, grades and counts of `problem.choose` are combined in the present ring of every bolted
-    flange; set screws stay. Torques are standard ones. The result is the best by the objective, or
-    the best of the cheapest if steps have a cost, of all combinations that satisfy every limit and
-    requirement by the exact law; of equals the one with fewer bolts, then smaller sizes, then lower
-    grades. With the stiffness of several joints as objective, each joint is the stiffest that does
-    not lower the least relative stiffness.
-
-    Parameters
-    ----------
-    problem : PreloadProblem
-        With `choose`. `individual` is ignored: one preload a connection.
-    progress : callable, optional
-        Called with a `Progress` in every iteration of the continuous solve.
-
-    Returns
-    -------
-    CatalogueChoice
-        Of the best tightening method and coating, the first of equals.
+    flange; set screws stay. Torques are standard ones, one preload a connection. The result is the
+    best by the objective, or the best of the cheapest if steps have a cost, of all combinations
+    that satisfy every limit and requirement by the exact law; of equals the one with fewer bolts,
+    then smaller sizes, then lower grades. With the stiffness of several joints as objective, each
+    joint is the stiffest that does not lower the least relative stiffness.
     """
     choose = problem.choose
     if choose is None:

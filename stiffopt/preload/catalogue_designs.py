@@ -141,20 +141,8 @@ class CatalogueDesign:
 def catalogue_designs(
     problem: PreloadProblem, element: FreeElement, cases: tuple[LoadCase, ...]
 ) -> tuple[CatalogueDesign, ...]:
-    """Return all designs of one element in the study's catalogue, feasible or not.
+    """Return all designs of one element in the study's catalogue, feasible or not, small to large.
 
-    Parameters
-    ----------
-    problem : PreloadProblem
-        With `choose`.
-
-    Returns
-    -------
-    tuple of CatalogueDesign
-        By size, grade, count, circle and torque, each from small to large.
-
-    Notes
-    -----
     Without torques in `choose`, and for pins, these are the R20 preferred numbers from the least
     required preload to the largest that any limit allows; none outside is feasible.
     """

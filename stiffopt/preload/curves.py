@@ -78,19 +78,9 @@ class PreloadCurve:
 def preload_curves(
     model: PreloadModel, preloads: np.ndarray, points: int = 60
 ) -> tuple[PreloadCurve, ...]:
-    """Vary the preload of each free element while the others keep their design.
+    """Vary the preload of each free element while the others keep their design [N].
 
-    Parameters
-    ----------
-    preloads : array (size,)
-        Of the design [N].
-    points : int
-        At least 2.
-
-    Returns
-    -------
-    tuple of PreloadCurve
-        For each element, in the load cases of least stiffness and of largest torque.
+    In the load cases of least stiffness and of largest torque.
     """
     if points < 2:
         raise ProblemError(f"preload curves: points = {points} must be 2 or above.")
@@ -162,19 +152,7 @@ def _safety_curves(
 
 
 def binding_preloads(model: PreloadModel, index: int, torque: float) -> dict[str, float]:
-    """Return the preload at which each requirement of an element is active.
-
-    Parameters
-    ----------
-    index : int
-        Of the element.
-    torque : float
-        Magnitude of the joint torque [N m].
-
-    Returns
-    -------
-    dict of name to preload [N]
-    """
+    """Return the preload [N] at which each requirement of an element is active, by name."""
     element, needs = model.elements[index], model.problem.requirements
     # The slip torque is proportional to the least preload.
     at_one = _with_preload(model, model.design, index, float(element.largest(1.0)))

@@ -126,23 +126,12 @@ class LoadHistory:
         critical: Callable[[LoadHistory], set[int]] | None = None,
         tilted: Callable[[LoadHistory], np.ndarray] | None = None,
     ) -> tuple[LoadCase, ...]:
-        """Return the worst instants for slip, stiffness and tool deflection.
+        """Return the worst instants for slip, stiffness and tool deflection, in order of time.
 
-        Parameters
-        ----------
-        joints : tuple of int
-            1-based; each contributes its largest torque and its least stiffness.
-        compliance, windup : callable
-            (joint, torques (K,)) -> (K,) at the design [rad/(N m)], [rad].
-        critical : callable, optional
-            Indices of the worst instants for the checks of the bolts.
-        tilted : callable, optional
-            Tool deflection by tilting flanges (K, 3) [m].
-
-        Returns
-        -------
-        tuple of LoadCase
-            In order of time, each instant once.
+        Each of the `joints`, from 1, contributes its largest torque and its least stiffness, by
+        `compliance` and `windup` of joint and torques (K,) at the design. `critical` gives indices
+        of the worst instants for the checks of the bolts, `tilted` the tool deflection by tilting
+        flanges (K, 3) [m].
         """
         found = critical(self) if critical else set()
         for joint in joints:

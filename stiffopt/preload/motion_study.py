@@ -41,31 +41,12 @@ def motion_study(
     *,
     progress: ProgressCallback | None = None,
 ) -> MotionStudy:
-    """Optimise preloads and motion together.
+    """Optimise preloads and motion together, in at most `rounds` rounds.
 
-    Parameters
-    ----------
-    problem : PreloadProblem
-        Free preloads, and requirements on slip safety, bolt utilisation and least preload under the
-        motion and the study's load cases. Preloads within a connection are equal.
-    trajectory_problem : TrajectoryProblem
-        Minimises the peak of one deflection, which is the objective of the preloads as well.
-    rounds : int
-        Largest number.
-    progress : callable, optional
-        Called with a `SolveProgress` in every iteration of every solve.
-
-    Returns
-    -------
-    MotionStudy
-        After Ctrl-C the best so far, with the status interrupted.
-
-    Raises
-    ------
-    ProblemError
-        The motion's objective does not depend on preloads, or the robots differ.
-    NoSolutionFound
-        No feasible motion, or no feasible preloads for it.
+    Preloads within a connection are equal; the motion minimises the peak of one deflection, which
+    is the objective of the preloads as well. After Ctrl-C the best so far is returned. Raises
+    `ProblemError` where the motion's objective does not depend on preloads or the robots differ,
+    `NoSolutionFound` without a feasible motion or preloads for it.
     """
     return _JointStudy(problem, trajectory_problem, progress).run(rounds)
 

@@ -90,26 +90,9 @@ def pareto_front(
 ) -> ParetoFront:
     """Compute the front of least total preload over required stiffness.
 
-    Parameters
-    ----------
-    problem : PreloadProblem
-        Its requirements hold along the front, except joint stiffness, which is varied.
-    cases : sequence of LoadCase
-        Loads of the designs; worst instants of motions are not updated.
-    points : int
-        Evenly spaced levels, 2 or more; some more are added beside the knee.
-    progress : callable, optional
-        Called with a `Progress` in every iteration.
-
-    Returns
-    -------
-    ParetoFront
-        A single point if the limits fix the stiffness.
-
-    Raises
-    ------
-    NoSolutionFound
-        No preload satisfies the other requirements.
+    Other requirements hold along the front; loads stay `cases`. `points` levels are evenly spaced,
+    some more are added beside the knee; a single point if the limits fix the stiffness. Raises
+    `NoSolutionFound` where no preload satisfies the other requirements.
     """
     trace = _FrontTrace(problem, tuple(cases), progress)
     least, most = trace.least_level, trace.most_level

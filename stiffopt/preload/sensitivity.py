@@ -86,15 +86,8 @@ class Sensitivity:
 
 
 def sensitivity(model: PreloadModel, preloads: np.ndarray) -> Sensitivity:
-    """Compute sensitivities to the preloads and shares of the elements in wind-up.
+    """Compute sensitivities to the largest preloads [N] and shares of the elements in wind-up.
 
-    Parameters
-    ----------
-    preloads : array (size,)
-        Largest preloads [N].
-
-    Notes
-    -----
     Stiffness and shares follow the exact law. The slope is -K^2 dC/dF with the derivative of the
     smooth law, valid up to 0.95 of the slip torque.
     """
@@ -133,16 +126,7 @@ def _preload_worths(model: PreloadModel, preloads: np.ndarray) -> Iterator[Prelo
 
 
 def compliance_slopes(model: PreloadModel, preloads: np.ndarray) -> np.ndarray:
-    """Return the derivatives of the joints' tangent compliances by the preloads.
-
-    Parameters
-    ----------
-    preloads : array (size,) [N]
-
-    Returns
-    -------
-    array (joints, cases, size) [rad/(N m) per N]
-    """
+    """Derivatives of tangent compliances by preloads (joints, cases, size) [rad/(N m) per N]."""
     symbol = ca.SX.sym("preload", model.size)
     joints = model.problem.joints
     values = [model.compliances(symbol, joint) for joint in joints]

@@ -33,18 +33,7 @@ CURVES_FILE = "study.csv"
 
 
 def study_document(study: PreloadStudy) -> dict[str, Any]:
-    """Return the content of study.json.
-
-    Parameters
-    ----------
-    study : PreloadStudy
-        Of any status; missing parts (front, choice, motion) are None.
-
-    Returns
-    -------
-    dict
-        Plain numbers, strings, lists and dicts; no NaN and no infinity.
-    """
+    """Content of study.json as plain data; missing parts (front, choice, motion) are None."""
     with with_own(study.problem.robot.own):
         return _compose_document(study)
 

@@ -203,18 +203,7 @@ def read_robot(
     path: Path,
     robots: Callable[[str | Path], Robot] = load_robot,
 ) -> Robot:
-    """Robot of a problem or study file, with the file's payload and tool.
-
-    Parameters
-    ----------
-    name : str
-        A shipped robot, or the path of a robot file beside `path`.
-    payload, tool : sections of the file
-    path : Path
-        Problem or study file.
-    robots : callable
-        Loader, as for `load_problem`.
-    """
+    """Robot of a problem or study file `path`, with the file's payload and tool."""
     beside = path.parent / name
     source = name if name in shipped_robots() else beside if beside.exists() else name
     with locate_errors(path, "robot"):

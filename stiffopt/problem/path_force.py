@@ -65,17 +65,9 @@ def path_force(
 ) -> PathForce:
     """Return the force of a tool path.
 
-    Parameters
-    ----------
-    values : array (m, 3) [N]
-        Constant parts.
-    at : array (m + 1,) or (m,) [m]
-        Distances that bound pieces of constant force, or those at which the values hold.
-    per_feed : array (3,) [N/(m/s)]
-    frame : "base", "tool" or "path"
-        Of all of them.
-    ramp : float
-        Length over which the force changes from one piece to the next [m].
+    `values` (m, 3) [N] hold in pieces between distances `at` (m + 1,) [m], or at those (m,);
+    `per_feed` (3,) is in N/(m/s), both in axes of `frame`. Over the length `ramp` [m] the force
+    changes from one piece to the next.
     """
     along = np.linspace(0.0, path.length, max(2001, int(path.length / 2e-4)))
     if len(at) == len(values) + 1:

@@ -253,25 +253,11 @@ def spline_segments(
     stops: np.ndarray,
     where: str,
 ) -> list[ToolSegment]:
-    """Return segments of splines through points, from stop to stop.
+    """Return segments of splines through points (m, 3) [m], the first the start, from stop to stop.
 
-    Parameters
-    ----------
-    points : array (m, 3) [m]
-        The first one is the start.
-    rotations : array (m, 3, 3) or None
-        Orientations there; None for one that stays.
-    speeds : array (m,)
-        Largest tool speed on the way to each point [m/s].
-    stops : array (m,) of bool
-        The tool rests at the point.
-    where : str
-        Name of the points in messages: "points.csv, row ".
-
-    Raises
-    ------
-    ProblemError
-        A point repeats the one before.
+    At each point: orientation (m, 3, 3) or None for one that stays, largest tool speed on the way
+    to it (m,) [m/s], and whether the tool rests there; `where` names the points in messages. Raises
+    `ProblemError` for a point that repeats the one before.
     """
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     for k in np.flatnonzero(~(steps > _MIN_LENGTH)):

@@ -267,19 +267,7 @@ def assumptions(
 def nominal_assumptions(
     nominal: NominalSection, tolerance: Tolerance, described: Robot, *, links: bool
 ) -> tuple[str, ...]:
-    """Assumptions on the nominal robot and its tolerances, which an extended model replaces.
-
-    Parameters
-    ----------
-    nominal : NominalSection
-        Values of the set.
-    tolerance : Tolerance
-        Tolerances of the set.
-    described : Robot
-        Robot of its own file.
-    links : bool
-        Link positions are recorded.
-    """
+    """Assumptions on the nominal robot and its tolerances, which an extended model replaces."""
     found = [*_list_nominal_assumptions(nominal, described, links)]
     if silent := missing_tolerances(tolerance):
         found.append(f"Tolerances not given, wide defaults hold: {', '.join(silent)}.")
@@ -287,10 +275,7 @@ def nominal_assumptions(
 
 
 def missing_tolerances(tolerance: Tolerance) -> list[str]:
-    """Names of tolerances that a set does not give.
-
-    Except that of the damping, which is never known well.
-    """
+    """Names of tolerances that a set does not give, but for the damping, never known well."""
     return [k for k, value in vars(tolerance).items() if value is None and k != "joint_damping"]
 
 

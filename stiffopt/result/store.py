@@ -201,13 +201,7 @@ def file_hash(path: Path) -> str:
 
 
 def read_document(path: Path) -> dict[str, Any]:
-    """Content of a result.json.
-
-    Raises
-    ------
-    InputFileError
-        The file is missing or no result.
-    """
+    """Content of a result.json; raise `InputFileError` if it is missing or no result."""
     check_result(path.parent, RESULT_FILE, TRAJECTORY_FILE)
     document = load_json(path)
     if not isinstance(document, dict) or "inputs_hash" not in document:
@@ -242,22 +236,10 @@ def check_samples(duration: float, rate: float) -> None:
 
 
 def export_times(duration: float, rate: float | None = None) -> np.ndarray:
-    """Times of trajectory.csv: every 1/rate, and exactly the end.
+    """Times (K,) of trajectory.csv [s]: every 1/rate (default `EXPORT_RATE`), and exactly the end.
 
-    Parameters
-    ----------
-    duration : float [s]
-    rate : float [Hz], optional
-        Default: `EXPORT_RATE`, or as many samples of a long motion as a table holds.
-
-    Returns
-    -------
-    array (K,) [s]
-
-    Raises
-    ------
-    InputError
-        More samples than `MAX_SAMPLES`.
+    A long motion has as many samples as a table holds; raises `InputError` where more than
+    `MAX_SAMPLES` are asked for.
     """
     rate = min(EXPORT_RATE, MAX_SAMPLES / duration) if rate is None else rate
     check_samples(duration, rate)

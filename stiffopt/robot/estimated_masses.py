@@ -105,15 +105,9 @@ def fit_to_torque_limits(
     """Scale estimated bodies to the gravity torque that the drives usually hold.
 
     Rods are scaled half way (by logarithms). Shapes are more reliable: they are scaled, and then
-    fully, only where the drives could not hold them, since shapes may be safety envelopes.
-
-    Parameters
-    ----------
-    bodies : mapping of link to its body
-    weight : array (n,)
-        Largest gravity torque of each joint by these bodies [N m].
-    torques : array (n,)
-        Torque limits, NaN where there is no plausible one [N m].
+    fully, only where the drives could not hold them, since shapes may be safety envelopes. `weight`
+    (n,) is the largest gravity torque of each joint by these bodies, `torques` its limits, NaN
+    where there is no plausible one [N m].
     """
     carrier = int(np.argmax(weight))
     if not (weight[carrier] > 0.0 and np.isfinite(torques[carrier])):

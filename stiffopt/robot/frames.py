@@ -74,17 +74,8 @@ def link_frame(
 ) -> LinkFrame:
     """Frame fixed to a moving link, in the frame of the link's joint.
 
-    Parameters
-    ----------
-    offset : array_like (3,), optional
-        In the link's frame [m]; default its origin.
-    rpy : array_like (3,), optional
-        Roll, pitch, yaw about the link's axes [rad]; default as the link.
-
-    Raises
-    ------
-    RobotError
-        A link that does not exist or does not move, or numbers that are no frame.
+    Place [m] and roll, pitch, yaw [rad] are in the link's frame, default that frame itself. Raises
+    `RobotError` for a link that does not exist or move, or numbers that are no frame.
     """
     if link not in link_names(model):
         raise RobotError(f"no link {link!r}. {nearest(link, link_names(model))}")

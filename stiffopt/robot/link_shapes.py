@@ -187,13 +187,7 @@ def joint_shapes(
 
 
 def mesh_triangles(shape: LinkShape) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (V, 3) [m] and triangles (T, 3) of a scaled mesh.
-
-    Raises
-    ------
-    InputFileError
-        The file is no mesh.
-    """
+    """Vertices (V, 3) [m] and triangles (T, 3) of a scaled mesh; or raise `InputFileError`."""
     model = load_mesh(shape)
     corners = [[model.tri_indices(i)[k] for k in range(3)] for i in range(model.num_tris)]
     return np.array(model.vertices(), dtype=float), np.array(corners, dtype=int)

@@ -232,15 +232,7 @@ def names_in_common_folder(files: Sequence[Path]) -> dict[str, Path]:
 
 
 def read_mjcf(path: str | os.PathLike[str]) -> MjcfModel:
-    """Read an MJCF.
-
-    Raises
-    ------
-    InputError
-        The package `mujoco` is not installed.
-    InputFileError
-        MuJoCo refuses the file.
-    """
+    """Read an MJCF; raise `InputError` without `mujoco`, or where it refuses the file."""
     path = Path(path)
     return _read_mjcf(path, tuple(file.stat().st_mtime_ns for file in mjcf_parts(path)))
 

@@ -108,30 +108,13 @@ def load_urdf(
     bodies: Mapping[str, LinkBody] | None = None,
     hold_unplanned: bool = False,
 ) -> LoadedUrdf:
-    """Load a URDF as a model with the limits and friction of each joint.
+    """Load a URDF or MJCF as a model with the limits and friction of each joint.
 
-    Parameters
-    ----------
-    path : path of a URDF or MJCF
-    lock : mapping of joint name to float, optional
-        Positions of locked joints [rad] or [m].
-    tip : str, optional
-        Link at the end of the arm; joints that do not lead to it are held.
-    keep : collection of str
-        Joints that are not fixed although they do not lead to the tip.
-    limited : collection of str or None
-        Joints whose position limits are given elsewhere; None: all that need some.
-    bodies : mapping of link name to LinkBody, optional
-        Bodies that replace inertials of the URDF.
-    hold_unplanned : bool
-        Fix free bases, ball joints, and joints of the arm that follow another one, in place of an
-        error.
-
-    Raises
-    ------
-    RobotError
-        A joint that is neither revolute, prismatic nor fixed, or follows another of the arm; a
-        missing or impossible number.
+    `lock` gives positions of locked joints [rad] or [m]; joints that do not lead to the link `tip`
+    are held, except those in `keep`. Position limits of joints in `limited` are given elsewhere
+    (None: of all). `bodies` replace inertials. With `hold_unplanned`, free bases, ball joints and
+    followers of joints of the arm are fixed, in place of a `RobotError`, which missing or
+    impossible numbers raise as well.
     """
     path = Path(path)
     tree = read_urdf_tree(path)

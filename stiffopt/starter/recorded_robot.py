@@ -60,18 +60,6 @@ def store_robot(source: Path, folder: Path, tip: str | None = None) -> RecordedR
     """Copy a robot into a folder; add a robot file with guesses for an incomplete URDF or MJCF.
 
     Limits and masses are guessed, drivetrains and friction are not: recordings determine them.
-
-    Parameters
-    ----------
-    source : Path
-        URDF, MJCF, robot TOML, or the name of a shipped robot.
-    tip : str, optional
-        Last link of the recorded arm, if the URDF holds more.
-
-    Raises
-    ------
-    InputFileError, RobotError
-        The robot cannot be read.
     """
     source = robot_path(source)
     if source.suffix.lower() == ".toml":

@@ -53,17 +53,8 @@ def _holds_position_and_cause(names: list[str], robot: Robot) -> bool:
 def name_blocks(table: Table, robot: Robot) -> tuple[Table, str]:
     """Name the columns of a table without names: a time, then blocks of one column a joint.
 
-    Returns
-    -------
-    table : Table
-        Under names such as "t", "position[0]"; as it is where its file has names.
-    reason : str
-        Why, with a question where the values leave it open; "" where the file has names.
-
-    Raises
-    ------
-    InputError
-        The number of columns is that of no layout.
+    Also return why, with a question where the values leave it open; "" for a file with names, whose
+    table stays as it is. Raises `InputError` where no layout has so many columns.
     """
     if not is_unnamed(table):
         return table, ""

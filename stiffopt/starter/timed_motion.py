@@ -53,19 +53,9 @@ class TimedMotion:
 def read_timed_motion(path: Path, robot: Robot, rate: float | None = None) -> TimedMotion:
     """Read a motion of the joints of a robot from any file that recordings are read from.
 
-    Set points take precedence over measured positions: they are what can be changed.
-
-    Parameters
-    ----------
-    path : Path
-        CSV and other tables, JointTrajectory or RobotTrajectory as YAML or JSON, MCAP, rosbag2.
-    rate : float, optional
-        Rows a second [Hz], if no column is a time.
-
-    Raises
-    ------
-    InputError
-        No columns of positions for all joints, rows out of order, or jumps; with the place.
+    Set points take precedence over measured positions: they are what can be changed. `rate` [Hz] is
+    needed if no column is a time. Raises `InputError` without positions of all joints, and for rows
+    out of order or jumps, with the place.
     """
     if rate is not None and not 0.0 < rate < 1e6:
         raise InputError(f"--rate {rate:g} must be above 0 and below 1e6 rows a second.")

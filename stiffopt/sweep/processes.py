@@ -87,13 +87,7 @@ class Processes:
 
 
 def load_ahead(arguments: Sequence[str]) -> None:
-    """Start loading the workers' modules before the command line is loaded, if workers are used.
-
-    Parameters
-    ----------
-    arguments : sequence of str
-        Arguments of `stiffopt sweep`, not checked for errors.
-    """
+    """Start loading the workers' modules before the command line is loaded, if workers are used."""
     words = [word for each in arguments for word in each.split("=", 1)]
     alone = cores() == 1 if "--workers" not in words else ("--workers", "1") in pairwise(words)
     if alone or "--scheduler" in words or not any(Path(word).is_file() for word in words):

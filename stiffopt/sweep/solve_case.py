@@ -56,17 +56,7 @@ _worker_cache = threading.local()
 def solve_case(case: Case, warm: bytes | None = None) -> tuple[dict[str, Any], bytes | None]:
     """Solve a case and return the content of its file; errors of the case become its status.
 
-    Parameters
-    ----------
-    warm : bytes, optional
-        Final state of another case.
-
-    Returns
-    -------
-    dict
-        Plain numbers, strings, lists and dicts.
-    bytes or None
-        Final state of this case, for warm starts of others.
+    `warm` is the final state of another case; this one's is returned as well.
     """
     begin = time.perf_counter()
     end = None

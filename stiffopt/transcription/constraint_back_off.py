@@ -118,17 +118,9 @@ def back_off_exceeded(
 ) -> Nlp:
     """Return the NLP with the bounds of path rows backed off where a motion exceeds them.
 
-    Parameters
-    ----------
-    nlp : Nlp
-        The solved one, with its back-off.
-    given : Nlp
-        With the original bounds.
-    most : float
-        Largest back-off in one step, in units of the row.
-    limits : container of str
-        Names of rows that must hold. The others bound a peak that is minimised: their back-off is
-        just the excess.
+    `given` has the original bounds; one step is at most `most`, in units of the row. Rows of the
+    names in `limits` must hold; the others bound a peak that is minimised: their back-off is just
+    the excess.
     """
     lower, upper = nlp.lower_g.copy(), nlp.upper_g.copy()
     for block, index, above, below in excess.near:

@@ -308,23 +308,11 @@ class Nlp:
     def conflicts(
         self, multipliers_x: np.ndarray, multipliers_g: np.ndarray, n: int = 40
     ) -> list[NlpEntry]:
-        """Find the limits and boundary values that cannot hold together.
+        """Find at most `n` limits and boundary values that cannot hold together, by falling weight.
 
         At a point of locally minimal infeasibility, multipliers weigh the bounds that prevent
-        feasibility.
-
-        Parameters
-        ----------
-        multipliers_x, multipliers_g : array
-            Multipliers at the infeasible point.
-        n : int
-            Largest number of entries.
-
-        Returns
-        -------
-        list of NlpEntry
-            By falling weight, each name and label once at its heaviest point; those below one
-            per cent of the heaviest are left out.
+        feasibility. Each name and label stands once, at its heaviest point; those below one per
+        cent of the heaviest are left out.
         """
         found: list[tuple[float, NlpEntry]] = []
         for blocks, multipliers in ((self.variables, multipliers_x), (self.rows, multipliers_g)):

@@ -262,15 +262,9 @@ def _replay_operations(
 ) -> list[ca.SX]:
     """Compute the outputs of a function again, operation by operation.
 
-    Parameters
-    ----------
-    function : casadi.Function
-        Of SX, with dense outputs.
-    number : callable
-        (value, instruction) -> symbol of a number, called at each of its uses: equal numbers stay
-        separate inputs, since their equality is no part of the formula.
-    intermediate : SX, optional
-        Replaces the first output in everything computed from it.
+    `number` gives a symbol for (value, instruction) at each use of a number: equal numbers stay
+    separate inputs, since their equality is no part of the formula. `intermediate` replaces the
+    first output in everything computed from it.
     """
     work: dict[int, ca.SX | tuple[float, int]] = {}
 

@@ -174,17 +174,10 @@ class Transcription:
     def acceleration_polynomials(
         self, x: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return the second-order states as piecewise-polynomial accelerations.
+        """Return the second-order states as piecewise-polynomial accelerations, from their start.
 
-        Returns
-        -------
-        breaks : array (K + 1,)
-            [s]
-        coefficients : array (K, degree + 1, n)
-            Power basis in the time since the interval's start [s], lowest power first; n runs
-            over `ocp.chains`.
-        position, velocity : array (n,)
-            At the start.
+        Breaks (K + 1,) [s], coefficients (K, degree + 1, n) in the time since the interval's start,
+        lowest power first, for n `ocp.chains`; position and velocity (n,) at the start.
         """
         if not self.ocp.chains:
             raise ProblemError(

@@ -118,20 +118,10 @@ def parse_field(name: str, topics: Iterable[str], path: Path) -> Field:
 def gather_columns(
     path: Path, signals: Signals, topics: Iterable[str], messages: Iterable[Message]
 ) -> dict[str, np.ndarray]:
-    """Collect the columns that `signals` names from messages.
+    """Collect the columns (R,) that `signals` names from messages in the order of the log.
 
-    Parameters
-    ----------
-    topics : iterable of str
-        Topics of the file.
-    messages : iterable of Message
-        In the order of the log.
-
-    Returns
-    -------
-    mapping of column name to array (R,)
-        On the clock of the topic of the first position, in seconds after its first stamp. Channels
-        of other topics are interpolated linearly, NaN outside of their stamps.
+    On the clock of the topic of the first position, in seconds after its first stamp. Channels of
+    other topics are interpolated linearly, NaN outside of their stamps.
     """
     wanted = {name: parse_field(name, topics, path) for name in signals.wanted}
     own: dict[str, _Topic] = {}

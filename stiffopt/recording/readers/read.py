@@ -205,13 +205,7 @@ def is_messages(path: Path) -> bool:
 
 
 def first_messages(path: Path, count: int) -> list[Message]:
-    """Read the first messages of an MCAP file or a rosbag2: topic, log time [ns], content.
-
-    Raises
-    ------
-    InputFileError, InputError
-        See `read_columns`.
-    """
+    """Read the first messages of an MCAP file or a rosbag2: topic, log time [ns], content."""
     module = _select_reader(path)
     reader = _import_reader(module, path)
     return read_bounded(lambda: list(islice(reader.peek(path), count)), path, _FORMAT_NAMES[module])

@@ -86,19 +86,7 @@ def line_style(index: int) -> dict[str, Any]:
 
 
 def decimate_curve(time: np.ndarray, values: np.ndarray, points: int = POINTS) -> tuple[Any, Any]:
-    """Decimate a curve to at most `points` samples, peaks preserved.
-
-    Of each piece of the curve the lowest and the highest sample are kept.
-
-    Parameters
-    ----------
-    time, values : array (K,)
-
-    Returns
-    -------
-    (array, array)
-        The samples kept, ends included.
-    """
+    """Decimate a curve to at most `points` samples: ends, lowest and highest of each piece."""
     if len(time) <= points:
         return time, values
     edges = np.linspace(0, len(time), points // 2, dtype=int)

@@ -372,20 +372,7 @@ def motion_direction(diagnosis: Diagnosis, rows: ChannelResiduals) -> np.ndarray
 def binned_means(
     x: np.ndarray, y: np.ndarray, edges: np.ndarray, least: int = 6
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return means of y in bins of x.
-
-    Parameters
-    ----------
-    x, y : array (m,)
-    edges : array (b + 1,)
-    least : int
-        Minimum samples of a bin.
-
-    Returns
-    -------
-    (array, array, array)
-        Mean x, mean y and standard error of the mean of every bin with enough samples.
-    """
+    """Return mean x, mean y and its standard error of each bin with at least `least` samples."""
     number = np.digitize(x, edges) - 1
     found = []
     for b in range(len(edges) - 1):

@@ -158,18 +158,8 @@ def _round_nested(values: np.ndarray, digits: int = 6) -> list[Any]:
 def compact_mesh(shape: LinkShape, most: int = _MAX_TRIANGLES) -> dict[str, Any]:
     """Return the mesh of a shape, vertices on a grid, triangles that vanish on it removed.
 
-    Parameters
-    ----------
-    shape : LinkShape
-        A mesh whose file exists.
-    most : int
-        Maximum number of triangles; the grid is coarsened until it holds.
-
-    Returns
-    -------
-    dict
-        `origin` [m] and `step` [m] of the grid; `vertices` and `triangles`, little-endian
-        16-bit numbers in base 64.
+    `origin` [m] and `step` [m] of the grid, which is coarsened until at most `most` triangles
+    remain; `vertices` and `triangles`, little-endian 16-bit numbers in base 64.
     """
     vertices, corners = mesh_triangles(shape)
     low = vertices.min(axis=0)

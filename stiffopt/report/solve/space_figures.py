@@ -101,15 +101,7 @@ def _draw_projection(
 
 
 def exaggeration(extent: float, largest: float) -> float:
-    """Return a round factor (1, 2 or 5 times a power of ten) that makes a deflection visible.
-
-    Parameters
-    ----------
-    extent : float
-        Extent of the path [m].
-    largest : float
-        Largest deflection [m].
-    """
+    """Return a round factor (1, 2 or 5 times a power of ten) that makes a deflection visible."""
     if largest <= 0:
         return 1.0
     # Share of the path's extent to which the largest deflection is magnified.
