@@ -50,14 +50,9 @@ _PLAUSIBLE_KEY, _BOUNDS_KEY = "plausible", "bounds"
 class Unit:
     """A number with a unit: an SI float in Python, in files also a text such as "8 mm".
 
-    Parameters
-    ----------
-    dimension : str
-        A name in `DIMENSIONS`.
-    joint : bool
-        Quantity of a joint: for a prismatic one the dimension is that of `PRISMATIC`.
-    bare : bool
-        Always in SI, as in recordings: texts with units are rejected.
+    `dimension`: a name in `DIMENSIONS`. `joint`: quantity of a joint: for a prismatic one the
+    dimension is that of `PRISMATIC`. `bare`: always in SI, as in recordings: texts with units are
+    rejected.
     """
 
     dimension: str

@@ -34,14 +34,8 @@ StudyCallback = Callable[[Progress | SolveProgress], object]
 class Check:
     """Comparison of one solved value of a problem or study file with its expected value.
 
-    Parameters
-    ----------
-    name : str
-        Name of a study's value; "" is the objective of a trajectory problem.
-    value, expected : float or None
-        In `unit`.
-    source : str
-        Source of the expected value.
+    `name`: name of a study's value; "" is the objective of a trajectory problem. `value` and
+    `expected`: in `unit`. `source`: source of the expected value.
     """
 
     path: Path

@@ -81,14 +81,9 @@ def path_limits(
 ) -> PathLimits:
     """Evaluate all limits on `grid`.
 
-    Parameters
-    ----------
-    limits : Limits
-        Velocity (with its map over position), acceleration, torque and tool speed are taken; jerk,
-        deflection and stiffness limits have no form linear in u and x.
-    grid : array (N,)
-    process_force : array (3,)
-        Acts on the tool, base axes. [N]
+    `limits`: velocity (with its map over position), acceleration, torque and tool speed are taken;
+    jerk, deflection and stiffness limits have no form linear in u and x. `grid` (N,).
+    `process_force` (3,): acts on the tool, base axes [N].
     """
     q, dq, ddq = path(grid), path(grid, 1), path(grid, 2)
     a, b, c, speed = torque_rows(robot, q, dq, ddq, process_force)

@@ -40,10 +40,7 @@ _last_rivals: dict[tuple[str, float], tuple[tuple[FairRival, Assessment], ...]] 
 class FairRival:
     """Motion by one time law along the path, at any duration.
 
-    Parameters
-    ----------
-    law : Trajectory
-        Path parameter over time; durations scale it.
+    `law`: path parameter over time; durations scale it.
     """
 
     def __init__(

@@ -68,24 +68,14 @@ def toppra_baseline(
 ) -> BaselineMotion:
     """Return the time-optimal rest-to-rest motion along `path`, slowed uniformly to `duration`.
 
-    Limits on joint velocity (with its map over position), acceleration, drive torque and tool
-    speed are kept. Rotor inertia and dry friction are exact; viscous friction is bounded on the
-    safe side, which costs a little speed where it helps to brake. Jerk, deflection and stiffness
-    limits are beyond the method: the assessment of the motion shows them.
-
-    Parameters
-    ----------
-    path : JointPath
-        The straight line, or the spline through the via points.
-    duration : float, optional
-        Wanted duration; the shortest one if left out. [s]
-    process_force : array_like (3,)
-        Acts on the tool, base axes. [N]
-    intervals : int
-        Of the path grid.
-    eased : bool
-        Let the acceleration rise from zero at the start and fall to zero at the end, each within
-        the first and the last interval of the grid.
+    Limits on joint velocity (with its map over position), acceleration, drive torque and tool speed
+    are kept. Rotor inertia and dry friction are exact; viscous friction is bounded on the safe
+    side, which costs a little speed where it helps to brake. Jerk, deflection and stiffness limits
+    are beyond the method: the assessment of the motion shows them. `path`: the straight line, or
+    the spline through the via points. `duration`: wanted duration; the shortest one if left out
+    [s]. `process_force` (3,): acts on the tool, base axes [N]. `intervals`: of the path grid.
+    `eased`: let the acceleration rise from zero at the start and fall to zero at the end, each
+    within the first and the last interval of the grid.
 
     Returns
     -------

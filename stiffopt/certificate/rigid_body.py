@@ -49,11 +49,7 @@ class JointGeometry:
 class MovingJoint:
     """One joint at K instants; base axes.
 
-    Parameters
-    ----------
-    origin : array (3, K) [m]
-    frame : array (3, 3, K)
-        Vectors of its frame, the axis last.
+    `origin` (3, K) [m]. `frame` (3, 3, K): vectors of its frame, the axis last.
     """
 
     of: JointGeometry

@@ -52,13 +52,8 @@ _TRIAL_SAMPLES = 1001
 class ExistingCommand:
     """Command of the motors, made or of an earlier solve.
 
-    Parameters
-    ----------
-    motors : JointMotion
-        Motion of the motors, with that of the links as its `link`.
-    spacing : float or None
-        As of `CompensatedMotion`.
-    share : float
+    `motors`: motion of the motors, with that of the links as its `link`. `spacing`: as of
+    `CompensatedMotion`.
     """
 
     motors: JointMotion
@@ -125,14 +120,7 @@ class CommandOnArms:
 class _Lead:
     """Smooth motion of the links and the motors that lead it.
 
-    Parameters
-    ----------
-    link : Trajectory
-    motors : Trajectory
-        With all of the nominal wind-up.
-    spacing : float or None
-    servo : Servo
-        Whose known lag the command leads.
+    `motors`: with all of the nominal wind-up. `servo`: whose known lag the command leads.
     """
 
     link: Trajectory

@@ -41,14 +41,9 @@ Loading = Annotated[
 class SpotLaw:
     """Force and incremental normal stiffness of the spots of one regime.
 
-    Parameters
-    ----------
-    lower, upper : float
-        Range of the truncated area a' [m^2].
-    force_factor, force_exponent : float
-        F = force_factor * a'^force_exponent [N].
-    stiffness_factor, stiffness_exponent : float
-        k = stiffness_factor * a'^stiffness_exponent [N/m].
+    `lower` and `upper`: range of the truncated area a' [m^2]. `force_factor` and `force_exponent`:
+    F = force_factor * a'^force_exponent [N]. `stiffness_factor` and `stiffness_exponent`: k =
+    stiffness_factor * a'^stiffness_exponent [N/m].
     """
 
     lower: float

@@ -108,16 +108,9 @@ class LogCubic:
     """ln k_n is a cubic of x = ln(p / 1 MPa); outside the range of the fit a straight line in x.
 
     The straight lines make k_n positive and growing for every pressure above zero. k_n has a
-    continuous slope at the two joints, its integral a continuous second derivative.
-
-    Parameters
-    ----------
-    coefficients : (4,) tuple of float
-        c0 .. c3 of ln(k_n / (N/m^3)) = c0 + c1 x + c2 x^2 + c3 x^3.
-    lower, upper : float
-        Range of the fit [Pa].
-    max_error : float
-        Largest relative error in it [-].
+    continuous slope at the two joints, its integral a continuous second derivative. `coefficients`
+    (4,) tuple: c0 .. c3 of ln(k_n / (N/m^3)) = c0 + c1 x + c2 x^2 + c3 x^3. `lower` and `upper`:
+    range of the fit [Pa]. `max_error`: largest relative error in it [-].
     """
 
     coefficients: tuple[float, float, float, float]

@@ -100,13 +100,10 @@ Law = Callable[[Quantity], Quantity]
 class Chain:
     """Drivetrain of one joint, from motor to link.
 
-    Parameters
-    ----------
-    reflect : bool
-        True (physics): the wind-up of an element counts 1/ratio at the joint, its stiffness
-        ratio^2. False: the torque is still divided by the ratio, but the element's tangent
-        stiffness is added as it is; an interpretation of texts that do not mention reflection, in
-        which everything on the motor side dominates.
+    `reflect`: True (physics): the wind-up of an element counts 1/ratio at the joint, its stiffness
+    ratio^2. False: the torque is still divided by the ratio, but the element's tangent stiffness is
+    added as it is; an interpretation of texts that do not mention reflection, in which everything
+    on the motor side dominates.
 
     Notes
     -----
@@ -134,13 +131,8 @@ class Chain:
     ) -> Quantity:
         """Wind-up of the joint under a torque.
 
-        Parameters
-        ----------
-        torque : scalar or (n,) or SX or MX [N m]
-        preloads : mapping of element name to preload [N], optional
-            Replaces the elements' own; may be symbolic.
-        smoothing : scalar [-]
-            Factor on every smoothing width.
+        `torque` (n,) or SX or MX [N m]. `preloads` [N]: replaces the elements' own; may be
+        symbolic. `smoothing` [-]: factor on every smoothing width.
 
         Returns
         -------

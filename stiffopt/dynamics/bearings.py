@@ -25,11 +25,7 @@ def dynamic_bearing_displacements(
 ) -> dict[int, Quantity]:
     """Return the displacement of the tool by bearing and link of each joint, less that at rest.
 
-    Parameters
-    ----------
-    robot : Robot
-    q, v, a : SX (n,)
-        Position, velocity and acceleration of the links.
+    `q`, `v` and `a` (n,): position, velocity and acceleration of the links.
 
     Returns
     -------

@@ -89,12 +89,8 @@ def tool_deflection(
 ) -> Deflection:
     """Return the deflection of the tool under spring torques.
 
-    Parameters
-    ----------
-    jacobian : array, SX or MX (3, n)
-        Position Jacobian of the tool, base axes. [m/rad] or [1]
-    windup : callable
-        Spring torques (n,) -> wind-up angles (n,) [rad] (or shortening [m]).
+    `jacobian` (3, n): position Jacobian of the tool, base axes [m/rad] or [1]. `windup`: spring
+    torques (n,) -> wind-up angles (n,) [rad] (or shortening [m]).
     """
     sag, moving = windup(torques.gravity), windup(torques.motion)
     # Without a process force both are the same expression, and the process part is exactly zero.

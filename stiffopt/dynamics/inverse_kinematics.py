@@ -24,14 +24,8 @@ _MAX_GAUSS_NEWTON_STEPS = 200
 class UnreachablePoseError(ProblemError):
     """No joint angles within the limits reach the tool pose.
 
-    Parameters
-    ----------
-    distance : float
-        Smallest distance reached. [m]
-    angle : float or None
-        Angle error there, where an orientation was given. [rad]
-    joints : array (n,)
-        Joint angles there.
+    `distance`: smallest distance reached [m]. `angle`: angle error there, where an orientation was
+    given [rad]. `joints` (n,): joint angles there.
     """
 
     def __init__(

@@ -118,16 +118,9 @@ def antiderivative(
 ) -> Antiderivative:
     """Return the antiderivative of `function` on [0, `upper`].
 
-    Parameters
-    ----------
-    function : callable
-        (k,) -> (k,), positive; vectorised.
-    upper : float
-        Largest argument, above 0.
-    breakpoints : sequence of float
-        Known jumps and kinks of the function.
-    relative_tolerance : float
-        Of the integral over each panel, hence of the whole.
+    `function`: (k,) -> (k,), positive; vectorised. `upper`: largest argument, above 0.
+    `breakpoints`: known jumps and kinks of the function. `relative_tolerance`: of the integral over
+    each panel, hence of the whole.
 
     Notes
     -----

@@ -50,12 +50,7 @@ class CheckedMotion:
 def check_file(file: Path, result: Path, problem: Path | None = None) -> CheckedMotion:
     """Check an exported file against its result, whose motion is assessed again.
 
-    Parameters
-    ----------
-    result : Path
-        Folder of the solve.
-    problem : Path, optional
-        Problem file in place of that of the result.
+    `result`: folder of the solve. `problem`: problem file in place of that of the result.
 
     Raises
     ------

@@ -34,10 +34,7 @@ if TYPE_CHECKING:
 class StoredCycle(StoredMotion):
     """Motion of a cycle; `problem` and `link` are those of its first leg.
 
-    Parameters
-    ----------
-    starts : tuple of float
-        Of the legs [s].
+    `starts`: of the legs [s].
     """
 
     legs: tuple[StoredMotion, ...]

@@ -33,14 +33,9 @@ _OTHER_INERTIA_ATTRIBUTES = ("diaginertia", "quat", "axisangle", "xyaxes", "zaxi
 class AttributeChange:
     """Changed attribute of an element.
 
-    Parameters
-    ----------
-    line : int
-        Of the element, in the file as it was.
-    element, name, attribute : str
-        Such as "joint", "elbow", "frictionloss".
-    old, new : str
-        In the units of the file; the old value may be that of a default class or of shapes.
+    `line`: of the element, in the file as it was. `element`, `name` and `attribute`: such as
+    "joint", "elbow", "frictionloss". `old` and `new`: in the units of the file; the old value may
+    be that of a default class or of shapes.
     """
 
     file: str
@@ -57,12 +52,8 @@ class AttributeChange:
 class ChangedMjcf:
     """Files of an MJCF with the findings.
 
-    Parameters
-    ----------
-    contents : mapping of path to bytes
-        Of the file and its includes, in the folder that holds all of them.
-    left_out : tuple of str
-        Findings that the file cannot take, a sentence each.
+    `contents`: of the file and its includes, in the folder that holds all of them. `left_out`:
+    findings that the file cannot take, a sentence each.
     """
 
     contents: dict[str, bytes]

@@ -21,12 +21,8 @@ _START_TAG = re.compile(rb"""<[^\s/>]+(?:\s+[^\s=/>]+\s*=\s*(?:"[^"]*"|'[^']*'))
 class MjcfElement:
     """Start tag of an element.
 
-    Parameters
-    ----------
-    file : str
-        Path of its file in the folder that holds all files of the model.
-    begin, end : int
-        Bytes of the start tag.
+    `file`: path of its file in the folder that holds all files of the model. `begin` and `end`:
+    bytes of the start tag.
     """
 
     file: str
@@ -39,10 +35,7 @@ class MjcfElement:
 class MjcfSource:
     """Files of an MJCF, and changes of named elements.
 
-    Parameters
-    ----------
-    path : Path
-        The MJCF.
+    `path`: the MJCF.
 
     Notes
     -----

@@ -67,14 +67,8 @@ def read_diagnosed_robot(
 ) -> DiagnosedRobot:
     """Read extended.toml of a diagnosis and the robot of its recording set.
 
-    Parameters
-    ----------
-    diagnosis : Path
-        Folder of `stiffopt diagnose`.
-    recordings : Path
-        The recording set.
-    effects : Path, optional
-        File of effects outside the catalogue.
+    `diagnosis`: folder of `stiffopt diagnose`. `recordings`: the recording set. `effects`: file of
+    effects outside the catalogue.
 
     Raises
     ------
@@ -156,10 +150,7 @@ def _with_closed_loop(
 class ExportedRobot:
     """Files of an exported robot.
 
-    Parameters
-    ----------
-    remarks : tuple of str
-        Further differences from the robot, a line each.
+    `remarks`: further differences from the robot, a line each.
     """
 
     files: Mapping[str, str | bytes]

@@ -41,13 +41,8 @@ Which = Literal["motor", "link"]
 class MotionEvent:
     """Event of the gripper or tool changer.
 
-    Parameters
-    ----------
-    time : float [s]
-    kind : str
-        "grip", "release" or "tool_change".
-    mass : float
-        All that the flange carries afterwards [kg].
+    `time` [s]. `kind`: "grip", "release" or "tool_change". `mass`: all that the flange carries
+    afterwards [kg].
     """
 
     time: float
@@ -130,14 +125,9 @@ class StoredMotion:
     ) -> SampledMotion:
         """Sample at a rate [Hz].
 
-        Parameters
-        ----------
-        rate : float [Hz]
-        whole_steps : bool
-            Hold the end position to the next multiple of 1/rate; else the last step ends with the
-            motion.
-        at_events : bool
-            Sample at the events in place of the nearest samples of the grid.
+        `rate` [Hz]. `whole_steps`: hold the end position to the next multiple of 1/rate; else the
+        last step ends with the motion. `at_events`: sample at the events in place of the nearest
+        samples of the grid.
         """
         end = float(self.curve.x[-1])
         times = export_times(end, rate)
@@ -213,16 +203,9 @@ def read_motion(
 ) -> StoredMotion:
     """Read and assess the motion of a result folder.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of `stiffopt solve`.
-    which : "motor" or "link"
-        Command of the drives (command.csv if present), or planned motion of the links.
-    problem : Path, optional
-        Problem file in place of that of the result.
-    stated : TrajectoryProblem, optional
-        The solved problem, where it was read already.
+    `folder`: folder of `stiffopt solve`. `which`: command of the drives (command.csv if present),
+    or planned motion of the links. `problem`: problem file in place of that of the result.
+    `stated`: the solved problem, where it was read already.
 
     Raises
     ------

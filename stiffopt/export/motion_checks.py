@@ -37,14 +37,9 @@ _TIME_ROUNDING = 1e-9
 class SampledRows:
     """Sampled motion with the interface of the certificate.
 
-    Parameters
-    ----------
-    time : array (K,) [s]
-    rows : three of array (K, n)
-        Position, velocity and acceleration. Jerk is the slope of the acceleration between samples,
-        at most the largest jerk of the sampled motion.
-    link : CubicSpline or None
-        Link positions, where planned apart from the motors'.
+    `time` (K,) [s]. `rows` (K, n): position, velocity and acceleration. Jerk is the slope of the
+    acceleration between samples, at most the largest jerk of the sampled motion. `link`: link
+    positions, where planned apart from the motors'.
     """
 
     def __init__(

@@ -146,10 +146,7 @@ _WASHER_SPREAD_RATIO = 1.6
 class HeadBearing:
     """Permissible force on the bearing face of a head or nut, with its source.
 
-    Parameters
-    ----------
-    capacity : float
-        p_G A_p [N], the smaller of head on washer and washer on part.
+    `capacity`: p_G A_p [N], the smaller of head on washer and washer on part.
     """
 
     capacity: float

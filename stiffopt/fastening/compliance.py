@@ -104,12 +104,8 @@ def tip_compliance(contact_modulus: float, tip_diameter: float) -> float:
 class LoadFactor:
     """Load factor Phi at both bounds of the load introduction factor n.
 
-    Parameters
-    ----------
-    most : float
-        Phi at the largest n; loads the bolt most.
-    least : float
-        Phi at the smallest n; 1 - Phi unloads the clamped parts most.
+    `most`: Phi at the largest n; loads the bolt most. `least`: Phi at the smallest n; 1 - Phi
+    unloads the clamped parts most.
     """
 
     most: float

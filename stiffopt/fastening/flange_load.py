@@ -16,14 +16,8 @@ import numpy as np
 class FlangeLoads:
     """Loads of one flange in all load cases.
 
-    Parameters
-    ----------
-    names : tuple of str
-        Names of load cases and instants of motions.
-    values : array (K, 6)
-        [N], [N m].
-    alternating : bool
-        The torque, or a shear force, changes its sign during a motion.
+    `names`: names of load cases and instants of motions. `values` (K, 6) [N], [N m]. `alternating`:
+    the torque, or a shear force, changes its sign during a motion.
     """
 
     names: tuple[str, ...]

@@ -68,14 +68,7 @@ SAFETY_FACTORS = {
 class SafetyFactor:
     """Safety factor of one verification step.
 
-    Parameters
-    ----------
-    symbol : str
-        Key of `SAFETY_FACTORS`.
-    value : float
-        [-]; infinite without load.
-    required : float
-        [-]
+    `symbol`: key of `SAFETY_FACTORS`. `value` [-]; infinite without load. `required` [-].
     """
 
     symbol: str

@@ -40,13 +40,8 @@ _MIN_ARC_SAMPLES = 4001
 class GivenMotion:
     """Motion through given rows, as a controller interpolates it, in rest before and after.
 
-    Parameters
-    ----------
-    time : array (K,)
-        From 0 [s].
-    position : array (K, n)
-    velocity : array (K, n) or None
-        Cubic between rows with velocities; else a cubic spline.
+    `time` (K,): from 0 [s]. `position` (K, n). `velocity` (K, n): cubic between rows with
+    velocities; else a cubic spline.
     """
 
     def __init__(
@@ -120,13 +115,8 @@ class GivenMotion:
 class MotionPiece:
     """Part of a motion between two rests.
 
-    Parameters
-    ----------
-    path : JointPath
-    times, places, rates : array (K,)
-        Instants of the given motion [s], its path parameter and the rate of that [1/s].
-    dwell : float
-        Rest after it [s].
+    `times`, `places` and `rates` (K,): instants of the given motion [s], its path parameter and the
+    rate of that [1/s]. `dwell`: rest after it [s].
     """
 
     path: JointPath

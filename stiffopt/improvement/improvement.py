@@ -71,13 +71,9 @@ class LimitUse:
 class AssessedMotion:
     """A motion with what limits and the elastic arm say of it.
 
-    Parameters
-    ----------
-    assessment : Assessment
-    uses : tuple of LimitUse
-        Of every joint and quantity with a limit, the largest share first.
-    elastic, servo, both : SimulatedMotion or None
-        Motors that follow exactly on the elastic arm, servo alone, and both; None for rigid arms.
+    `uses`: of every joint and quantity with a limit, the largest share first. `elastic`, `servo`
+    and `both`: motors that follow exactly on the elastic arm, servo alone, and both; None for rigid
+    arms.
     """
 
     assessment: Assessment

@@ -275,10 +275,7 @@ def _slip_utilisation(
 def design_cost(choose: Choice, stage: Stage, present: Stage) -> float:
     """Return the cost of the bolts of one connection.
 
-    Parameters
-    ----------
-    stage, present : Stage
-        The connection with these bolts, and the present one; pins cost nothing.
+    `stage` and `present`: the connection with these bolts, and the present one; pins cost nothing.
     """
     flange, before = stage.element, present.element
     if choose.cost is None or not isinstance(flange, BoltedFlange):

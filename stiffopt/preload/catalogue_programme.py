@@ -118,12 +118,8 @@ def choice_programme(
 ) -> ChoiceProgramme:
     """Compute the contributions of every design.
 
-    Parameters
-    ----------
-    designs : one sequence of CatalogueDesign an element
-        That satisfy the limits of their own connection.
-    levels : Levels
-        Weights of the joint stiffnesses.
+    `designs`: that satisfy the limits of their own connection. `levels`: weights of the joint
+    stiffnesses.
     """
     sites = [_parallel_stages(model, index) for index in range(len(model.elements))]
     compliance = _compliance_rows(model, designs, sites, levels)

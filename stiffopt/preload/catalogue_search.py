@@ -31,12 +31,7 @@ _RELATIVE_TOLERANCE = 1e-9
 class Goal:
     """Goal of a search: a sum over the elements, or the largest weighted row value.
 
-    Parameters
-    ----------
-    cost : sequence of array (m,), optional
-        Cost of each element's designs.
-    weight : array (rows,), optional
-        Weights of the rows.
+    `cost` (m,): cost of each element's designs. `weight` (rows,): weights of the rows.
     """
 
     cost: Sequence[np.ndarray] | None = None
@@ -114,10 +109,7 @@ class _ProgrammeResult:
 class CombinationSearch:
     """Lexicographic minimisation: each goal keeps the values of the former ones.
 
-    Parameters
-    ----------
-    seconds : float
-        Time limit for all goals together.
+    `seconds`: time limit for all goals together.
     """
 
     def __init__(self, programme: ChoiceProgramme, seconds: float = MAX_SEARCH_SECONDS) -> None:

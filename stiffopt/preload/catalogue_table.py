@@ -49,14 +49,8 @@ def best_torques(
 ) -> tuple[TableRow, ...]:
     """Return the best torque for every kind of bolts.
 
-    Parameters
-    ----------
-    designs : one sequence of CatalogueDesign an element
-        Feasible or not.
-    programme : ChoiceProgramme or None
-        Of the feasible designs; None if an element has none.
-    picks : tuple of int or None
-        Chosen design of each element among its feasible ones; None without a choice.
+    `designs`: feasible or not. `programme`: of the feasible designs; None if an element has none.
+    `picks`: chosen design of each element among its feasible ones; None without a choice.
     """
     rows = []
     for index, own in enumerate(designs):
@@ -175,10 +169,7 @@ def element_stoppers(model: PreloadModel, designs: Designs) -> tuple[Stopper, ..
 def requirement_stoppers(programme: ChoiceProgramme, found: tuple[str, ...]) -> tuple[Stopper, ...]:
     """Return requirements that no combination meets, with the best reachable value.
 
-    Parameters
-    ----------
-    found : tuple of str
-        Rows exceeded by the nearest combination, the largest excess first.
+    `found`: rows exceeded by the nearest combination, the largest excess first.
     """
     least = programme.least_amounts()
     alone = [i for i in range(len(programme.names)) if least[i] > programme.ends[i]]

@@ -52,11 +52,7 @@ def exact_shift(
 ) -> ExactShift:
     """Return the linearised difference of exact and smooth law at a design.
 
-    Parameters
-    ----------
-    preloads : array (size,) [N]
-    compliances, windups : bool
-        Quantities to compute; the others are zero.
+    `preloads` (size,) [N]. `compliances` and `windups`: quantities to compute; the others are zero.
     """
     n, cases, joints = model.problem.robot.n, len(model.cases), model.problem.joints
     shift = ExactShift(

@@ -115,10 +115,7 @@ def tool_levers(
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return tilting moments of a flange and the vector from it to the tool, in base axes.
 
-    Parameters
-    ----------
-    joint : int
-        1-based.
+    `joint`: 1-based.
 
     Returns
     -------

@@ -381,12 +381,8 @@ def _motion_subproblem(problem: PreloadProblem) -> PreloadProblem:
 class MotionRound:
     """Round of the alternation.
 
-    Parameters
-    ----------
-    deflection_before_preload, deflection_after : float
-        Of the new motion, with the preloads before and after their optimisation [m].
-    preloads : mapping of element key to float
-        Largest assembly preload after the round [N].
+    `deflection_before_preload` and `deflection_after`: of the new motion, with the preloads before
+    and after their optimisation [m]. `preloads`: largest assembly preload after the round [N].
     """
 
     deflection_before_preload: float

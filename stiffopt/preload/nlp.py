@@ -35,12 +35,7 @@ _MIN_SERVICE_PRELOAD_SHARE, _NEGLIGIBLE_PRELOAD_SHARE = 0.02, 1e-3
 class Levels:
     """Scales of the objectives, which make them of order one.
 
-    Parameters
-    ----------
-    stiffness : mapping of joint number to float
-        Weights of joint_stiffness [N m/rad].
-    deflection : float
-        [m]
+    `stiffness`: weights of joint_stiffness [N m/rad]. `deflection` [m].
     """
 
     stiffness: Mapping[int, float]
@@ -50,13 +45,9 @@ class Levels:
 class PreloadNlp:
     """NLP of a study under fixed load cases.
 
-    Parameters
-    ----------
-    objective : str
-        A name in `stiffopt.preload.problem.OBJECTIVES`.
-    ceiling : (objective, float) or None
-        Upper bound of another objective, "bolt_utilisation" or "tool_deflection", while the total
-        preload is minimised.
+    `objective`: a name in `stiffopt.preload.problem.OBJECTIVES`. `ceiling` (objective, float):
+    upper bound of another objective, "bolt_utilisation" or "tool_deflection", while the total
+    preload is minimised.
 
     Notes
     -----

@@ -69,15 +69,9 @@ class WindupShare:
 class Sensitivity:
     """Sensitivities to the preloads and shares of the elements at one design.
 
-    Parameters
-    ----------
-    worth : tuple of PreloadWorth
-        Every free element in every load case.
-    shares : tuple of WindupShare
-        Every element of the study's joints in every load case, from motor to link; shares of a
-        joint and case sum to 1.
-    weakest : dict of joint number to element name
-        Largest share of the wind-up under the largest torque of the joint.
+    `worth`: every free element in every load case. `shares`: every element of the study's joints in
+    every load case, from motor to link; shares of a joint and case sum to 1. `weakest`: largest
+    share of the wind-up under the largest torque of the joint.
     """
 
     worth: tuple[PreloadWorth, ...]
@@ -201,11 +195,8 @@ class LoosenedConnection:
 class Loosening:
     """Joints of a study with one connection loosened at a time.
 
-    Parameters
-    ----------
-    first_slip_fraction, slip_fraction : dict of element key to float
-        Fraction of the least preload below which the rim, or the whole connection, slips under the
-        largest torque [-]; above 1 if it slips at full preload.
+    `first_slip_fraction` and `slip_fraction`: fraction of the least preload below which the rim, or
+    the whole connection, slips under the largest torque [-]; above 1 if it slips at full preload.
     """
 
     rows: tuple[LoosenedConnection, ...]
@@ -220,10 +211,7 @@ def loosening(
 ) -> Loosening:
     """Loosen one connection at a time, to fractions of its least preload in service.
 
-    Parameters
-    ----------
-    preloads : array (size,)
-        Largest assembly preloads [N].
+    `preloads` (size,): largest assembly preloads [N].
     """
     rims = [first_slip_torque(model, preloads, i) for i in range(len(model.elements))]
     slips = [float(model.slip_torque(preloads, i)) for i in range(len(model.elements))]

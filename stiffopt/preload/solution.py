@@ -97,12 +97,8 @@ def evaluate_design(
 ) -> PreloadSolution:
     """Evaluate a design by the exact law.
 
-    Parameters
-    ----------
-    preloads : array (size,) [N]
-    status : SolveStatus
-        Of the solver; a usable one becomes `certificate_failed` if a requirement is exceeded by the
-        exact law.
+    `preloads` (size,) [N]. `status`: of the solver; a usable one becomes `certificate_failed` if a
+    requirement is exceeded by the exact law.
     """
     rows = utilisation_rows(model, preloads)
     if status.usable and not all(row.satisfied for row in rows):

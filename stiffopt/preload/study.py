@@ -145,10 +145,7 @@ def value_units(
 ) -> dict[str, str]:
     """Return the names of a study's values with their SI units.
 
-    Parameters
-    ----------
-    front, motion : bool
-        The study has a Pareto front, and a motion.
+    `front` and `motion`: the study has a Pareto front, and a motion.
 
     Returns
     -------

@@ -17,10 +17,7 @@ from stiffopt.preload.model import PreloadModel
 def utilisation_rows(model: PreloadModel, preloads: np.ndarray) -> tuple[UtilisationRow, ...]:
     """Return all rows of a design by the exact law.
 
-    Parameters
-    ----------
-    preloads : array (size,)
-        Largest preloads [N].
+    `preloads` (size,): largest preloads [N].
     """
     return (
         *_slip_rows(model, preloads, range(len(model.elements))),

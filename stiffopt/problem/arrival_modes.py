@@ -35,12 +35,8 @@ _MIN_BOUND_SHARE = 0.2
 class ArrivalModes:
     """Elastic modes of the end pose with their amplitudes at arrival.
 
-    Parameters
-    ----------
-    sizes : tuple of Quantity
-        Squared amplitude at the tool when the motors stop, for each mode [m^2].
-    decays : array (K,)
-        Decay rates of the amplitudes [1/s].
+    `sizes`: squared amplitude at the tool when the motors stop, for each mode [m^2]. `decays` (K,):
+    decay rates of the amplitudes [1/s].
     """
 
     sizes: tuple[Quantity, ...]

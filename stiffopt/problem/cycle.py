@@ -28,11 +28,7 @@ MIN_LEG_TIME = 0.02
 class CycleEvent:
     """Event at the arrival of a move.
 
-    Parameters
-    ----------
-    kind : "grip", "release" or "tool_change"
-    mass_before, mass_after : float
-        All that the flange carries [kg].
+    `mass_before` and `mass_after`: all that the flange carries [kg].
     """
 
     kind: EventKind
@@ -44,12 +40,8 @@ class CycleEvent:
 class Stop:
     """Stop at the end of a leg.
 
-    Parameters
-    ----------
-    dwell : float [s]
-        Rest before the next move; the least one where it lasts until the tool has settled.
-    event : CycleEvent or None
-        At arrival, before the rest.
+    `dwell` [s]: rest before the next move; the least one where it lasts until the tool has settled.
+    `event`: at arrival, before the rest.
     """
 
     dwell: float = 0.0
@@ -61,14 +53,8 @@ class Stop:
 class Leg:
     """Moves from one stop to the next.
 
-    Parameters
-    ----------
-    problem : TrajectoryProblem
-        From rest to rest; its duration is fixed by the split of the cycle's time, or free.
-    moves : tuple of int
-        Numbers of its moves, from 1.
-    stop : Stop
-        At its end.
+    `problem`: from rest to rest; its duration is fixed by the split of the cycle's time, or free.
+    `moves`: numbers of its moves, from 1. `stop`: at its end.
     """
 
     problem: TrajectoryProblem

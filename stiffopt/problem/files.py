@@ -45,10 +45,7 @@ from stiffopt.units import convert
 class LoadedProblem:
     """Problem of a file, with the expected value of its solution.
 
-    Parameters
-    ----------
-    tolerances : Tolerances
-        For the error budget; no motion depends on them.
+    `tolerances`: for the error budget; no motion depends on them.
     """
 
     problem: TrajectoryProblem

@@ -39,14 +39,8 @@ _POSE_JOINTS = 6
 class FreedomOptimum:
     """Chosen freedom with its cost, and what it is compared with.
 
-    Parameters
-    ----------
-    cost : float
-        Of the goal, less is better.
-    value : float
-        Largest deflection at the nodes [m], or estimated time [s].
-    joints : array (K, n)
-        At the nodes [rad].
+    `cost`: of the goal, less is better. `value`: largest deflection at the nodes [m], or estimated
+    time [s]. `joints` (K, n): at the nodes [rad].
     """
 
     choice: FreedomChoice

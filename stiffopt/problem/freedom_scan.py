@@ -41,12 +41,7 @@ class PathCandidate:
 def scan_candidates(task: FreedomTask, near: np.ndarray, count: int) -> list[PathCandidate]:
     """Return the best candidates that follow the whole path, of different postures and rotations.
 
-    Parameters
-    ----------
-    near : array (n,)
-        Reference of the postures [rad].
-    count : int
-        Of candidates at most.
+    `near` (n,): reference of the postures [rad]. `count`: of candidates at most.
     """
     anywhere = task.freedom.posture == "any"
     nodes = task.along[::SCAN_STRIDE]

@@ -32,14 +32,9 @@ ACCEPT_ADVICE = ", or set minimise.accept_bound = true."
 class Bound:
     """Bound of an objective over all motions.
 
-    Parameters
-    ----------
-    value : float
-        Bound in the objective's SI unit; inf without an optimum.
-    text : str
-        Sentence with the value and its cause.
-    degenerate : bool
-        True if every motion attains the bound, so that the motion is undetermined.
+    `value`: bound in the objective's SI unit; inf without an optimum. `text`: sentence with the
+    value and its cause. `degenerate`: True if every motion attains the bound, so that the motion is
+    undetermined.
     """
 
     objective: str
@@ -161,12 +156,8 @@ class ObjectiveKind(ABC):
 class TermInputs:
     """Problem, symbols and scale from which an objective forms its terms.
 
-    Parameters
-    ----------
-    statics : tuple of Quantity
-        Those of `ObjectiveKind.static_variables`.
-    scale : float
-        Typical value of the objective [SI].
+    `statics`: those of `ObjectiveKind.static_variables`. `scale`: typical value of the objective
+    [SI].
     """
 
     objective: Objective

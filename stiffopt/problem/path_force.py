@@ -26,14 +26,8 @@ ForceFrame = Literal["base", "tool", "path"]
 class PathForce:
     """Force on the tool along a joint path, base axes.
 
-    Parameters
-    ----------
-    place : array (K,)
-        Path parameters from 0 to 1.
-    constant, per_feed : array (K, 3)
-        [N], and [N/(m/s)] times the tool speed.
-    axes : array (K, 3, 3)
-        Axes of the path as columns: feed, side, tool axis.
+    `place` (K,): path parameters from 0 to 1. `constant` and `per_feed` (K, 3) [N], and [N/(m/s)]
+    times the tool speed. `axes` (K, 3, 3): axes of the path as columns: feed, side, tool axis.
     """
 
     place: np.ndarray

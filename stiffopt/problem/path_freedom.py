@@ -106,11 +106,7 @@ class PathFreedom:
 class TurnBasis:
     """B-splines over the distance along a path.
 
-    Parameters
-    ----------
-    knots : array (m,) [m]
-    degree : int
-        0 for a single constant.
+    `knots` (m,) [m]. `degree`: 0 for a single constant.
     """
 
     knots: np.ndarray

@@ -196,11 +196,8 @@ def stopping_distance(
     """Return the least distance (n,) from `speed` to standstill, from zero acceleration.
 
     Constant jerk until the acceleration limit, then constant acceleration; infinite limits give 0.
-
-    Parameters
-    ----------
-    speed, acceleration, jerk : array (n,)
-        Not negative, the limits positive. [rad/s], [rad/s^2], [rad/s^3] or the same in m
+    `speed`, `acceleration` and `jerk` (n,): not negative, the limits positive [rad/s], [rad/s^2],
+    [rad/s^3] or the same in m.
     """
     # A jump of the acceleration where the jerk has no limit: no time and no distance.
     finite = np.where(np.isfinite(jerk), jerk, 0.0)

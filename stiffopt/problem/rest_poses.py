@@ -22,13 +22,8 @@ if TYPE_CHECKING:
 class RestPose:
     """Start or end pose of a motion.
 
-    Parameters
-    ----------
-    name : str
-        "start" or "end".
-    angles : array (n,) [rad]
-    fixed : bool
-        True if the arm is at rest in exactly this pose.
+    `name`: "start" or "end". `angles` (n,) [rad]. `fixed`: True if the arm is at rest in exactly
+    this pose.
     """
 
     name: str

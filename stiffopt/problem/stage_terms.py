@@ -32,14 +32,8 @@ STIFFNESS_SMOOTHING = (4.0, 1.0, 0.25, 0.05)
 class PathRows:
     """Constraint rows at every node and midpoint.
 
-    Parameters
-    ----------
-    name : str
-        Limited quantity; certificates and back-offs use the same name.
-    labels : tuple of str (m,)
-        "joint 2" or "tool".
-    expressions : tuple of Quantity (m,)
-        Relative to the limit, so that they are of order one.
+    `name`: limited quantity; certificates and back-offs use the same name. `labels` (m,): "joint 2"
+    or "tool". `expressions` (m,): relative to the limit, so that they are of order one.
     """
 
     name: str
@@ -62,12 +56,8 @@ class IntegralRow:
 class StaticVariable:
     """A non-negative variable of the whole motion, such as the bound of a peak.
 
-    Parameters
-    ----------
-    start : callable
-        Initial value, from an assessed motion.
-    scale : float or None
-        Typical magnitude; None: that of the objective.
+    `start`: initial value, from an assessed motion. `scale`: typical magnitude; None: that of the
+    objective.
     """
 
     name: str
@@ -79,14 +69,10 @@ class StaticVariable:
 class ObjectiveTerms:
     """Contributions of one objective.
 
-    Parameters
-    ----------
-    value : callable
-        The objective in SI from the integrals of `integrands` and the duration; linear in the
-        integrals, else the Hessian becomes dense: a root goes through a static variable.
-    besides : callable, optional
-        Function of integrals and duration that is minimised among motions of about equal value,
-        for robustness to model errors.
+    `value`: the objective in SI from the integrals of `integrands` and the duration; linear in the
+    integrals, else the Hessian becomes dense: a root goes through a static variable. `besides`:
+    function of integrals and duration that is minimised among motions of about equal value, for
+    robustness to model errors.
     """
 
     value: OfIntegrals

@@ -75,12 +75,8 @@ class Line(ToolCurve):
 class Arc(ToolCurve):
     """Arc of a circle.
 
-    Parameters
-    ----------
-    middle : array (3,) [m]
-    first, across : array (3,) [m]
-        Radius vectors at the angle 0 and a quarter turn later.
-    begin, angle : float [rad]
+    `middle` (3,) [m]. `first` and `across` (3,) [m]: radius vectors at the angle 0 and a quarter
+    turn later. `begin` and `angle` [rad].
     """
 
     middle: np.ndarray
@@ -139,13 +135,7 @@ class Arc(ToolCurve):
 class Curve(ToolCurve):
     """Smooth parametric curve r(u), with a table of its arc length.
 
-    Parameters
-    ----------
-    spline : CubicSpline or another callable r(u, order) -> (K, 3)
-    begin, end : float
-        Range of u.
-    steps : int
-        Of the table.
+    `spline` (u, order) -> (K, 3). `begin` and `end`: range of u. `steps`: of the table.
     """
 
     def __init__(

@@ -293,12 +293,8 @@ def spline_segments(
 class FittedPath:
     """Joint path of a tool path.
 
-    Parameters
-    ----------
-    joints : JointPath
-        Knots where pieces meet; the tool stops at its `stops`.
-    error : float
-        Largest distance of the tool from the tool path [m].
+    `joints`: knots where pieces meet; the tool stops at its `stops`. `error`: largest distance of
+    the tool from the tool path [m].
     """
 
     joints: JointPath
@@ -313,12 +309,8 @@ def fit_tool_path(
 ) -> FittedPath:
     """Fit a joint spline that follows a tool path.
 
-    Parameters
-    ----------
-    near : array (n,) or callable
-        Selects the inverse-kinematics solution at the start, or at each distance [m]. [rad]
-    tolerance : float
-        Largest error of the tool's position [m].
+    `near` (n,) or callable: selects the inverse-kinematics solution at the start, or at each
+    distance [m] [rad]. `tolerance`: largest error of the tool's position [m].
 
     Raises
     ------

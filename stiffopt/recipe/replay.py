@@ -36,11 +36,8 @@ _STAGE_FACTS = ("intervals", "smoothing", "status")
 class Replay:
     """Second solve of a stored result.
 
-    Parameters
-    ----------
-    solution : Solution
-    differences : tuple of str
-        Versions that differ, and the first stage or value that does; empty where all agrees.
+    `differences`: versions that differ, and the first stage or value that does; empty where all
+    agrees.
     """
 
     solution: Solution

@@ -84,17 +84,10 @@ def read_result(
 ) -> StoredResult:
     """Read result.json and trajectory.csv of a folder, and the problem that they name.
 
-    Parameters
-    ----------
-    folder : Path
-    problem : Path, optional
-        Problem file, replaces the one that the result names.
-    changes : sequence of str
-        Of entries of its [uncertainty] and [tolerances], such as "uncertainty.stiffness=0.3"; the
-        motion does not depend on them.
-    extend : callable, optional
-        (problem, extended model, effects) -> problem of the extended robot, for motions that were
-        planned with one; without it they are refused.
+    `problem`: problem file, replaces the one that the result names. `changes`: of entries of its
+    [uncertainty] and [tolerances], such as "uncertainty.stiffness=0.3"; the motion does not depend
+    on them. `extend`: (problem, extended model, effects) -> problem of the extended robot, for
+    motions that were planned with one; without it they are refused.
 
     Raises
     ------

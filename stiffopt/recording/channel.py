@@ -13,10 +13,7 @@ DEVIATION_PER_MAD = 1.4826
 def resolution(values: np.ndarray) -> float | None:
     """Smallest step of a quantised channel, None if its values lie on no grid.
 
-    Parameters
-    ----------
-    values : array (K,)
-        NaN is ignored.
+    `values` (K,): NaN is ignored.
 
     Notes
     -----

@@ -32,14 +32,8 @@ _MIN_STEP, _MIN_DURATION = 1e-6, 1e-3
 class Clock:
     """Time stamps of a run.
 
-    Parameters
-    ----------
-    stamps : array (R,)
-        Of all rows of the file [s].
-    rows : array (K,) of int
-        Rows that are kept; their stamps increase strictly.
-    step : float
-        Usual spacing [s].
+    `stamps` (R,): of all rows of the file [s]. `rows` (K,): rows that are kept; their stamps
+    increase strictly. `step`: usual spacing [s].
     """
 
     stamps: np.ndarray

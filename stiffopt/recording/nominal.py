@@ -23,14 +23,8 @@ _PositionDeviation = Annotated[float, Unit("angle", joint=True, bare=True), NOT_
 class Counterbalance:
     """A known element that carries part of a joint's weight.
 
-    Parameters
-    ----------
-    joint : int
-        Index of the joint in the set, from 0.
-    stiffness, offset : float or None
-        Of a spring: [N m/rad], [rad].
-    angle, torque : array (m,) or None
-        Of a table: [rad], [N m].
+    `joint`: index of the joint in the set, from 0. `stiffness` and `offset`: of a spring: [N
+    m/rad], [rad]. `angle` and `torque` (m,): of a table: [rad], [N m].
 
     Notes
     -----
@@ -107,12 +101,8 @@ class Tolerance:
 class Noise:
     """One standard deviation of the sensors' noise; None where not given.
 
-    Parameters
-    ----------
-    torque, velocity, link_position : array (n,)
-        [N m], [rad/s], [rad]
-    position_resolution, link_position_resolution : array (n,)
-        One count of the encoder [rad].
+    `torque`, `velocity` and `link_position` (n,) [N m], [rad/s], [rad]. `position_resolution` and
+    `link_position_resolution` (n,): one count of the encoder [rad].
     """
 
     torque: np.ndarray | None = None

@@ -85,14 +85,8 @@ def build_nominal_robot(
 ) -> Robot:
     """Robot of its own file with the values that the section states.
 
-    Parameters
-    ----------
-    described : Robot
-        With the joints of the set, in its own order.
-    order : array (n,) of int
-        Index of each joint of the set among those of the robot.
-    path : Path
-        Of the set's file, for messages.
+    `described`: with the joints of the set, in its own order. `order` (n,): index of each joint of
+    the set among those of the robot. `path`: of the set's file, for messages.
     """
     of_set = np.argsort(order)
     stated: dict[str, Any] = {}
@@ -121,10 +115,7 @@ def build_chains(
 ) -> tuple[Chain | None, ...] | None:
     """Drivetrain of each joint: its reducer, and its contacts as one spring; None is rigid.
 
-    Parameters
-    ----------
-    torque_max : array (n,)
-        [N m]
+    `torque_max` (n,) [N m].
 
     Returns
     -------
@@ -235,12 +226,7 @@ def assumptions(
 ) -> tuple[str, ...]:
     """Assumptions in place of missing entries, one sentence each, in the order of the file.
 
-    Parameters
-    ----------
-    described : Robot
-        Robot of its own file.
-    locked : sequence of str
-        Joints without recordings.
+    `described`: robot of its own file. `locked`: joints without recordings.
     """
     found = []
     if locked:

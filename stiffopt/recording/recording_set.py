@@ -39,14 +39,8 @@ from stiffopt.validation import validate
 class RunEntry:
     """Entry of a run in a set; its file is not read yet.
 
-    Parameters
-    ----------
-    role : str
-        "train", "test" or "extrapolate".
-    session_time : float or None
-        Time since the robot was switched on [s].
-    temperature : array (n,) or None
-        Temperature of the housings at the start of the run [degC].
+    `role`: "train", "test" or "extrapolate". `session_time`: time since the robot was switched on
+    [s]. `temperature` (n,): temperature of the housings at the start of the run [degC].
     """
 
     file: str

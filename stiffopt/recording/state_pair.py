@@ -21,12 +21,7 @@ from stiffopt.recording.run import RecordedRun
 class StateRun(RunEntry):
     """Entry of a run with the state of the robot in it.
 
-    Parameters
-    ----------
-    state : str
-        "before" or "after".
-    entry : RunEntry
-        The entry in its own set.
+    `state`: "before" or "after". `entry`: the entry in its own set.
     """
 
     state: str

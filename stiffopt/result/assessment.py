@@ -58,12 +58,8 @@ class LowestStiffness:
 class DriveHistory:
     """Motion and torque of the drives.
 
-    Parameters
-    ----------
-    time : array (K,) [s]
-    position, velocity, acceleration, jerk : array (K, n) [rad, rad/s, rad/s^2, rad/s^3]
-    torque : array (K, n)
-        Drive torque [N m].
+    `time` (K,) [s]. `position`, `velocity`, `acceleration` and `jerk` (K, n) [rad, rad/s, rad/s^2,
+    rad/s^3]. `torque` (K, n): drive torque [N m].
     """
 
     time: np.ndarray

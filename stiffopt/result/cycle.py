@@ -34,15 +34,8 @@ class JoinedMotion:
     """Motions of the same joints one after another, with rests between them.
 
     A part moves on from where it starts, so that one whose command decays after its arrival
-    overlaps the next one without a jump.
-
-    Parameters
-    ----------
-    parts : sequence of JointMotion
-        From rest to rest, each from the end of the one before.
-    starts : array (L,) [s]
-    duration : float
-        Of the whole [s].
+    overlaps the next one without a jump. `parts`: from rest to rest, each from the end of the one
+    before. `starts` (L,) [s]. `duration`: of the whole [s].
     """
 
     def __init__(self, parts: Sequence[JointMotion], starts: np.ndarray, duration: float) -> None:
@@ -151,12 +144,7 @@ class CycleSimulation:
 class RivalCycle:
     """Cycle of one kind of baseline motion in the same postures, with a stop at each pose.
 
-    Parameters
-    ----------
-    duration : float
-        With the dwells of the optimised cycle [s].
-    objective : float
-        Value over the cycle [SI].
+    `duration`: with the dwells of the optimised cycle [s]. `objective`: value over the cycle [SI].
     """
 
     name: str

@@ -28,13 +28,9 @@ from stiffopt.result.life_rating import LifeRating
 class DutyHistory:
     """Loads of a motion or a rest.
 
-    Parameters
-    ----------
-    time : array (K,) [s]
-    velocity, torque : array (K, n)
-        Speed [rad/s] and torque of the drives [N m].
-    reducer_torque : array (K, n)
-        Torque at the output of the reducers, without friction and rotors [N m].
+    `time` (K,) [s]. `velocity` and `torque` (K, n): speed [rad/s] and torque of the drives [N m].
+    `reducer_torque` (K, n): torque at the output of the reducers, without friction and rotors [N
+    m].
     """
 
     time: np.ndarray
@@ -152,12 +148,8 @@ class DutyUse:
 class DutyLimits:
     """Limits of a duty, None for none.
 
-    Parameters
-    ----------
-    rms_torque, mean_torque : array (n,) [N m]
-        Of drives and of reducers.
-    reducer_life : float [s]
-    energy : float [J]
+    `rms_torque` and `mean_torque` (n,) [N m]: of drives and of reducers. `reducer_life` [s].
+    `energy` [J].
     """
 
     rms_torque: np.ndarray | None = None

@@ -48,13 +48,9 @@ class JointPath:
     def through(cls, waypoints: ArrayLike, spacing: str = "uniform") -> JointPath:
         """Straight line through two waypoints, not-a-knot cubic spline through more.
 
-        Parameters
-        ----------
-        waypoints : array_like (m, n)
-            Start, via points, end; neighbours must differ. [rad] or [m]
-        spacing : str
-            Distances of the waypoints in s: "uniform", or "chord" for distances in joint space,
-            which avoids overshoot of the spline between very uneven waypoints.
+        `waypoints` (m, n): start, via points, end; neighbours must differ [rad] or [m]. `spacing`:
+        distances of the waypoints in s: "uniform", or "chord" for distances in joint space, which
+        avoids overshoot of the spline between very uneven waypoints.
         """
         points = np.atleast_2d(np.asarray(waypoints, dtype=float))
         length = np.linalg.norm(np.diff(points, axis=0), axis=1)
@@ -128,10 +124,7 @@ class JointPath:
     def follow(self, law: Trajectory) -> Trajectory:
         """Compose the motion q(s(t)) along the path, exact up to rounding.
 
-        Parameters
-        ----------
-        law : Trajectory
-            Path parameter s as a single joint, from 0 to 1 without reversal.
+        `law`: path parameter s as a single joint, from 0 to 1 without reversal.
         """
         times = _merge_crossings(law, self.knots[1:-1])
         begin, middle = times[:-1], 0.5 * (times[:-1] + times[1:])

@@ -18,14 +18,8 @@ _USUAL_EXPONENT = 3.0
 class LifeRating:
     """Rated life of a reducer.
 
-    Parameters
-    ----------
-    torque, speed : float
-        At the output [N m], [rad/s].
-    life : float or None
-        L10 [s]; None where it is not known.
-    exponent : float
-        Of the torque.
+    `torque` and `speed`: at the output [N m], [rad/s]. `life`: L10 [s]; None where it is not known.
+    `exponent`: of the torque.
     """
 
     torque: float

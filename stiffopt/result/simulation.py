@@ -129,12 +129,7 @@ class SimulatedMotion:
 class SimulatedPart:
     """Planned and simulated part of the tool deflection in flight.
 
-    Parameters
-    ----------
-    name : str
-        "dynamic", "total" or "process".
-    planned, simulated : PeakRms
-        [m].
+    `name`: "dynamic", "total" or "process". `planned` and `simulated` [m].
     """
 
     name: str

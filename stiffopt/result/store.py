@@ -72,10 +72,7 @@ COLUMNS = {
 def result_document(solution: Solution) -> dict[str, Any]:
     """Content of result.json.
 
-    Parameters
-    ----------
-    solution : Solution
-        Solution of any status; missing parts (no motion, no certificate) are None.
+    `solution`: solution of any status; missing parts (no motion, no certificate) are None.
 
     Returns
     -------
@@ -176,10 +173,7 @@ def motion_facts(stated: TrajectoryProblem, directory: str | Path) -> dict[str, 
 def motion_seal(stated: TrajectoryProblem, directory: str | Path) -> dict[str, Any]:
     """Hashes (SHA-256) of robot, payload, limits and files of a certified motion.
 
-    Parameters
-    ----------
-    directory : path
-        Folder of trajectory.csv and command.csv, as far as written.
+    `directory`: folder of trajectory.csv and command.csv, as far as written.
     """
     return {
         # Payload before robot, which contains it: the first difference names the cause.
@@ -264,14 +258,8 @@ def write_trajectory(
     """Write a trajectory file into `directory`; return its path.
 
     With planned links, link positions are added as columns: q is then the motor command, and
-    torques are those of the links' motion (`COLUMNS`).
-
-    Parameters
-    ----------
-    assessment : Assessment
-        Evaluated at `export_times(duration)`.
-    name : str
-        Of the file.
+    torques are those of the links' motion (`COLUMNS`). `assessment`: evaluated at
+    `export_times(duration)`. `name`: of the file.
     """
     columns = [
         assessment.time[:, None],

@@ -93,13 +93,9 @@ class ToolError:
 class LedError:
     """Worst tool error that an exact lead leaves on uncertain arms.
 
-    Parameters
-    ----------
-    in_flight, after_arrival : float
-        Peaks of the position error, each on the worst arm for it [m].
-    shares : dict
-        By kind of source, in the sum of the squares of what each parameter does alone, where the
-        error is largest in flight.
+    `in_flight` and `after_arrival`: peaks of the position error, each on the worst arm for it [m].
+    `shares`: by kind of source, in the sum of the squares of what each parameter does alone, where
+    the error is largest in flight.
     """
 
     in_flight: float

@@ -32,11 +32,7 @@ class JointMotion(Protocol):
 class ForceHistory:
     """Force on the tool over time, linear in between and constant outside.
 
-    Parameters
-    ----------
-    time : array (K,) [s]
-    force : array (K, 3) [N]
-        Base axes.
+    `time` (K,) [s]. `force` (K, 3) [N]: base axes.
     """
 
     time: np.ndarray

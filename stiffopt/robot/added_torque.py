@@ -14,14 +14,9 @@ Quantity = Any
 class MotionState:
     """Motion and loads of all joints, one entry of a list each: floats, arrays (K,) or symbols.
 
-    Parameters
-    ----------
-    position, velocity, acceleration : sequence
-        [rad], [rad/s], [rad/s^2]
-    direction : sequence
-        Sign of the velocity, smooth where the formulas are to be.
-    load : sequence
-        Torque of the rigid bodies in the joint's spring [N m].
+    `position`, `velocity` and `acceleration` [rad], [rad/s], [rad/s^2]. `direction`: sign of the
+    velocity, smooth where the formulas are to be. `load`: torque of the rigid bodies in the joint's
+    spring [N m].
     """
 
     position: Sequence[Quantity]

@@ -90,10 +90,8 @@ def frame_rotations(tree: BodyTree, frame: LinkFrame, q: np.ndarray) -> np.ndarr
 class _BodyJacobian:
     """Jacobian of a body's frame by the joints that support it, in its own axes.
 
-    Parameters
-    ----------
-    turning, moving : array (j, 3, K)
-        Angular velocity, and velocity of the frame's origin, per unit speed of each joint.
+    `turning` and `moving` (j, 3, K): angular velocity, and velocity of the frame's origin, per unit
+    speed of each joint.
     """
 
     joints: list[int]

@@ -79,12 +79,8 @@ class Body:
 class BodyTree:
     """Moving bodies of an arm and gravity.
 
-    Parameters
-    ----------
-    bodies : tuple of Body (n,)
-        Body i - 1 belongs to joint i; parents come before children.
-    gravity : array (3,)
-        In the base frame [m/s^2].
+    `bodies` (n,): body i - 1 belongs to joint i; parents come before children. `gravity` (3,): in
+    the base frame [m/s^2].
     """
 
     bodies: tuple[Body, ...]
@@ -156,14 +152,8 @@ _BASE_RADIUS_SHARE, _TOOL_RADIUS_SHARE = 0.055, 0.028
 class Capsule:
     """Cylinder with hemispherical ends, fixed to a joint's frame.
 
-    Parameters
-    ----------
-    joint : int
-        From 1; 0 is the base.
-    begin, end : array (3,)
-        In the frame of the joint [m].
-    radius : float [m]
-        Estimated from the arm's reach.
+    `joint`: from 1; 0 is the base. `begin` and `end` (3,): in the frame of the joint [m]. `radius`
+    [m]: estimated from the arm's reach.
     """
 
     joint: int

@@ -27,12 +27,7 @@ _SAMPLED_POSES = 60
 class Solid:
     """Solid fixed to a joint's frame; joint 0 is the base with the cell.
 
-    Parameters
-    ----------
-    placement : pinocchio.SE3
-        In the frame of the joint.
-    guessed : bool
-        The solid is a capsule of estimated radius.
+    `placement`: in the frame of the joint. `guessed`: the solid is a capsule of estimated radius.
     """
 
     name: str

@@ -41,12 +41,8 @@ _MAX_LINK_VOLUME = 8.0
 class EstimatedBody(LinkBody):
     """Estimated body of a link.
 
-    Parameters
-    ----------
-    shaped : bool
-        The URDF has a shape of the link; else it is a rod to the next joint.
-    scale : float
-        Factor on its mass by the torque limits.
+    `shaped`: the URDF has a shape of the link; else it is a rod to the next joint. `scale`: factor
+    on its mass by the torque limits.
     """
 
     shaped: bool = True
@@ -56,12 +52,8 @@ class EstimatedBody(LinkBody):
 def estimate_bodies(arm: LoadedUrdf, urdf: Path, tool: LinkFrame) -> dict[str, EstimatedBody]:
     """Estimate bodies of links where all links of a joint have no mass.
 
-    Parameters
-    ----------
-    urdf : Path
-        File with the shapes of the arm.
-    tool : LinkFrame
-        At the end of the arm, where a last link without shape ends.
+    `urdf`: file with the shapes of the arm. `tool`: at the end of the arm, where a last link
+    without shape ends.
 
     Raises
     ------

@@ -23,12 +23,7 @@ from stiffopt.units import fit_joint
 class HeldJoint:
     """A joint that is held fixed.
 
-    Parameters
-    ----------
-    value : float
-        [rad] or [m]
-    why : str
-        "locked", "not on the way to the tool" or "follows JOINT".
+    `value` [rad] or [m]. `why`: "locked", "not on the way to the tool" or "follows JOINT".
     """
 
     name: str

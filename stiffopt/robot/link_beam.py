@@ -71,14 +71,8 @@ class LinkBeam:
     def mount(self, axis: np.ndarray, end: np.ndarray, carries: int) -> ElasticMount:
         """Return the springs of the link.
 
-        Parameters
-        ----------
-        axis : array (3,)
-            Of the joint, in axes of the link.
-        end : array (3,)
-            Origin of the next joint, from the joint's origin [m].
-        carries : int
-            Next joint, from 0.
+        `axis` (3,): of the joint, in axes of the link. `end` (3,): origin of the next joint, from
+        the joint's origin [m]. `carries`: next joint, from 0.
         """
         own = complete_axes(axis).T
         if self.stiffness is not None:

@@ -36,11 +36,7 @@ def load_mesh_file(
 ) -> coal.BVHModelBase:
     """Load a mesh (STL, OBJ, DAE and others) scaled along its axes (3,).
 
-    Parameters
-    ----------
-    scale : array (3,)
-    boxes : bool
-        Build the bounding-volume tree for distances to the mesh itself.
+    `scale` (3,). `boxes`: build the bounding-volume tree for distances to the mesh itself.
 
     Raises
     ------

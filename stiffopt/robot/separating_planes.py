@@ -38,14 +38,8 @@ _MAX_TURN = 0.5
 class Support:
     """Support of a convex solid: points, balls and discs whose convex hull it is.
 
-    Parameters
-    ----------
-    centre : array (m, 3)
-        In the frame of the joint [m].
-    axis : array (m, 3)
-        Unit vector along the axis of a disc; zero for a ball or a point.
-    radius : array (m,)
-        [m]
+    `centre` (m, 3): in the frame of the joint [m]. `axis` (m, 3): unit vector along the axis of a
+    disc; zero for a ball or a point. `radius` (m,) [m].
     """
 
     centre: np.ndarray
@@ -128,12 +122,8 @@ class SeparatingPlanes:
     ) -> SeparatingPlane:
         """Separating plane of a couple over a step.
 
-        Parameters
-        ----------
-        couple : int
-            Index of the couple.
-        placements : sequence of (array (n + 1, 3, 3), array (n + 1, 3))
-            Frames of the joints in every pose of the step.
+        `couple`: index of the couple. `placements` (array (n + 1, 3, 3), array (n + 1, 3)): frames
+        of the joints in every pose of the step.
         """
         a, b = self.model.couples[couple]
         first, second = self.model.solids[a], self.model.solids[b]

@@ -84,13 +84,8 @@ MAX_MOVING_JOINTS = 50
 class LinkBody:
     """Mass and inertia of a link, in place of those of the URDF.
 
-    Parameters
-    ----------
-    mass : float [kg]
-    com : array (3,)
-        Centre of mass in the frame of the link [m].
-    inertia : array (3, 3)
-        About the centre of mass, in the axes of the link [kg m^2].
+    `mass` [kg]. `com` (3,): centre of mass in the frame of the link [m]. `inertia` (3, 3): about
+    the centre of mass, in the axes of the link [kg m^2].
     """
 
     mass: float

@@ -85,11 +85,7 @@ def guess_columns(
 ) -> GuessedColumns:
     """Guess kinds and units of the columns of a table.
 
-    Parameters
-    ----------
-    table : mapping of column name to array (K,)
-    rate : float, optional
-        Sampling rate [Hz], if no column is a time; `with_time` adds one.
+    `table` (K,). `rate`: sampling rate [Hz], if no column is a time; `with_time` adds one.
 
     Raises
     ------

@@ -31,13 +31,7 @@ _MIN_EQUAL_TORQUES = 4
 class Placeholder:
     """Limit treated as not stated.
 
-    Parameters
-    ----------
-    quantity : "velocity" or "effort"
-    value : float
-        Of the file, in its unit.
-    format : str
-        Of the file, such as "URDF".
+    `value`: of the file, in its unit. `format`: of the file, such as "URDF".
     """
 
     joint: str
@@ -77,10 +71,7 @@ def speed_placeholders(arm: LoadedUrdf, tool: LinkFrame) -> tuple[Placeholder, .
 def torque_placeholders(arm: LoadedUrdf, demands: np.ndarray) -> tuple[Placeholder, ...]:
     """Return torque limits far beyond the demand of weight and full acceleration.
 
-    Parameters
-    ----------
-    demands : array (n,)
-        Largest torque of each joint for both; forces of prismatic joints.
+    `demands` (n,): largest torque of each joint for both; forces of prismatic joints.
     """
     slides = body_tree(arm.model).prismatic
     found = []
@@ -132,12 +123,8 @@ def open_questions(
 ) -> Iterator[str]:
     """Yield a question about each doubtful value that is kept.
 
-    Parameters
-    ----------
-    weight : array (n,)
-        Largest gravity torque of each joint.
-    guessed : mapping
-        Links with guessed masses, which may be too heavy for a weak drive.
+    `weight` (n,): largest gravity torque of each joint. `guessed`: links with guessed masses, which
+    may be too heavy for a weak drive.
     """
     torques = {name: stated["effort"] for name, stated in arm.joints.items()}
     if (

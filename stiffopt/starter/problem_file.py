@@ -20,12 +20,7 @@ from stiffopt.starter.writing import relative_path, toml_list, toml_number, toml
 def problem_text(robot: Robot, file: str | Path, folder: Path) -> str:
     """Return the text of a trajectory problem file.
 
-    Parameters
-    ----------
-    file : str or Path
-        Name of a shipped robot, or path of a robot file.
-    folder : Path
-        Folder of the problem file.
+    `file`: name of a shipped robot, or path of a robot file. `folder`: folder of the problem file.
 
     Raises
     ------

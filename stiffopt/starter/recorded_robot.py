@@ -32,12 +32,7 @@ _URDF_FILE, _CATALOGUE_FILE = "robot.urdf", "catalogue.toml"
 class RecordedRobot:
     """Robot of a recording set and its file.
 
-    Parameters
-    ----------
-    file : str
-        Name of its file in the set.
-    notes : tuple of str
-        Guesses, a sentence each.
+    `file`: name of its file in the set. `notes`: guesses, a sentence each.
     """
 
     robot: Robot

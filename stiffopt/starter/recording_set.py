@@ -46,10 +46,7 @@ _MIN_PART_ROWS = 100
 class StartedSet:
     """Written recording set with the guesses in it.
 
-    Parameters
-    ----------
-    path : Path
-        recordings.toml.
+    `path`: recordings.toml.
     """
 
     path: Path

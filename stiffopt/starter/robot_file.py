@@ -58,10 +58,7 @@ _NO_REDUCER_COMMENT = "# No packaged reducer carries"
 class StartedRobot:
     """Text of a robot file, with notes for the user.
 
-    Parameters
-    ----------
-    notes : tuple of str
-        Guesses and omissions, a sentence each.
+    `notes`: guesses and omissions, a sentence each.
     """
 
     text: str

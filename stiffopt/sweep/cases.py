@@ -76,14 +76,8 @@ class Case:
 class Sweep:
     """Sweep file with its cases.
 
-    Parameters
-    ----------
-    kind : str
-        Kind of the base files.
-    places : tuple of str
-        Varied entries, in order.
-    front : str
-        Entry of the trade-off front with the objective; "" for none.
+    `kind`: kind of the base files. `places`: varied entries, in order. `front`: entry of the
+    trade-off front with the objective; "" for none.
     """
 
     path: Path

@@ -105,10 +105,7 @@ def cores() -> int:
 class _WorkerThread(threading.Thread):
     """Thread that passes calls to one worker process, and replaces the process when it dies.
 
-    Parameters
-    ----------
-    calls : queue
-        Calls of all threads; None ends one thread.
+    `calls`: calls of all threads; None ends one thread.
     """
 
     def __init__(self, calls: _CallQueue) -> None:

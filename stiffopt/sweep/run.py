@@ -56,12 +56,8 @@ def run_sweep(
 ) -> tuple[list[dict[str, Any] | None], bool]:
     """Solve the cases without a result file.
 
-    Parameters
-    ----------
-    folder : Path
-        Its subfolder `cases` holds the result files.
-    progress : callable, optional
-        Called with a `SweepProgress` at the start and after each case.
+    `folder`: its subfolder `cases` holds the result files. `progress`: called with a
+    `SweepProgress` at the start and after each case.
 
     Returns
     -------
@@ -101,10 +97,7 @@ def run_sweep(
 class _CaseQueue:
     """Queue of open cases, each after its predecessor.
 
-    Parameters
-    ----------
-    done : set of str
-        Keys of cases with a result.
+    `done`: keys of cases with a result.
     """
 
     def __init__(self, cases: list[Case], done: set[str], folder: Path) -> None:

@@ -23,14 +23,8 @@ Cell = float | int | str | None
 class StartSpread:
     """Optima of one case from several initial guesses.
 
-    Parameters
-    ----------
-    best, worst : float
-        Objective in SI.
-    usable, starts : int
-        Number of starts with a usable result, and of all starts.
-    near : int
-        Number of starts within 1 % of the best.
+    `best` and `worst`: objective in SI. `usable` and `starts`: number of starts with a usable
+    result, and of all starts. `near`: number of starts within 1 % of the best.
     """
 
     best: float
@@ -46,14 +40,9 @@ class StartSpread:
 class Front:
     """Pareto front of one entry and the objective.
 
-    Parameters
-    ----------
-    over, unit : str
-        Entry and unit of its values; "" for bare numbers.
-    values, objectives : array (k,)
-        Increasing values with decreasing objectives (increasing, if maximised).
-    knee : int or None
-        Index of the knee; None below three points.
+    `over` and `unit`: entry and unit of its values; "" for bare numbers. `values` and `objectives`
+    (k,): increasing values with decreasing objectives (increasing, if maximised). `knee`: index of
+    the knee; None below three points.
     """
 
     over: str
@@ -67,10 +56,7 @@ class Front:
 class SweepSummary:
     """Sweep with its results.
 
-    Parameters
-    ----------
-    results : sequence of dict or None
-        Content of the cases' files, in order.
+    `results`: content of the cases' files, in order.
     """
 
     sweep: Sweep

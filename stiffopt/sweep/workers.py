@@ -52,10 +52,7 @@ class InProcess:
 class Cluster:
     """Dask cluster, whose scheduler repeats the calls of dead workers.
 
-    Parameters
-    ----------
-    address : str
-        Address of the scheduler, whose workers see the same files under the same paths.
+    `address`: address of the scheduler, whose workers see the same files under the same paths.
 
     Raises
     ------

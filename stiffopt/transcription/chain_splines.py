@@ -26,13 +26,8 @@ from stiffopt.transcription.nlp import Places
 class ChainSplines:
     """Splines of a problem's chains, phase by phase, in shares of the phase's duration.
 
-    Parameters
-    ----------
-    mesh : list of array
-    chains : tuple of (position index, velocity index, .., control index)
-        All states and controls belong to one chain.
-    control_degree : int
-        Degree of the controls, which are continuous.
+    `chains` (position index, velocity index, .., control index): all states and controls belong to
+    one chain. `control_degree`: degree of the controls, which are continuous.
 
     Notes
     -----
@@ -144,11 +139,7 @@ class ChainSplines:
     ) -> np.ndarray:
         """Fit coefficients to states and controls (P, nx + nu) at places by least squares.
 
-        Parameters
-        ----------
-        values : array (P, nx + nu)
-        scales : array (nx + nu,)
-        durations : array (phases,)
+        `values` (P, nx + nu). `scales` (nx + nu,). `durations` (phases,).
         """
         n, start = len(self.chains), 0
         found = np.zeros((int(self.counts.sum()), n))

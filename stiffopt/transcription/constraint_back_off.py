@@ -31,12 +31,8 @@ _MAX_BACK_OFF_GROWTH = 8.0
 class Excess:
     """Excess of exact path rows over their bounds, in units of the rows.
 
-    Parameters
-    ----------
-    largest : dict of row name to float
-    near : tuple of (block, index (k, m), upper (k, m), lower (k, m))
-        For every block its NLP rows, point by point in time, and the largest excess of either bound
-        in the neighbourhood of each point.
+    `near` (block, index (k, m), upper (k, m), lower (k, m)): for every block its NLP rows, point by
+    point in time, and the largest excess of either bound in the neighbourhood of each point.
     """
 
     largest: dict[str, float]
@@ -47,12 +43,7 @@ class Excess:
 class KnownRows:
     """Exact values of rows that were computed outside the programme.
 
-    Parameters
-    ----------
-    times : array (K,)
-        From 0 [s].
-    values : array (K, m)
-        In the unit of the rows and in their order.
+    `times` (K,): from 0 [s]. `values` (K, m): in the unit of the rows and in their order.
     """
 
     times: np.ndarray
@@ -68,15 +59,8 @@ def path_row_excess(
 ) -> Excess:
     """Excess of the exact path rows of a motion, at the points of the programme and between them.
 
-    Parameters
-    ----------
-    x : array
-        Solution of the NLP.
-    parameters : array (np,)
-    rows : PointFunction
-        Exact path rows.
-    found : mapping of row name to KnownRows
-        Further values to be considered, as of motors, which arrive later than the links.
+    `x`: solution of the NLP. `parameters` (np,). `rows`: exact path rows. `found`: further values
+    to be considered, as of motors, which arrive later than the links.
     """
     motion = transcription.guess_from(x)
     steps = transcription.intervals.shares @ transcription.phase_durations(x)
@@ -144,10 +128,7 @@ def back_off_exceeded(
 def back_off_uniformly(nlp: Nlp, excess: Mapping[str, float]) -> Nlp:
     """Return the NLP with both bounds of all rows of these names backed off by their excess.
 
-    Parameters
-    ----------
-    excess : mapping row name -> float
-        In units of the row; bounds are reduced to 5 % of their value at least.
+    `excess`: in units of the row; bounds are reduced to 5 % of their value at least.
     """
     lower, upper = nlp.lower_g.copy(), nlp.upper_g.copy()
     for block in nlp.rows.items:

@@ -208,11 +208,7 @@ class Blocks:
 class BlockScales:
     """Scales of a programme, one array a block.
 
-    Parameters
-    ----------
-    variables : tuple of array
-        Of states, controls, static variables and durations.
-    rows : tuple of array
+    `variables`: of states, controls, static variables and durations.
     """
 
     variables: tuple[np.ndarray, ...]
@@ -283,12 +279,8 @@ class Nlp:
     def worst_rows(self, g: np.ndarray, n: int = 5, tolerance: float = 0.0) -> list[RowViolation]:
         """Find the n most violated rows, each name and label once, at its worst point.
 
-        Parameters
-        ----------
-        g : array
-            Row values of the NLP (scaled).
-        tolerance : float
-            Rows with a smaller relative excess are left out.
+        `g`: row values of the NLP (scaled). `tolerance`: rows with a smaller relative excess are
+        left out.
         """
         g = np.asarray(g, dtype=float).ravel()
         excess = self.violations(g)

@@ -76,10 +76,7 @@ class SplineCoordinates:
     def stage_derivatives(self, functions: Sequence[ca.Function]) -> tuple[ca.Function, ...]:
         """Return a stage and its derivatives by local variables.
 
-        Parameters
-        ----------
-        functions : sequence of casadi.Function
-            (w, p, numbers) -> values; -> Jacobian by w; (.., weights) -> Hessian by w.
+        `functions`: (w, p, numbers) -> values; -> Jacobian by w; (.., weights) -> Hessian by w.
 
         Returns
         -------
@@ -143,12 +140,8 @@ class NumberedStage:
 def extract_numbers(stage: ca.Function, intermediate: ca.Function | None = None) -> NumberedStage:
     """Turn the numbers of a stage function into inputs.
 
-    Parameters
-    ----------
-    stage : casadi.Function
-        (x, u, z, p) -> (integrands, path rows), of SX.
-    intermediate : casadi.Function, optional
-        (x, u, z, p) -> (y,), of the same symbols: quantities through which most of it is computed.
+    `stage`: (x, u, z, p) -> (integrands, path rows), of SX. `intermediate`: (x, u, z, p) -> (y,),
+    of the same symbols: quantities through which most of it is computed.
     """
     *variables, parameters = symbols = stage.sx_in()
     through = [ca.SX(0, 1)] if intermediate is None else intermediate.call(symbols)
@@ -217,10 +210,7 @@ def _without_numbers(function: ca.Function, inputs: list[ca.SX]) -> tuple[ca.Fun
 def with_derivatives(function: ca.Function) -> tuple[ca.Function, ca.Function, ca.Function]:
     """Return the stage function, its Jacobian and its Hessian.
 
-    Parameters
-    ----------
-    function : casadi.Function
-        Of a `NumberedStage`.
+    `function`: of a `NumberedStage`.
 
     Returns
     -------

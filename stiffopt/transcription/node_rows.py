@@ -92,14 +92,7 @@ def renumber_node_rows(
 ) -> Transcription:
     """Return the programme with other numbers of the node rows, and others of them active.
 
-    Parameters
-    ----------
-    made : Transcription
-        Result of `with_node_rows`.
-    first : Transcription
-        Without the rows.
-    blocks : sequence of NodeRows
-        At the same nodes.
+    `made`: result of `with_node_rows`. `first`: without the rows. `blocks`: at the same nodes.
     """
     kept = np.concatenate([block.kept for block in blocks])
     lower, upper = (

@@ -110,12 +110,7 @@ class Rows:
 class Waypoint:
     """Rows that hold at one point: the start, the end, or the border between two phases.
 
-    Parameters
-    ----------
-    function : casadi.Function
-        (x) or (x, p) -> (m,)
-    rows : tuple of Rows
-        Blocks of the m rows in order.
+    `function`: (x) or (x, p) -> (m,). `rows`: blocks of the m rows in order.
     """
 
     function: ca.Function
@@ -246,14 +241,9 @@ class OptimalControlProblem:
 class Guess:
     """Initial guess: callables of the scaled time s in [0, 1] over the whole motion.
 
-    Parameters
-    ----------
-    states, controls : callable
-        s (k,) -> (k, nx), (k, nu)
-    statics : array (nz,)
-    phase_fractions : array (phases,)
-        Share of the duration that each phase takes; sums to one. Equal shares are taken when the
-        number of entries is not that of the phases.
+    `states` and `controls`: s (k,) -> (k, nx), (k, nu). `statics` (nz,). `phase_fractions`
+    (phases,): share of the duration that each phase takes; sums to one. Equal shares are taken when
+    the number of entries is not that of the phases.
     """
 
     states: Callable[[np.ndarray], np.ndarray]

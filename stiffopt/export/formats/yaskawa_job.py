@@ -20,10 +20,7 @@ _GRIPPER_INSTRUCTIONS = {"grip": "DOUT OT#(1) ON", "release": "DOUT OT#(1) OFF"}
 class YaskawaJob(PointFormat):
     """Job of MOVJ instructions, one a sample; the first approaches the start.
 
-    Parameters
-    ----------
-    pulses : tuple of float
-        Pulses per degree of each axis, negative where the URDF turns the other way.
+    `pulses`: pulses per degree of each axis, negative where the URDF turns the other way.
 
     Notes
     -----

@@ -29,10 +29,7 @@ _MAX_STAMP = 4e9
 class Field:
     """A number inside the messages of a topic, such as "/joint_states.position[elbow]".
 
-    Parameters
-    ----------
-    steps : tuple of str or int
-        Attributes; an entry of a list by number, or by name as "[elbow]".
+    `steps`: attributes; an entry of a list by number, or by name as "[elbow]".
     """
 
     topic: str

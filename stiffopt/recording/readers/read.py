@@ -99,12 +99,9 @@ RUN_ENDINGS = tuple(ending for ending in _READER_OF_ENDING if ending not in (".j
 def read_columns(path: str | os.PathLike[str], signals: Signals) -> Columns:
     """Read time and channels of a run file.
 
-    Parameters
-    ----------
-    path : path
-        Text, JSON, NPZ, Parquet, MATLAB, Excel, HDF5, MCAP, a rosbag2 (its folder or the .db3
-        inside), the .dat of a KUKA trace; "FILE#PART" for one of several runs in it: an episode of
-        a LeRobot dataset ("data/chunk-000/file-000.parquet#3"), a group of HDF5, a sheet.
+    `path`: text, JSON, NPZ, Parquet, MATLAB, Excel, HDF5, MCAP, a rosbag2 (its folder or the .db3
+    inside), the .dat of a KUKA trace; "FILE#PART" for one of several runs in it: an episode of a
+    LeRobot dataset ("data/chunk-000/file-000.parquet#3"), a group of HDF5, a sheet.
 
     Returns
     -------

@@ -141,12 +141,8 @@ def shade_limits(axes: Axes, lower: float, upper: float) -> None:
 def to_svg(figure: Figure, name: str, description: str) -> str:
     """Return a figure as inline SVG, cut to its content.
 
-    Parameters
-    ----------
-    name : str
-        Unique on its page; prefixes the ids, which would otherwise clash between figures.
-    description : str
-        Text alternative for readers who cannot see the figure.
+    `name`: unique on its page; prefixes the ids, which would otherwise clash between figures.
+    `description`: text alternative for readers who cannot see the figure.
     """
     with mpl.rc_context({**_FIGURE_STYLE, "svg.hashsalt": name}):
         box = _content_box(figure)

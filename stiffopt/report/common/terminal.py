@@ -46,14 +46,8 @@ def print_table(
 class ReportSection:
     """Part of an answer that page and terminal both show: a table and sentences.
 
-    Parameters
-    ----------
-    head : sequence of str
-        Column headings; none without a table.
-    rows : sequence of sequence of str
-        Cells; several values of a cell stand on lines of their own.
-    numbers : collection of str
-        Columns that the terminal aligns on the right.
+    `head`: column headings; none without a table. `rows`: cells; several values of a cell stand on
+    lines of their own. `numbers`: columns that the terminal aligns on the right.
     """
 
     title: str = ""
@@ -73,12 +67,8 @@ def print_section(section: ReportSection) -> None:
 class StatusLine(ExitStack):
     """Context manager that shows a line: updated in place on a terminal, else printed each time.
 
-    Parameters
-    ----------
-    console : rich.console.Console or None
-        None: standard error, so that standard output stays free for results.
-    clock : callable
-        Seconds; replaced in tests.
+    `console`: None: standard error, so that standard output stays free for results. `clock`:
+    seconds; replaced in tests.
     """
 
     def __init__(

@@ -53,14 +53,8 @@ _OPERATOR_DEFINITIONS = {
 class LawOnPage:
     """A law with its numbers.
 
-    Parameters
-    ----------
-    numbers : tuple of str
-        Every value in full, for another simulator.
-    signals : tuple of str
-        Meaning of every symbol.
-    lines : tuple of str
-        What it explains, what it resembles, the test that would tell.
+    `numbers`: every value in full, for another simulator. `signals`: meaning of every symbol.
+    `lines`: what it explains, what it resembles, the test that would tell.
     """
 
     equation: str

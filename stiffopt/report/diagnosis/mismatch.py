@@ -40,10 +40,7 @@ _CHANNEL_KINDS = {"torque": "the torques", "link_position": "the link encoders"}
 class Mismatch:
     """Composition of the mismatch of one kind of channel on held-out runs.
 
-    Parameters
-    ----------
-    pieces : list of NamedShare
-        Explained parts, the largest first, and the unexplained part last.
+    `pieces`: explained parts, the largest first, and the unexplained part last.
     """
 
     sentence: str
@@ -54,12 +51,7 @@ class Mismatch:
 class NamedShare:
     """A part of the mismatch, shown as a piece of the bar.
 
-    Parameters
-    ----------
-    share : float
-        Share of the mismatch on held-out runs.
-    open : bool
-        True for the unexplained part.
+    `share`: share of the mismatch on held-out runs. `open`: True for the unexplained part.
     """
 
     words: str

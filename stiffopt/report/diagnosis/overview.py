@@ -29,12 +29,8 @@ _INERTIAL_UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 6)
 class MovedValue:
     """A nominal value that was moved within its tolerance.
 
-    Parameters
-    ----------
-    unit : str
-        "" for a relative change.
-    change, tolerance : float
-        The tolerance is one standard deviation.
+    `unit`: "" for a relative change. `change` and `tolerance`: the tolerance is one standard
+    deviation.
     """
 
     name: ValueName
@@ -47,12 +43,9 @@ class MovedValue:
 class MovedBody:
     """A link of a re-identified rigid model.
 
-    Parameters
-    ----------
-    shown : tuple of (name, change, sd, unit)
-        Identifiable inertial parameters, with standard deviations of the linear model.
-    hidden : int
-        Number of parameters that are not identifiable and remain near their nominal values.
+    `shown` (name, change, sd, unit): identifiable inertial parameters, with standard deviations of
+    the linear model. `hidden`: number of parameters that are not identifiable and remain near their
+    nominal values.
     """
 
     link: str

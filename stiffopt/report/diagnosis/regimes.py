@@ -265,14 +265,8 @@ class ChannelResiduals:
 class Regime:
     """A signal on which a residual may depend.
 
-    Parameters
-    ----------
-    name, label : str
-        The label has the unit.
-    values : array (m,)
-        In the label's unit.
-    apart : bool
-        True where each run is a separate group of values, not to be connected.
+    `name` and `label`: the label has the unit. `values` (m,): in the label's unit. `apart`: True
+    where each run is a separate group of values, not to be connected.
     """
 
     name: str
@@ -327,10 +321,7 @@ def regimes(
 ) -> Iterator[Regime]:
     """Yield speed, load, position, acceleration, session time and rotor angle of the joint.
 
-    Parameters
-    ----------
-    electrical : bool
-        Use the electrical angle of the motor, where its pole pairs are known.
+    `electrical`: use the electrical angle of the motor, where its pole pairs are known.
     """
     sampled = diagnosis.search.comparison.rows.sample_signal
     constants = diagnosis.training.constants.joints[rows.joint]

@@ -34,10 +34,7 @@ _KEY_PRESSURE = "key pressure"
 class UtilisationMatrix:
     """Utilisation of every requirement by owner and kind, each in its worst load case.
 
-    Parameters
-    ----------
-    rows : mapping of owner to tuple of UtilisationRow or None
-        One cell per kind.
+    `rows`: one cell per kind.
     """
 
     kinds: tuple[str, ...]
@@ -58,14 +55,8 @@ class LimitSource:
 class StiffnessChange:
     """Stiffness of a joint [N m/rad], least over the load cases; 0 where it slips.
 
-    Parameters
-    ----------
-    joint : int
-        From 1.
-    case : str
-        Load case of least stiffness of the design.
-    before, after : float
-        Stiffness with the present preload and with the design.
+    `joint`: from 1. `case`: load case of least stiffness of the design. `before` and `after`:
+    stiffness with the present preload and with the design.
     """
 
     joint: int

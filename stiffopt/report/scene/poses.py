@@ -100,11 +100,8 @@ def stored_poses(
 ) -> Poses:
     """Return poses of a stored motion at equal time steps.
 
-    Parameters
-    ----------
-    time : array (K,) [s]
-    position, windup : array (K, n)
-        [rad]; without wind-up there are no parts of the deflection.
+    `time` (K,) [s]. `position` and `windup` (K, n) [rad]; without wind-up there are no parts of the
+    deflection.
     """
     at = np.unique(np.searchsorted(time, np.linspace(0.0, time[-1], FRAMES)))
     at = at[at < len(time)]

@@ -23,14 +23,8 @@ if TYPE_CHECKING:
 def path_figure(problem: TrajectoryProblem, motions: Sequence[ComparedMotion], part: str) -> Figure:
     """Plot the tool path in two projections, planned and with magnified deflection.
 
-    Parameters
-    ----------
-    problem : TrajectoryProblem
-        Problem whose via points are marked.
-    motions : sequence of ComparedMotion
-        Motions, all with the same magnification.
-    part : str
-        Part of the deflection that is added to the planned path.
+    `problem`: problem whose via points are marked. `motions`: motions, all with the same
+    magnification. `part`: part of the deflection that is added to the planned path.
     """
     first = motions[0].assessment
     spans = np.ptp(first.tool, axis=0)

@@ -68,10 +68,7 @@ def write_stiffness_report(
 ) -> Path:
     """Write stiffness.html and its figures as SVG and PNG into `directory`; return the page.
 
-    Parameters
-    ----------
-    rows : iterable of StiffnessRow
-        As `stiffness_study` returns them.
+    `rows`: as `stiffness_study` returns them.
     """
     units = joint_units(robot)
     curves = stiffness_curves(rows)
@@ -218,11 +215,7 @@ def tangent_figure(
 ) -> Figure:
     """Plot the tangent stiffness of every joint, with contacts and of the reducer alone.
 
-    Parameters
-    ----------
-    curves : mapping joint number -> curves
-    low_torque : bool
-        Logarithmic torque axis, which resolves the range near zero torque.
+    `low_torque`: logarithmic torque axis, which resolves the range near zero torque.
     """
     with figure_style():
         columns = min(3, len(curves))
