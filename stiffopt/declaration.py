@@ -48,16 +48,12 @@ _PLAUSIBLE_KEY, _BOUNDS_KEY = "plausible", "bounds"
 
 @dataclass(frozen=True)
 class Unit:
-    """A number with a unit: an SI float in Python, in files also a text such as "8 mm".
+    """A number with a unit: an SI float in Python, in files also a text such as "8 mm"."""
 
-    `dimension`: a name in `DIMENSIONS`. `joint`: quantity of a joint: for a prismatic one the
-    dimension is that of `PRISMATIC`. `bare`: always in SI, as in recordings: texts with units are
-    rejected.
-    """
-
-    dimension: str
+    dimension: str  # a name in `DIMENSIONS`
+    # Quantity of a joint: for a prismatic one the dimension is that of `PRISMATIC`.
     joint: bool = False
-    bare: bool = False
+    bare: bool = False  # always in SI, as in recordings: texts with units are rejected
     # Conversion of an entry of a file to an SI number; set by `stiffopt.validation`.
     reader: ClassVar[Callable[[Unit], Callable[[object], float]]]
 
@@ -111,28 +107,18 @@ class Unit:
 
 @dataclass(frozen=True)
 class Bounds:
-    """Range in which a number must lie.
+    """Range in which a number must lie."""
 
-    Parameters
-    ----------
-    above, below : float
-        Bounds that are excluded.
-    least, most : float
-        Bounds that are included.
-    finite : bool
-        The number must be finite.
-    hint : str
-        Sentence on the usual cause of a violation.
-    plausible : (float, float) or None
-        Magnitudes beyond which a bare number of a file is asked about; default those of its unit.
-    """
-
+    # above and below: bounds that are excluded.
     above: float = -math.inf
+    # Bounds that are included.
     least: float = -math.inf
     most: float = math.inf
     below: float = math.inf
-    finite: bool = True
-    hint: str = ""
+    finite: bool = True  # the number must be finite
+    hint: str = ""  # sentence on the usual cause of a violation
+    # (float, float) magnitudes beyond which a bare number of a file is asked about; default those
+    # of its unit.
     plausible: tuple[float, float] | None = None
 
     def check(self, name: str, value: object) -> None:

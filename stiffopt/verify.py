@@ -32,20 +32,17 @@ StudyCallback = Callable[[Progress | SolveProgress], object]
 
 @dataclass(frozen=True)
 class Check:
-    """Comparison of one solved value of a problem or study file with its expected value.
-
-    `name`: name of a study's value; "" is the objective of a trajectory problem. `value` and
-    `expected`: in `unit`. `source`: source of the expected value.
-    """
+    """Comparison of one solved value of a problem or study file with its expected value."""
 
     path: Path
-    name: str
+    name: str  # name of a study's value; "" is the objective of a trajectory problem
     status: SolveStatus
+    # In `unit`.
     value: float | None
     expected: float | None
     unit: str
     rtol: float
-    source: str
+    source: str  # source of the expected value
     seconds: float
     message: str
 

@@ -29,27 +29,15 @@ _SQUARED_SPEED_MAX = 1e7
 
 @dataclass(frozen=True)
 class PathLimits:
-    """Rows a u + b x + c <= 1 and bounds of x on a grid of the path.
+    """Rows a u + b x + c <= 1 and bounds of x on a grid of the path."""
 
-    Parameters
-    ----------
-    grid : array (N,)
-        Path parameters.
-    rows : (a, b, c) arrays (N, m)
-        Divided by their limits.
-    loss : array (N, m)
-        Factor of sqrt(x) in each row from viscous friction; negative where friction helps.
-    labels : tuple of str (m,)
-        Quantity and joint that each row limits.
-    squared_speed_max : array (N,)
-        Bound of x from joint velocity and tool speed.
-    """
-
-    grid: np.ndarray
+    grid: np.ndarray  # (N,) path parameters
+    # (a, b, c) arrays (N, m) divided by their limits.
     rows: tuple[np.ndarray, np.ndarray, np.ndarray]
+    # (N, m) factor of sqrt(x) in each row from viscous friction; negative where friction helps.
     loss: np.ndarray
-    labels: tuple[str, ...]
-    squared_speed_max: np.ndarray
+    labels: tuple[str, ...]  # (m,) quantity and joint that each row limits
+    squared_speed_max: np.ndarray  # (N,) bound of x from joint velocity and tool speed
 
     def linearised(self, about: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Rows (a, b, c) with viscous friction bounded about the squared speeds `about` (N,)."""

@@ -33,27 +33,14 @@ _DURATION_TOLERANCE = 1e-5
 
 @dataclass(frozen=True, kw_only=True)
 class BaselineMotion:
-    """Baseline motion, or the reason why there is none.
+    """Baseline motion, or the reason why there is none."""
 
-    Parameters
-    ----------
-    name : str
-        "toppra" or "quintic".
-    motion : Trajectory or None
-        None where the baseline does not exist; `reason` then says why.
-    reason : str
-        A sentence, empty where there is a motion.
-    fastest : float or None
-        Shortest duration on the path under the limits, where it is known. [s]
-    law : Trajectory or None
-        Its time law, where it is known.
-    """
-
-    name: str
-    motion: Trajectory | None
-    reason: str = ""
+    name: str  # "toppra" or "quintic"
+    motion: Trajectory | None  # None where the baseline does not exist; `reason` then says why
+    reason: str = ""  # a sentence, empty where there is a motion
+    # Shortest duration on the path under the limits, where it is known [s].
     fastest: float | None = None
-    law: Trajectory | None = None
+    law: Trajectory | None = None  # its time law, where it is known
 
 
 def toppra_baseline(

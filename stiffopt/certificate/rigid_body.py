@@ -18,43 +18,26 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class JointGeometry:
-    """Constants of one joint and its body, in the joint's own frame if not said otherwise.
+    """Constants of one joint and its body, in the joint's own frame if not said otherwise."""
 
-    Parameters
-    ----------
-    parent : int
-        Number of the parent joint, from 1; 0 is the base.
-    place : int
-        Index of its value among the positions.
-    within : array (3, 3)
-        A frame whose third column is the axis.
-    rotation, translation : array (3, 3), (3,) [m]
-        Of that frame and of the origin, in such a frame of the parent.
-    mass : float [kg]
-    centre : array (3,) [m]
-        Of mass.
-    """
-
-    parent: int
+    parent: int  # number of the parent joint, from 1; 0 is the base
     prismatic: bool
-    place: int
-    within: np.ndarray
+    place: int  # index of its value among the positions
+    within: np.ndarray  # (3, 3) a frame whose third column is the axis
+    # (3, 3), (3,) [m] of that frame and of the origin, in such a frame of the parent.
     rotation: np.ndarray
     translation: np.ndarray
-    mass: float
-    centre: np.ndarray
+    mass: float  # [kg]
+    centre: np.ndarray  # (3,) [m] of mass
 
 
 @dataclass(frozen=True)
 class MovingJoint:
-    """One joint at K instants; base axes.
-
-    `origin` (3, K) [m]. `frame` (3, 3, K): vectors of its frame, the axis last.
-    """
+    """One joint at K instants; base axes."""
 
     of: JointGeometry
-    origin: np.ndarray
-    frame: np.ndarray
+    origin: np.ndarray  # (3, K) [m]
+    frame: np.ndarray  # (3, 3, K) vectors of its frame, the axis last
 
     @property
     def axis(self) -> np.ndarray:
@@ -172,24 +155,14 @@ _BLOCK_INSTANTS = 2000
 
 @dataclass(frozen=True)
 class RigidBodyHistory:
-    """Rigid-body quantities along a motion of K instants and n joints.
+    """Rigid-body quantities along a motion of K instants and n joints."""
 
-    Parameters
-    ----------
-    link_torque : array (K, n) [N m]
-        Inverse dynamics of links and payload, without rotors and friction; with added torques of
-        the links.
-    gravity_torque : array (K, n) [N m]
-        At rest in the same pose.
-    tool : array (K, 3) [m]
-    jacobian : array (K, 3, n) [m/rad]
-        Position Jacobian of the tool, base axes.
-    """
-
+    # (K, n) [N m] inverse dynamics of links and payload, without rotors and friction; with added
+    # torques of the links.
     link_torque: np.ndarray
-    gravity_torque: np.ndarray
-    tool: np.ndarray
-    jacobian: np.ndarray
+    gravity_torque: np.ndarray  # (K, n) [N m] at rest in the same pose
+    tool: np.ndarray  # (K, 3) [m]
+    jacobian: np.ndarray  # (K, 3, n) [m/rad] position Jacobian of the tool, base axes
 
 
 def rigid_body_history(

@@ -57,39 +57,20 @@ def elastic_arm(problem: TrajectoryProblem, start: np.ndarray) -> ElasticArm:
 
 @dataclass(frozen=True, kw_only=True)
 class PlannedMotion:
-    """Motion to be simulated.
-
-    Parameters
-    ----------
-    name : str
-    time : array (K,)
-        From 0 [s].
-    position, velocity : array (K, n)
-        [rad], [rad/s].
-    parts : dict of PeakRms
-        Parts of its planned deflection by name, "dynamic" among them [m].
-    counted : bool
-        True where it keeps all limits and the problem's duration.
-    motors : Trajectory or None
-        Where the motors lead the planned path, as planned.
-    path : JointMotion or None
-        Planned motion of the links of a stored motion whose motors lead it.
-    exceeded : tuple of str
-        Names of limits that it exceeds.
-    rival : FairRival or None
-        By which it can be slowed.
-    """
+    """Motion to be simulated."""
 
     name: str
-    time: np.ndarray
+    time: np.ndarray  # (K,) from 0 [s]
+    # (K, n) [rad], [rad/s].
     position: np.ndarray
     velocity: np.ndarray
-    parts: dict[str, PeakRms]
-    counted: bool
-    motors: Trajectory | None = None
+    parts: dict[str, PeakRms]  # parts of its planned deflection by name, "dynamic" among them [m]
+    counted: bool  # True where it keeps all limits and the problem's duration
+    motors: Trajectory | None = None  # where the motors lead the planned path, as planned
+    # Planned motion of the links of a stored motion whose motors lead it.
     path: JointMotion | None = None
-    exceeded: tuple[str, ...] = ()
-    rival: FairRival | None = None
+    exceeded: tuple[str, ...] = ()  # names of limits that it exceeds
+    rival: FairRival | None = None  # by which it can be slowed
 
     @cached_property
     def followed(self) -> MotorMotion:

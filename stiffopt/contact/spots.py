@@ -39,17 +39,15 @@ Loading = Annotated[
 
 @dataclass(frozen=True)
 class SpotLaw:
-    """Force and incremental normal stiffness of the spots of one regime.
+    """Force and incremental normal stiffness of the spots of one regime."""
 
-    `lower` and `upper`: range of the truncated area a' [m^2]. `force_factor` and `force_exponent`:
-    F = force_factor * a'^force_exponent [N]. `stiffness_factor` and `stiffness_exponent`: k =
-    stiffness_factor * a'^stiffness_exponent [N/m].
-    """
-
+    # Range of the truncated area a' [m^2].
     lower: float
     upper: float
+    # F = force_factor * a'^force_exponent [N].
     force_factor: float
     force_exponent: float
+    # k = stiffness_factor * a'^stiffness_exponent [N/m].
     stiffness_factor: float
     stiffness_exponent: float
 

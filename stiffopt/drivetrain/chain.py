@@ -100,17 +100,16 @@ Law = Callable[[Quantity], Quantity]
 class Chain:
     """Drivetrain of one joint, from motor to link.
 
-    `reflect`: True (physics): the wind-up of an element counts 1/ratio at the joint, its stiffness
-    ratio^2. False: the torque is still divided by the ratio, but the element's tangent stiffness is
-    added as it is; an interpretation of texts that do not mention reflection, in which everything
-    on the motor side dominates.
-
     Notes
     -----
     Torques and wind-ups are those of the joint [N m], [rad]. An empty chain is rigid.
     """
 
     stages: tuple[Stage, ...]
+    # True (physics): the wind-up of an element counts 1/ratio at the joint, its stiffness ratio^2.
+    # False: the torque is still divided by the ratio, but the element's tangent stiffness is added
+    # as it is; an interpretation of texts that do not mention reflection, in which everything on
+    # the motor side dominates.
     reflect: bool = True
 
     def __post_init__(self) -> None:

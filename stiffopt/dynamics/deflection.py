@@ -25,23 +25,13 @@ from stiffopt.symbolic import Quantity
 
 @dataclass(frozen=True, kw_only=True)
 class SpringTorques:
-    """Torques in the joints' springs, without rotor inertia and friction.
+    """Torques in the joints' springs, without rotor inertia and friction."""
 
-    Parameters
-    ----------
-    gravity : (n,)
-        At rest in the same pose. [N m] or [N]
-    motion : (n,)
-        tau_0: links and payload in motion. [N m] or [N]
-    spring : (n,)
-        tau_0 minus J^T F; the same as `motion` without a process force. [N m] or [N]
-    held : (n,)
-        At rest under the process force; the same as `gravity` without one. [N m] or [N]
-    """
-
-    gravity: Quantity
-    motion: Quantity
+    gravity: Quantity  # (n,) at rest in the same pose [N m] or [N]
+    motion: Quantity  # (n,) tau_0: links and payload in motion [N m] or [N]
+    # (n,) tau_0 minus J^T F; the same as `motion` without a process force [N m] or [N].
     spring: Quantity
+    # (n,) at rest under the process force; the same as `gravity` without one [N m] or [N].
     held: Quantity
 
 

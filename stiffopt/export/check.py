@@ -23,28 +23,18 @@ _SEAL_SUBJECTS = ("payload", "robot", "limits", "motion")
 
 @dataclass(frozen=True, kw_only=True)
 class CheckedMotion:
-    """Exported motion that is unchanged and keeps its limits.
+    """Exported motion that is unchanged and keeps its limits."""
 
-    Parameters
-    ----------
-    format, which, title, robot : str
-        Name of `--to`, "motor" or "link", title of the result, name of the robot.
-    payload : float or None [kg]
-    rate : float [Hz]
-    duration : float [s]
-    tightest : str
-        Description of the limit with the least margin.
-    """
-
+    # Name of `--to`, "motor" or "link", title of the result, name of the robot.
     format: str
     which: str
     title: str
     robot: str
-    payload: float | None
-    rate: float
-    duration: float
+    payload: float | None  # [kg]
+    rate: float  # [Hz]
+    duration: float  # [s]
     samples: int
-    tightest: str
+    tightest: str  # description of the limit with the least margin
 
 
 def check_file(file: Path, result: Path, problem: Path | None = None) -> CheckedMotion:

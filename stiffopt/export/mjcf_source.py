@@ -19,14 +19,11 @@ _START_TAG = re.compile(rb"""<[^\s/>]+(?:\s+[^\s=/>]+\s*=\s*(?:"[^"]*"|'[^']*'))
 
 @dataclass(frozen=True, kw_only=True)
 class MjcfElement:
-    """Start tag of an element.
+    """Start tag of an element."""
 
-    `file`: path of its file in the folder that holds all files of the model. `begin` and `end`:
-    bytes of the start tag.
-    """
-
-    file: str
+    file: str  # path of its file in the folder that holds all files of the model
     tag: str
+    # Bytes of the start tag.
     begin: int
     end: int
     line: int

@@ -39,15 +39,11 @@ Which = Literal["motor", "link"]
 
 @dataclass(frozen=True, kw_only=True)
 class MotionEvent:
-    """Event of the gripper or tool changer.
+    """Event of the gripper or tool changer."""
 
-    `time` [s]. `kind`: "grip", "release" or "tool_change". `mass`: all that the flange carries
-    afterwards [kg].
-    """
-
-    time: float
-    kind: str
-    mass: float
+    time: float  # [s]
+    kind: str  # "grip", "release" or "tool_change"
+    mass: float  # all that the flange carries afterwards [kg]
 
     def __str__(self) -> str:
         return f"{self.kind.replace('_', ' ')} at {self.time:.3f} s, then {self.mass:g} kg"
@@ -55,36 +51,19 @@ class MotionEvent:
 
 @dataclass(frozen=True, kw_only=True)
 class SampledMotion:
-    """Sampled motion for a controller.
+    """Sampled motion for a controller."""
 
-    Parameters
-    ----------
-    title : str
-        Title of the result.
-    which : "motor" or "link"
-        Motion of motors or links.
-    prismatic : array (n,) of bool
-        True for prismatic joints.
-    time : array (K,) [s]
-        Times from 0.
-    position, velocity, acceleration : array (K, n)
-        [rad], [rad/s], [rad/s^2]; metres for radians of prismatic joints.
-    velocity_max : array (n,) [rad/s]
-        Limits of the robot.
-    events : tuple of MotionEvent
-        In order.
-    """
-
-    title: str
-    which: Which
+    title: str  # title of the result
+    which: Which  # "motor" or "link": motion of motors or links
     joint_names: tuple[str, ...]
-    prismatic: np.ndarray
-    velocity_max: np.ndarray
-    time: np.ndarray
+    prismatic: np.ndarray  # (n,) True for prismatic joints
+    velocity_max: np.ndarray  # (n,) [rad/s] limits of the robot
+    time: np.ndarray  # (K,) [s] times from 0
+    # (K, n) [rad], [rad/s], [rad/s^2]; metres for radians of prismatic joints.
     position: np.ndarray
     velocity: np.ndarray
     acceleration: np.ndarray
-    events: tuple[MotionEvent, ...] = ()
+    events: tuple[MotionEvent, ...] = ()  # in order
 
     def events_until(self, sample: int) -> list[MotionEvent]:
         """Events after the sample before and up to this one."""
@@ -94,30 +73,17 @@ class SampledMotion:
 
 @dataclass(frozen=True, kw_only=True)
 class StoredMotion:
-    """Motion of a result folder, interpolated between the rows of its trajectory.csv.
-
-    Parameters
-    ----------
-    which : "motor" or "link"
-    prismatic : array (n,) of bool
-    curve : BPoly or CubicSpline
-        Position over time [s].
-    link : CubicSpline or None
-        Motion of the links, which determines motor loads, if this is the motion of the motors.
-    problem : TrajectoryProblem
-        Problem whose limits apply.
-    seal : dict
-        Hashes of the motion's file, the robot, its payload and the limits.
-    """
+    """Motion of a result folder, interpolated between the rows of its trajectory.csv."""
 
     title: str
-    which: Which
+    which: Which  # "motor" or "link"
     joint_names: tuple[str, ...]
-    prismatic: np.ndarray
-    curve: BPoly | CubicSpline
+    prismatic: np.ndarray  # (n,)
+    curve: BPoly | CubicSpline  # position over time [s]
+    # Motion of the links, which determines motor loads, if this is the motion of the motors.
     link: CubicSpline | None
-    problem: TrajectoryProblem
-    seal: dict[str, str]
+    problem: TrajectoryProblem  # problem whose limits apply
+    seal: dict[str, str]  # hashes of the motion's file, the robot, its payload and the limits
     events: tuple[MotionEvent, ...] = ()
 
     def sampled(

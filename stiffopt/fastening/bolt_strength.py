@@ -144,12 +144,9 @@ _WASHER_SPREAD_RATIO = 1.6
 
 @dataclass(frozen=True)
 class HeadBearing:
-    """Permissible force on the bearing face of a head or nut, with its source.
+    """Permissible force on the bearing face of a head or nut, with its source."""
 
-    `capacity`: p_G A_p [N], the smaller of head on washer and washer on part.
-    """
-
-    capacity: float
+    capacity: float  # p_G A_p [N], the smaller of head on washer and washer on part
     provenance: str
     source: str
 

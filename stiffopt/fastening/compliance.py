@@ -102,14 +102,10 @@ def tip_compliance(contact_modulus: float, tip_diameter: float) -> float:
 
 @dataclass(frozen=True)
 class LoadFactor:
-    """Load factor Phi at both bounds of the load introduction factor n.
+    """Load factor Phi at both bounds of the load introduction factor n."""
 
-    `most`: Phi at the largest n; loads the bolt most. `least`: Phi at the smallest n; 1 - Phi
-    unloads the clamped parts most.
-    """
-
-    most: float
-    least: float
+    most: float  # Phi at the largest n; loads the bolt most
+    least: float  # Phi at the smallest n; 1 - Phi unloads the clamped parts most
 
 
 def load_factor(bolt: float, plates: float, introduction: float | None) -> LoadFactor:

@@ -14,15 +14,11 @@ import numpy as np
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FlangeLoads:
-    """Loads of one flange in all load cases.
+    """Loads of one flange in all load cases."""
 
-    `names`: names of load cases and instants of motions. `values` (K, 6) [N], [N m]. `alternating`:
-    the torque, or a shear force, changes its sign during a motion.
-    """
-
-    names: tuple[str, ...]
-    values: np.ndarray
-    alternating: bool = False
+    names: tuple[str, ...]  # names of load cases and instants of motions
+    values: np.ndarray  # (K, 6) [N], [N m]
+    alternating: bool = False  # the torque, or a shear force, changes its sign during a motion
 
     @property
     def shear(self) -> np.ndarray:

@@ -116,23 +116,14 @@ class WorkshopTorque:
 
     The stated friction is the lowest expected, so the setting must not be exceeded; higher friction
     and wrench error leave less preload, down to F/alpha_A.
-
-    Parameters
-    ----------
-    nominal : float
-        Setting of the wrench: leaves F at the stated friction [N m].
-    lower : float
-        Leaves F/alpha_A, the least preload of the design, at the stated friction; a bolt that still
-        turns below it is too loose [N m].
-    upper : float
-        Torque that must not be exceeded; the nominal one [N m].
-    friction_factor : float
-        Factor on the stated friction at which the nominal torque leaves F/alpha_A [-].
     """
 
-    nominal: float
+    nominal: float  # setting of the wrench: leaves F at the stated friction [N m]
+    # Leaves F/alpha_A, the least preload of the design, at the stated friction; a bolt that still
+    # turns below it is too loose [N m].
     lower: float
-    upper: float
+    upper: float  # torque that must not be exceeded; the nominal one [N m]
+    # Factor on the stated friction at which the nominal torque leaves F/alpha_A [-].
     friction_factor: float
 
 

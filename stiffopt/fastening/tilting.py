@@ -24,25 +24,16 @@ class TiltingFlange:
 
     Clamped parts and rough interface in series are springs without tension, evenly spread over a
     circle with the ring's second moment of area; the bolts are springs of n/delta_S.
-
-    Parameters
-    ----------
-    bolts, face : float
-        Axial stiffness of all bolts, and of all clamped parts with the interface [N/m].
-    radius : float
-        Of the circle of springs, radius of gyration times sqrt(2) [m].
-    bolt_radius, rim : float
-        Radius of the bolt circle, outer radius of the ring [m].
-    clamp : float
-        Clamp force of all bolts together [N].
     """
 
+    # Axial stiffness of all bolts, and of all clamped parts with the interface [N/m].
     bolts: float
     face: float
-    radius: float
+    radius: float  # of the circle of springs, radius of gyration times sqrt(2) [m]
+    # Radius of the bolt circle, outer radius of the ring [m].
     bolt_radius: float
     rim: float
-    clamp: float
+    clamp: float  # clamp force of all bolts together [N]
 
     @property
     def closed_stiffness(self) -> float:

@@ -113,17 +113,14 @@ class GivenMotion:
 
 @dataclass(frozen=True, eq=False)
 class MotionPiece:
-    """Part of a motion between two rests.
-
-    `times`, `places` and `rates` (K,): instants of the given motion [s], its path parameter and the
-    rate of that [1/s]. `dwell`: rest after it [s].
-    """
+    """Part of a motion between two rests."""
 
     path: JointPath
+    # (K,) instants of the given motion [s], its path parameter and the rate of that [1/s].
     times: np.ndarray
     places: np.ndarray
     rates: np.ndarray
-    dwell: float
+    dwell: float  # rest after it [s]
 
     def speed(self, s: np.ndarray) -> np.ndarray:
         """Rate of the path parameter [1/s] of the given motion at path parameters (K,)."""

@@ -17,27 +17,13 @@ Designs = Sequence[Sequence[CatalogueDesign]]
 
 @dataclass(frozen=True, kw_only=True)
 class TableRow:
-    """Best torque for one kind of bolts of one element, all other elements as chosen.
+    """Best torque for one kind of bolts of one element, all other elements as chosen."""
 
-    Parameters
-    ----------
-    design : CatalogueDesign
-        With the best feasible torque, or the one nearest to its limits.
-    objective : float
-        Of the study with this design, in its unit; nan without any choice.
-    stopper : str
-        Limit or requirement that excludes all torques; "" if feasible.
-    utilisation : float
-        Largest utilisation of this connection [-].
-    torques : int
-        Number of torques tried for these bolts.
-    """
-
-    design: CatalogueDesign
-    objective: float
-    stopper: str
-    utilisation: float
-    torques: int
+    design: CatalogueDesign  # with the best feasible torque, or the one nearest to its limits
+    objective: float  # of the study with this design, in its unit; nan without any choice
+    stopper: str  # limit or requirement that excludes all torques; "" if feasible
+    utilisation: float  # largest utilisation of this connection [-]
+    torques: int  # number of torques tried for these bolts
     chosen: bool
 
 

@@ -31,47 +31,26 @@ _PRELOAD_RANGE = (0.05, 1.1)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PreloadCurve:
-    """Properties of a joint in one load case over the preload of one connection.
+    """Properties of a joint in one load case over the preload of one connection."""
 
-    Parameters
-    ----------
-    key : str
-        Key of the element; all other preloads are those of the design.
-    joint : int
-        1-based.
-    torque : float
-        At the joint [N m].
-    design : float
-        Preload of the design, mean of individual ones [N].
-    preload : array (K,)
-        F, largest assembly preload of one bolt or pin [N], ascending.
-    stiffness : array (K,)
-        Tangent stiffness of the joint by the exact law at the least preload in service [N m/rad]; 0
-        where a connection slips.
-    stiffness_high : array (K,)
-        The same at F, the other end of the scatter [N m/rad].
-    slip_safety : array (K,)
-        Slip torque at the least preload over torque [-]; infinite without torque.
-    utilisation : mapping of limit name to array (K,)
-        Of every limit that depends on the preload, 1 at the limit [-].
-    safety : mapping of symbol to array (K,)
-        Safety factors of VDI 2230 under all load cases, of bolted joints [-].
-    limits : mapping of name to float
-        Preload at which each requirement is active [N]: a lower bound for those of `FLOORS`, an
-        upper bound for others; "slip" at slip safety 1.
-    """
-
-    key: str
-    joint: int
+    key: str  # key of the element; all other preloads are those of the design
+    joint: int  # 1-based
     case: str
-    torque: float
-    design: float
-    preload: np.ndarray
+    torque: float  # at the joint [N m]
+    design: float  # preload of the design, mean of individual ones [N]
+    preload: np.ndarray  # (K,) F, largest assembly preload of one bolt or pin [N], ascending
+    # (K,) tangent stiffness of the joint by the exact law at the least preload in service [N
+    # m/rad]; 0 where a connection slips.
     stiffness: np.ndarray
-    stiffness_high: np.ndarray
+    stiffness_high: np.ndarray  # (K,) the same at F, the other end of the scatter [N m/rad]
+    # (K,) slip torque at the least preload over torque [-]; infinite without torque.
     slip_safety: np.ndarray
+    # By limit name (K,): of every limit that depends on the preload, 1 at the limit [-].
     utilisation: Mapping[str, np.ndarray]
+    # By symbol (K,): safety factors of VDI 2230 under all load cases, of bolted joints [-].
     safety: Mapping[str, np.ndarray]
+    # By name: preload at which each requirement is active [N]: a lower bound for those of `FLOORS`,
+    # an upper bound for others; "slip" at slip safety 1.
     limits: Mapping[str, float]
 
 

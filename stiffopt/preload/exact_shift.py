@@ -23,26 +23,17 @@ _Laws = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True)
 class ExactShift:
-    """Constants and slopes of the correction to the smooth law.
+    """Constants and slopes of the correction to the smooth law."""
 
-    Parameters
-    ----------
-    compliance : array (joints, cases)
-        [rad/(N m)], including all elements independent of the preloads.
-    compliance_slope : array (size, cases)
-        By the preloads of the same joint [rad/(N m) per N].
-    windup : array (n, cases)
-        Less that at the reference torque, of all joints of the robot [rad].
-    windup_slope : array (size, cases)
-        [rad per N]
-    tilt, tilt_slope : array (elements,)
-        Of the tilting compliances [rad/(N m)], and by the mean preload of an element [.. per N].
-    """
-
+    # (joints, cases) [rad/(N m)], including all elements independent of the preloads.
     compliance: np.ndarray
+    # (size, cases) by the preloads of the same joint [rad/(N m) per N].
     compliance_slope: np.ndarray
+    # (n, cases) less that at the reference torque, of all joints of the robot [rad].
     windup: np.ndarray
-    windup_slope: np.ndarray
+    windup_slope: np.ndarray  # (size, cases) [rad per N]
+    # (elements,) of the tilting compliances [rad/(N m)], and by the mean preload of an element [..
+    # per N].
     tilt: np.ndarray
     tilt_slope: np.ndarray
 

@@ -37,26 +37,15 @@ from stiffopt.units import convert, fit_joint
 
 @dataclass(frozen=True, kw_only=True)
 class LoadedStudy:
-    """Preload study file: the problem and the settings beside it.
-
-    Parameters
-    ----------
-    expected : mapping of name to ExpectedValueSection
-        Expected results of a verification; names as in `value_units`.
-    front_points : int
-        Of the Pareto front; 0 leaves it out.
-    motion : TrajectoryProblem or None
-        Optimised together with the preloads.
-    rounds : int
-        Largest number of rounds of the joint study.
-    """
+    """Preload study file: the problem and the settings beside it."""
 
     problem: PreloadProblem
+    # By name: expected results of a verification; names as in `value_units`.
     expected: Mapping[str, ExpectedValueSection]
     path: Path
-    front_points: int
-    motion: TrajectoryProblem | None
-    rounds: int
+    front_points: int  # of the Pareto front; 0 leaves it out
+    motion: TrajectoryProblem | None  # optimised together with the preloads
+    rounds: int  # largest number of rounds of the joint study
 
 
 def load_study(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> LoadedStudy:

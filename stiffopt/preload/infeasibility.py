@@ -16,26 +16,15 @@ from stiffopt.preload.utilisation import utilisation_rows
 
 @dataclass(frozen=True)
 class Stopper:
-    """Requirement that no preload meets.
+    """Requirement that no preload meets."""
 
-    Parameters
-    ----------
-    limit : str
-        Name of the requirement.
-    best, required : float
-        Best reachable and required value, in `unit`.
-    against : str
-        Limiting condition; "" if none.
-    remedy : str
-        Change of the design or study.
-    """
-
-    limit: str
+    limit: str  # name of the requirement
+    # Best reachable and required value, in `unit`.
     best: float
     required: float
     unit: str
-    against: str
-    remedy: str
+    against: str  # limiting condition; "" if none
+    remedy: str  # change of the design or study
 
     def __str__(self) -> str:
         required, best = self.amounts

@@ -65,29 +65,18 @@ class LoadCase:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LoadHistory:
-    """Torques along a motion, whose worst instants become load cases.
-
-    Parameters
-    ----------
-    time : array (K,) [s]
-    torque : array (K, n) [N m]
-    reference_torque : array (K, n), optional [N m]
-    jacobian : array (K, 3, n), optional
-    wrench, reference_wrench : array (K, n, 6), optional
-    frames : array (K, n, 3, 3), optional
-    arm : array (K, n, 3), optional
-        As of a `LoadCase`.
-    """
+    """Torques along a motion, whose worst instants become load cases."""
 
     name: str
-    time: np.ndarray
-    torque: np.ndarray
-    reference_torque: np.ndarray | None = None
-    jacobian: np.ndarray | None = None
+    time: np.ndarray  # (K,) [s]
+    torque: np.ndarray  # (K, n) [N m]
+    reference_torque: np.ndarray | None = None  # (K, n) [N m]
+    jacobian: np.ndarray | None = None  # (K, 3, n)
+    # (K, n, 6).
     wrench: np.ndarray | None = None
     reference_wrench: np.ndarray | None = None
-    frames: np.ndarray | None = None
-    arm: np.ndarray | None = None
+    frames: np.ndarray | None = None  # (K, n, 3, 3)
+    arm: np.ndarray | None = None  # (K, n, 3) as of a `LoadCase`
     source: str = "given"
 
     def __post_init__(self) -> None:

@@ -379,61 +379,35 @@ def _motion_subproblem(problem: PreloadProblem) -> PreloadProblem:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotionRound:
-    """Round of the alternation.
+    """Round of the alternation."""
 
-    `deflection_before_preload` and `deflection_after`: of the new motion, with the preloads before
-    and after their optimisation [m]. `preloads`: largest assembly preload after the round [N].
-    """
-
+    # Of the new motion, with the preloads before and after their optimisation [m].
     deflection_before_preload: float
     deflection_after: float
-    preloads: Mapping[str, float]
+    preloads: Mapping[str, float]  # by element key: largest assembly preload after the round [N]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotionStudy:
-    """Result of a joint optimisation of preloads and motion.
+    """Result of a joint optimisation of preloads and motion."""
 
-    Parameters
-    ----------
-    status : SolveStatus
-        acceptable if the rounds ended before the deflection converged.
-    objective_name : str
-        Deflection whose peak is minimised, by the exact law at the least preloads.
-    start : float
-        Of the motion optimised at the start preloads, with these [m].
-    separate : float
-        Of the same motion with optimised preloads [m]; nan if interrupted before.
-    joint : float
-        Of both optimised together [m]; at most `separate`.
-    gain : float
-        1 - joint/separate.
-    start_preloads, separate_preloads, preloads : mapping of element key to float
-        Largest assembly preload [N].
-    trajectory : Solution
-        The motion of `joint`, assessed with its preloads.
-    separate_trajectory : Solution
-        The motion of `start` and `separate`, assessed with the preloads of `separate`.
-    preload_solution : PreloadSolution or None
-        Preload solution of `joint`.
-    note : str
-        Interpretation of the result.
-    """
-
-    status: SolveStatus
+    status: SolveStatus  # acceptable if the rounds ended before the deflection converged
+    # Deflection whose peak is minimised, by the exact law at the least preloads.
     objective_name: str
-    start: float
-    separate: float
-    joint: float
-    gain: float
+    start: float  # of the motion optimised at the start preloads, with these [m]
+    separate: float  # of the same motion with optimised preloads [m]; nan if interrupted before
+    joint: float  # of both optimised together [m]; at most `separate`
+    gain: float  # 1 - joint/separate
     rounds: tuple[MotionRound, ...]
+    # By element key: largest assembly preload [N].
     start_preloads: Mapping[str, float]
     separate_preloads: Mapping[str, float]
     preloads: Mapping[str, float]
-    trajectory: Solution
+    trajectory: Solution  # the motion of `joint`, assessed with its preloads
+    # The motion of `start` and `separate`, assessed with the preloads of `separate`.
     separate_trajectory: Solution
-    preload_solution: PreloadSolution | None
-    note: str
+    preload_solution: PreloadSolution | None  # preload solution of `joint`
+    note: str  # interpretation of the result
     seconds: float
 
 

@@ -33,13 +33,10 @@ _MIN_SERVICE_PRELOAD_SHARE, _NEGLIGIBLE_PRELOAD_SHARE = 0.02, 1e-3
 
 @dataclass(frozen=True)
 class Levels:
-    """Scales of the objectives, which make them of order one.
+    """Scales of the objectives, which make them of order one."""
 
-    `stiffness`: weights of joint_stiffness [N m/rad]. `deflection` [m].
-    """
-
-    stiffness: Mapping[int, float]
-    deflection: float
+    stiffness: Mapping[int, float]  # by joint number: weights of joint_stiffness [N m/rad]
+    deflection: float  # [m]
 
 
 class PreloadNlp:

@@ -30,31 +30,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PreloadStudy:
-    """Result of a study.
-
-    Parameters
-    ----------
-    solution : PreloadSolution
-        The optimum, or the best reachable design with the reasons of infeasibility.
-    front : ParetoFront or None
-        None if infeasible.
-    choice : CatalogueChoice or None
-        None unless the study has [choose].
-    motion : MotionStudy or None
-        None unless the study has [motion].
-    stopped : bool
-        Stopped by Ctrl-C between solves; missing parts are None.
-    """
+    """Result of a study."""
 
     problem: PreloadProblem
+    # The optimum, or the best reachable design with the reasons of infeasibility.
     solution: PreloadSolution
     curves: tuple[PreloadCurve, ...]
     loosening: Loosening
     sensitivity: Sensitivity
-    front: ParetoFront | None = None
-    choice: CatalogueChoice | None = None
-    motion: MotionStudy | None = None
-    stopped: bool = False
+    front: ParetoFront | None = None  # None if infeasible
+    choice: CatalogueChoice | None = None  # None unless the study has [choose]
+    motion: MotionStudy | None = None  # None unless the study has [motion]
+    stopped: bool = False  # stopped by Ctrl-C between solves; missing parts are None
     seconds: float = 0.0
     versions: dict[str, str]
 

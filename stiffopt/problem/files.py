@@ -43,15 +43,12 @@ from stiffopt.units import convert
 
 @dataclass(frozen=True)
 class LoadedProblem:
-    """Problem of a file, with the expected value of its solution.
-
-    `tolerances`: for the error budget; no motion depends on them.
-    """
+    """Problem of a file, with the expected value of its solution."""
 
     problem: TrajectoryProblem
     expected: ExpectedSection | None
     path: Path
-    tolerances: Tolerances
+    tolerances: Tolerances  # for the error budget; no motion depends on them
 
 
 def load_problem(

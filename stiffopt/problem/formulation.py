@@ -40,11 +40,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Scales:
-    """Typical objective values that scale the NLP without changing its solution.
+    """Typical objective values that scale the NLP without changing its solution."""
 
-    `values`: a typical value of each objective, in its SI unit.
-    """
-
+    # A typical value of each objective, in its SI unit.
     values: Mapping[str, float] = field(default_factory=dict)
 
     def of(self, name: str) -> float:

@@ -37,16 +37,12 @@ _POSE_JOINTS = 6
 
 @dataclass(frozen=True, eq=False)
 class FreedomOptimum:
-    """Chosen freedom with its cost, and what it is compared with.
-
-    `cost`: of the goal, less is better. `value`: largest deflection at the nodes [m], or estimated
-    time [s]. `joints` (K, n): at the nodes [rad].
-    """
+    """Chosen freedom with its cost, and what it is compared with."""
 
     choice: FreedomChoice
-    cost: float
-    value: float
-    joints: np.ndarray
+    cost: float  # of the goal, less is better
+    value: float  # largest deflection at the nodes [m], or estimated time [s]
+    joints: np.ndarray  # (K, n) at the nodes [rad]
 
 
 def optimise_freedom(task: FreedomTask, near: np.ndarray) -> list[FreedomOptimum]:

@@ -24,16 +24,13 @@ ForceFrame = Literal["base", "tool", "path"]
 
 @dataclass(frozen=True, eq=False)
 class PathForce:
-    """Force on the tool along a joint path, base axes.
+    """Force on the tool along a joint path, base axes."""
 
-    `place` (K,): path parameters from 0 to 1. `constant` and `per_feed` (K, 3) [N], and [N/(m/s)]
-    times the tool speed. `axes` (K, 3, 3): axes of the path as columns: feed, side, tool axis.
-    """
-
-    place: np.ndarray
+    place: np.ndarray  # (K,) path parameters from 0 to 1
+    # (K, 3) [N], and [N/(m/s)] times the tool speed.
     constant: np.ndarray
     per_feed: np.ndarray
-    axes: np.ndarray
+    axes: np.ndarray  # (K, 3, 3) axes of the path as columns: feed, side, tool axis
 
     def __call__(self, s: np.ndarray, feed: np.ndarray | float = 0.0) -> np.ndarray:
         """Return the force (K, 3) [N] at path parameters (K,) and tool speeds (K,) [m/s]."""

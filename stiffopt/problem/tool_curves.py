@@ -73,15 +73,13 @@ class Line(ToolCurve):
 
 @dataclass(frozen=True, eq=False)
 class Arc(ToolCurve):
-    """Arc of a circle.
+    """Arc of a circle."""
 
-    `middle` (3,) [m]. `first` and `across` (3,) [m]: radius vectors at the angle 0 and a quarter
-    turn later. `begin` and `angle` [rad].
-    """
-
-    middle: np.ndarray
+    middle: np.ndarray  # (3,) [m]
+    # (3,) [m] radius vectors at the angle 0 and a quarter turn later.
     first: np.ndarray
     across: np.ndarray
+    # [rad].
     begin: float
     angle: float
 

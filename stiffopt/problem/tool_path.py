@@ -31,42 +31,21 @@ _MIN_LENGTH = 1e-6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ToolSegment:
-    """A segment of a tool path.
+    """A segment of a tool path."""
 
-    Parameters
-    ----------
-    end : array (3,)
-        End point, base frame [m].
-    rotation : array (3, 3) or None
-        Orientation of the tool at the end; None keeps the previous one.
-    through : array (3,) or None
-        A point on the arc; None for a straight line [m].
-    blend : float
-        Distance from its end at which the rounding into the next segment begins [m].
-    curve : ToolCurve or None
-        The segment itself, where it is neither a line nor an arc.
-    turns : callable or None
-        Rotations (K, 3, 3) at shares (K,) of the segment, where they do not turn evenly to its end.
-    speed : float
-        Largest tool speed on it [m/s].
-    stop : bool
-        The tool rests at its end.
-    dwell : float
-        Rest at its end [s].
-    where : str
-        How messages name it.
-    """
-
-    end: np.ndarray
+    end: np.ndarray  # (3,) end point, base frame [m]
+    # (3, 3) orientation of the tool at the end; None keeps the previous one.
     rotation: np.ndarray | None = None
-    through: np.ndarray | None = None
+    through: np.ndarray | None = None  # (3,) a point on the arc; None for a straight line [m]
+    # Distance from its end at which the rounding into the next segment begins [m].
     blend: float = 0.0
-    curve: ToolCurve | None = None
+    curve: ToolCurve | None = None  # the segment itself, where it is neither a line nor an arc
+    # Rotations (K, 3, 3) at shares (K,) of the segment, where they do not turn evenly to its end.
     turns: Callable[[np.ndarray], np.ndarray] | None = None
-    speed: float = np.inf
-    stop: bool = False
-    dwell: float = 0.0
-    where: str = ""
+    speed: float = np.inf  # largest tool speed on it [m/s]
+    stop: bool = False  # the tool rests at its end
+    dwell: float = 0.0  # rest at its end [s]
+    where: str = ""  # how messages name it
 
 
 class ToolPath:
@@ -291,14 +270,10 @@ def spline_segments(
 
 @dataclass(frozen=True, eq=False)
 class FittedPath:
-    """Joint path of a tool path.
+    """Joint path of a tool path."""
 
-    `joints`: knots where pieces meet; the tool stops at its `stops`. `error`: largest distance of
-    the tool from the tool path [m].
-    """
-
-    joints: JointPath
-    error: float
+    joints: JointPath  # knots where pieces meet; the tool stops at its `stops`
+    error: float  # largest distance of the tool from the tool path [m]
 
 
 def fit_tool_path(

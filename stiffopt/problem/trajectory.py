@@ -100,16 +100,14 @@ class Target:
 
 @dataclass(frozen=True)
 class ResolvedMotion:
-    """Joint angles of a problem's poses.
+    """Joint angles of a problem's poses."""
 
-    `start` and `end` (n,) [rad]. `vias` (n,) [rad]: one inverse-kinematics solution each; the
-    optimiser may pass a via in another. `start_fixed` and `end_fixed`: False where only the tool's
-    position is given: the angles are then an initial guess.
-    """
-
+    # (n,) [rad].
     start: np.ndarray
     end: np.ndarray
+    # (n,) [rad] one inverse-kinematics solution each; the optimiser may pass a via in another.
     vias: tuple[np.ndarray, ...]
+    # False where only the tool's position is given: the angles are then an initial guess.
     start_fixed: bool
     end_fixed: bool
 

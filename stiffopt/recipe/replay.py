@@ -34,13 +34,10 @@ _STAGE_FACTS = ("intervals", "smoothing", "status")
 
 @dataclass(frozen=True, kw_only=True)
 class Replay:
-    """Second solve of a stored result.
-
-    `differences`: versions that differ, and the first stage or value that does; empty where all
-    agrees.
-    """
+    """Second solve of a stored result."""
 
     solution: Solution
+    # Versions that differ, and the first stage or value that does; empty where all agrees.
     differences: tuple[str, ...]
 
 

@@ -38,37 +38,17 @@ STATE_FILE = "state.bin"
 
 @dataclass(frozen=True, kw_only=True)
 class StoredResult:
-    """Motion of a result folder with its problem.
+    """Motion of a result folder with its problem."""
 
-    Parameters
-    ----------
-    problem : TrajectoryProblem
-        As it was solved.
-    uncertainty : Uncertainty
-        With changes; the problem's where there are none.
-    tolerances : Tolerances
-        Likewise.
-    motion : ResolvedMotion
-    optimised : PlannedMotion
-    windup : array (K, n)
-        Of the joints along the stored motion [rad].
-    command : ExistingCommand or None
-        Of command.csv, where there is one.
-    force : ForceHistory or None
-        Process force along a path.
-    model : Path or None
-        Extended model that the motion was planned with.
-    """
-
-    problem: TrajectoryProblem
-    uncertainty: Uncertainty
-    tolerances: Tolerances
+    problem: TrajectoryProblem  # as it was solved
+    uncertainty: Uncertainty  # with changes; the problem's where there are none
+    tolerances: Tolerances  # likewise
     motion: ResolvedMotion
     optimised: PlannedMotion
-    windup: np.ndarray
-    command: ExistingCommand | None = None
-    force: ForceHistory | None = None
-    model: Path | None = None
+    windup: np.ndarray  # (K, n) of the joints along the stored motion [rad]
+    command: ExistingCommand | None = None  # of command.csv, where there is one
+    force: ForceHistory | None = None  # process force along a path
+    model: Path | None = None  # extended model that the motion was planned with
 
     def motions(self) -> list[PlannedMotion]:
         """Return the stored motion, then recomputed rivals."""

@@ -30,15 +30,11 @@ _MIN_STEP, _MIN_DURATION = 1e-6, 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """Time stamps of a run.
+    """Time stamps of a run."""
 
-    `stamps` (R,): of all rows of the file [s]. `rows` (K,): rows that are kept; their stamps
-    increase strictly. `step`: usual spacing [s].
-    """
-
-    stamps: np.ndarray
-    rows: np.ndarray
-    step: float
+    stamps: np.ndarray  # (R,) of all rows of the file [s]
+    rows: np.ndarray  # (K,) rows that are kept; their stamps increase strictly
+    step: float  # usual spacing [s]
     faults: tuple[Fault, ...]
 
 

@@ -19,28 +19,17 @@ from stiffopt.robot.robot import Robot
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordedArm:
-    """Arm and metadata common to all kinds of recording sets.
+    """Arm and metadata common to all kinds of recording sets."""
 
-    Parameters
-    ----------
-    path : Path
-        TOML file of the set.
-    robot : Robot
-        Nominal: the recorded joints in the robot's own order, which need not be that of the set.
-    joints : tuple of str (n,)
-        In the order of the set.
-    locked : tuple of str
-        Moving joints that the set does not list; held at zero.
-    """
-
-    path: Path
+    path: Path  # TOML file of the set
     name: str
     title: str
     citation: str
     licence: str
+    # Nominal: the recorded joints in the robot's own order, which need not be that of the set.
     robot: Robot
-    joints: tuple[str, ...]
-    locked: tuple[str, ...]
+    joints: tuple[str, ...]  # (n,) in the order of the set
+    locked: tuple[str, ...]  # moving joints that the set does not list; held at zero
 
     @property
     def n(self) -> int:

@@ -19,13 +19,10 @@ from stiffopt.recording.run import RecordedRun
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StateRun(RunEntry):
-    """Entry of a run with the state of the robot in it.
+    """Entry of a run with the state of the robot in it."""
 
-    `state`: "before" or "after". `entry`: the entry in its own set.
-    """
-
-    state: str
-    entry: RunEntry
+    state: str  # "before" or "after"
+    entry: RunEntry  # the entry in its own set
 
     @property
     def name(self) -> str:

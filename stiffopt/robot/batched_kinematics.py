@@ -88,13 +88,10 @@ def frame_rotations(tree: BodyTree, frame: LinkFrame, q: np.ndarray) -> np.ndarr
 
 @dataclass(frozen=True, eq=False)
 class _BodyJacobian:
-    """Jacobian of a body's frame by the joints that support it, in its own axes.
-
-    `turning` and `moving` (j, 3, K): angular velocity, and velocity of the frame's origin, per unit
-    speed of each joint.
-    """
+    """Jacobian of a body's frame by the joints that support it, in its own axes."""
 
     joints: list[int]
+    # (j, 3, K) angular velocity, and velocity of the frame's origin, per unit speed of each joint.
     turning: np.ndarray
     moving: np.ndarray
 

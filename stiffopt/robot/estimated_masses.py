@@ -39,14 +39,10 @@ _MAX_LINK_VOLUME = 8.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EstimatedBody(LinkBody):
-    """Estimated body of a link.
+    """Estimated body of a link."""
 
-    `shaped`: the URDF has a shape of the link; else it is a rod to the next joint. `scale`: factor
-    on its mass by the torque limits.
-    """
-
-    shaped: bool = True
-    scale: float = 1.0
+    shaped: bool = True  # the URDF has a shape of the link; else it is a rod to the next joint
+    scale: float = 1.0  # factor on its mass by the torque limits
 
 
 def estimate_bodies(arm: LoadedUrdf, urdf: Path, tool: LinkFrame) -> dict[str, EstimatedBody]:

@@ -38,24 +38,12 @@ def interpolate_rotation(first: np.ndarray, last: np.ndarray, share: float) -> n
 
 @dataclass(frozen=True)
 class LinkFrame:
-    """A frame fixed to a link.
+    """A frame fixed to a link."""
 
-    Parameters
-    ----------
-    joint : int
-        Index of the link's joint in the pinocchio model (1 is the first moving joint).
-    offset : array (3,)
-        Origin in that joint's frame [m].
-    rotation : array (3, 3)
-        Axes of the frame, as columns in the joint's frame.
-    link : str
-        Link in whose frame the offset was given.
-    """
-
-    joint: int
-    offset: np.ndarray
-    rotation: np.ndarray
-    link: str = ""
+    joint: int  # index of the link's joint in the pinocchio model (1 is the first moving joint)
+    offset: np.ndarray  # (3,) origin in that joint's frame [m]
+    rotation: np.ndarray  # (3, 3) axes of the frame, as columns in the joint's frame
+    link: str = ""  # link in whose frame the offset was given
 
 
 def link_names(model: pin.Model) -> list[str]:

@@ -21,14 +21,11 @@ from stiffopt.units import fit_joint
 
 @dataclass(frozen=True)
 class HeldJoint:
-    """A joint that is held fixed.
-
-    `value` [rad] or [m]. `why`: "locked", "not on the way to the tool" or "follows JOINT".
-    """
+    """A joint that is held fixed."""
 
     name: str
-    value: float
-    why: str
+    value: float  # [rad] or [m]
+    why: str  # "locked", "not on the way to the tool" or "follows JOINT"
 
     def __str__(self) -> str:
         return f"{self.name} at {self.value:g} ({self.why})"

@@ -99,37 +99,20 @@ _SIZE_ATTRIBUTES: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinkShape:
-    """One shape of one link.
-
-    Parameters
-    ----------
-    purpose : "visual" or "collision"
-    kind : "box", "cylinder", "sphere" or "mesh"
-    size : tuple of float
-        Edges of a box; radius and length of a cylinder (along z); radius of a sphere [m]; scale of
-        a mesh along its axes.
-    offset : array (3,)
-        Origin in the link's frame [m].
-    rotation : array (3, 3)
-        Axes as columns in the link's frame.
-    digest : str
-        SHA-256 of the mesh file; "" where it was not found.
-    name : str
-        Name of the mesh in the URDF.
-    file : Path or None
-        Path of the mesh file.
-    """
+    """One shape of one link."""
 
     link: str
-    purpose: Purpose
-    kind: Kind
+    purpose: Purpose  # "visual" or "collision"
+    kind: Kind  # "box", "cylinder", "sphere" or "mesh"
+    # Edges of a box; radius and length of a cylinder (along z); radius of a sphere [m]; scale of a
+    # mesh along its axes.
     size: tuple[float, ...]
-    offset: np.ndarray
-    rotation: np.ndarray
-    digest: str = ""
-    name: str = ""
+    offset: np.ndarray  # (3,) origin in the link's frame [m]
+    rotation: np.ndarray  # (3, 3) axes as columns in the link's frame
+    digest: str = ""  # SHA-256 of the mesh file; "" where it was not found
+    name: str = ""  # name of the mesh in the URDF
     # Compared by content (digest), not by path.
-    file: Path | None = field(default=None, compare=False)
+    file: Path | None = field(default=None, compare=False)  # path of the mesh file
 
     @property
     def known(self) -> bool:

@@ -36,15 +36,11 @@ _MAX_TURN = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Support:
-    """Support of a convex solid: points, balls and discs whose convex hull it is.
+    """Support of a convex solid: points, balls and discs whose convex hull it is."""
 
-    `centre` (m, 3): in the frame of the joint [m]. `axis` (m, 3): unit vector along the axis of a
-    disc; zero for a ball or a point. `radius` (m,) [m].
-    """
-
-    centre: np.ndarray
-    axis: np.ndarray
-    radius: np.ndarray
+    centre: np.ndarray  # (m, 3) in the frame of the joint [m]
+    axis: np.ndarray  # (m, 3) unit vector along the axis of a disc; zero for a ball or a point
+    radius: np.ndarray  # (m,) [m]
 
     def lowest(self, normal: np.ndarray) -> np.ndarray:
         """Least height of each along a direction (3,): (m,) [m]."""
@@ -82,24 +78,12 @@ class Support:
 
 @dataclass(frozen=True, eq=False)
 class SeparatingPlane:
-    """Plane in the frame of the second solid's joint, and the nearest supports of the first.
+    """Plane in the frame of the second solid's joint, and the nearest supports of the first."""
 
-    Parameters
-    ----------
-    normal : array (3,)
-        Unit vector towards the first solid.
-    height : float
-        Height of the second solid along the normal [m].
-    near : Support
-        Nearest supports of the first solid, in the frame of its joint.
-    distance : float
-        Least distance between plane and first solid over all poses [m].
-    """
-
-    normal: np.ndarray
-    height: float
-    near: Support
-    distance: float
+    normal: np.ndarray  # (3,) unit vector towards the first solid
+    height: float  # height of the second solid along the normal [m]
+    near: Support  # nearest supports of the first solid, in the frame of its joint
+    distance: float  # least distance between plane and first solid over all poses [m]
 
 
 class SeparatingPlanes:

@@ -41,27 +41,17 @@ _MAX_LIMIT = 1e30
 
 @dataclass(frozen=True, eq=False)
 class LoadedUrdf:
-    """Model of a URDF and its joints.
+    """Model of a URDF and its joints."""
 
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Fixed and held joints merged; a continuous joint is a revolute one without position limits.
-    joints : mapping of joint name to its `effort`, `velocity`, `damping`, `friction`, `armature`
-        In the model's order; 0 where not given. [N m], [rad/s], [N m s/rad], [N m], [kg m^2]
-    held : tuple of HeldJoint
-        Joints that are held fixed.
-    unlimited : tuple of str
-        Joints without the position limits that they need; unlimited in the model.
-    format : str
-        "URDF" or "MJCF".
-    """
-
+    # Fixed and held joints merged; a continuous joint is a revolute one without position limits.
     model: pin.Model
+    # By joint name: in the model's order; 0 where not given. [N m], [rad/s], [N m s/rad], [N m],
+    # [kg m^2].
     joints: dict[str, dict[str, float]]
-    held: tuple[HeldJoint, ...] = ()
+    held: tuple[HeldJoint, ...] = ()  # joints that are held fixed
+    # Joints without the position limits that they need; unlimited in the model.
     unlimited: tuple[str, ...] = ()
-    format: str = "URDF"
+    format: str = "URDF"  # "URDF" or "MJCF"
 
     @property
     def massless_joints(self) -> list[int]:
@@ -82,15 +72,11 @@ MAX_MOVING_JOINTS = 50
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinkBody:
-    """Mass and inertia of a link, in place of those of the URDF.
+    """Mass and inertia of a link, in place of those of the URDF."""
 
-    `mass` [kg]. `com` (3,): centre of mass in the frame of the link [m]. `inertia` (3, 3): about
-    the centre of mass, in the axes of the link [kg m^2].
-    """
-
-    mass: float
-    com: np.ndarray
-    inertia: np.ndarray
+    mass: float  # [kg]
+    com: np.ndarray  # (3,) centre of mass in the frame of the link [m]
+    inertia: np.ndarray  # (3, 3) about the centre of mass, in the axes of the link [kg m^2]
 
 
 def load_urdf(

@@ -52,32 +52,18 @@ class UnrecognisedError(InputError):
 
 @dataclass(frozen=True, kw_only=True)
 class GuessedColumns:
-    """Columns of a recording and their units.
-
-    Parameters
-    ----------
-    columns : mapping of kind to tuple of str (n,)
-        In the order of the joints; "" for a joint without one.
-    units : mapping of "time" or kind to str or tuple of str (n,)
-        Values of `[signals.scale]`, one a joint where they differ; "" is SI. "A" and "mA" still
-        need a torque constant.
-    reasons : tuple of str
-        Reason of each choice, one sentence each.
-    rate : float
-        Sampling rate [Hz].
-    asked : tuple of str
-        Alternative columns to ask the user about.
-    at_rest : bool
-        Rows are poses at rest.
-    """
+    """Columns of a recording and their units."""
 
     time: str
+    # By kind (n,): in the order of the joints; "" for a joint without one.
     columns: Mapping[str, tuple[str, ...]]
+    # By "time" or kind (n,): values of `[signals.scale]`, one a joint where they differ; "" is SI.
+    # "A" and "mA" still need a torque constant.
     units: Mapping[str, str | tuple[str, ...]]
-    reasons: tuple[str, ...] = field(default=())
-    rate: float = 0.0
-    asked: tuple[str, ...] = ()
-    at_rest: bool = False
+    reasons: tuple[str, ...] = field(default=())  # reason of each choice, one sentence each
+    rate: float = 0.0  # sampling rate [Hz]
+    asked: tuple[str, ...] = ()  # alternative columns to ask the user about
+    at_rest: bool = False  # rows are poses at rest
 
 
 def guess_columns(

@@ -29,17 +29,14 @@ _MIN_EQUAL_TORQUES = 4
 
 @dataclass(frozen=True, kw_only=True)
 class Placeholder:
-    """Limit treated as not stated.
-
-    `value`: of the file, in its unit. `format`: of the file, such as "URDF".
-    """
+    """Limit treated as not stated."""
 
     joint: str
-    quantity: str
-    value: float
+    quantity: str  # "velocity" or "effort"
+    value: float  # of the file, in its unit
     unit: str
     why: str
-    format: str
+    format: str  # of the file, such as "URDF"
 
     def __str__(self) -> str:
         return f"the {self.format} says {self.value:g} {self.unit}, {self.why}"

@@ -101,26 +101,17 @@ _PEAK_SPEED, _PEAK_ACCELERATION, _PEAK_JERK = (
 
 @dataclass(frozen=True, eq=False)
 class FirstMotion:
-    """Feasible motion: poses (n,) [rad] and duration [s].
+    """Feasible motion: poses (n,) [rad] and duration [s]."""
 
-    Parameters
-    ----------
-    start, end : array (n,)
-    yields : bool
-        The tool deflects along the path and the arm has an elastic mode.
-    rigid_joint : str
-        Strongest revolute joint, if it has no spring though others have; else "". The deviation is
-        then not meaningful as an objective.
-    checked : bool
-        There are links with collision shapes; otherwise collisions were not checked.
-    """
-
+    # (n,).
     start: np.ndarray
     end: np.ndarray
     duration: float
-    yields: bool
+    yields: bool  # the tool deflects along the path and the arm has an elastic mode
+    # Strongest revolute joint, if it has no spring though others have; else "". The deviation is
+    # then not meaningful as an objective.
     rigid_joint: str
-    checked: bool
+    checked: bool  # there are links with collision shapes; otherwise collisions were not checked
 
 
 def first_motion(robot: Robot) -> FirstMotion:

@@ -30,14 +30,11 @@ _URDF_FILE, _CATALOGUE_FILE = "robot.urdf", "catalogue.toml"
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedRobot:
-    """Robot of a recording set and its file.
-
-    `file`: name of its file in the set. `notes`: guesses, a sentence each.
-    """
+    """Robot of a recording set and its file."""
 
     robot: Robot
-    file: str
-    notes: tuple[str, ...] = ()
+    file: str  # name of its file in the set
+    notes: tuple[str, ...] = ()  # guesses, a sentence each
 
     def entries(self, *, torque: bool) -> tuple[str, ...]:
         """Return lines of recordings.toml on an MJCF, for recordings with or without torques."""

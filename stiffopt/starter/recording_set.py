@@ -44,12 +44,9 @@ _MIN_PART_ROWS = 100
 
 @dataclass(frozen=True, kw_only=True)
 class StartedSet:
-    """Written recording set with the guesses in it.
+    """Written recording set with the guesses in it."""
 
-    `path`: recordings.toml.
-    """
-
-    path: Path
+    path: Path  # recordings.toml
     guess: GuessedColumns
     notes: tuple[str, ...]
 

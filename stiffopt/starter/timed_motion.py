@@ -30,24 +30,12 @@ _RADIANS_PER_UNIT = {"": 1.0, "rad": 1.0, "deg": np.pi / 180.0, "mrad": 1e-3}
 
 @dataclass(frozen=True, kw_only=True)
 class TimedMotion:
-    """Joint positions over time, as a file gives them.
+    """Joint positions over time, as a file gives them."""
 
-    Parameters
-    ----------
-    time : array (K,)
-        From 0, strictly increasing [s].
-    position : array (K, n)
-        [rad], [m] of prismatic joints.
-    velocity : array (K, n) or None
-        Of planned points; None where the file has none.
-    reasons : tuple of str
-        How columns and units were chosen.
-    """
-
-    time: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray | None
-    reasons: tuple[str, ...]
+    time: np.ndarray  # (K,) from 0, strictly increasing [s]
+    position: np.ndarray  # (K, n) [rad], [m] of prismatic joints
+    velocity: np.ndarray | None  # (K, n) of planned points; None where the file has none
+    reasons: tuple[str, ...]  # how columns and units were chosen
 
 
 def read_timed_motion(path: Path, robot: Robot, rate: float | None = None) -> TimedMotion:

@@ -29,21 +29,13 @@ _WARM_FOLDER = "warm"
 
 @dataclass(frozen=True)
 class SweepProgress:
-    """Progress of a sweep.
+    """Progress of a sweep."""
 
-    Attributes
-    ----------
-    done, total : int
-        Cases, earlier runs included.
-    unusable : int
-        Cases done without a usable result.
-    elapsed, left : float or None
-        Elapsed and estimated remaining time of this run [s].
-    """
-
+    # Cases, earlier runs included.
     done: int
     total: int
-    unusable: int
+    unusable: int  # cases done without a usable result
+    # Elapsed and estimated remaining time of this run [s].
     elapsed: float
     left: float | None
 

@@ -26,17 +26,16 @@ from stiffopt.transcription.nlp import Places
 class ChainSplines:
     """Splines of a problem's chains, phase by phase, in shares of the phase's duration.
 
-    `chains` (position index, velocity index, .., control index): all states and controls belong to
-    one chain. `control_degree`: degree of the controls, which are continuous.
-
     Notes
     -----
     Coefficients are one vector, in order of time, in which chains run fastest.
     """
 
     mesh: Mesh
+    # (position index, velocity index, .., control index) all states and controls belong to one
+    # chain.
     chains: tuple[tuple[int, ...], ...]
-    control_degree: int = 1
+    control_degree: int = 1  # degree of the controls, which are continuous
 
     @property
     def orders(self) -> int:

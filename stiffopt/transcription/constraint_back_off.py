@@ -29,25 +29,20 @@ _MAX_BACK_OFF_GROWTH = 8.0
 
 @dataclass(frozen=True)
 class Excess:
-    """Excess of exact path rows over their bounds, in units of the rows.
+    """Excess of exact path rows over their bounds, in units of the rows."""
 
-    `near` (block, index (k, m), upper (k, m), lower (k, m)): for every block its NLP rows, point by
-    point in time, and the largest excess of either bound in the neighbourhood of each point.
-    """
-
-    largest: dict[str, float]
+    largest: dict[str, float]  # by row name
+    # (block, index (k, m), upper (k, m), lower (k, m)) for every block its NLP rows, point by point
+    # in time, and the largest excess of either bound in the neighbourhood of each point.
     near: tuple[tuple[Block, np.ndarray, np.ndarray, np.ndarray], ...]
 
 
 @dataclass(frozen=True)
 class KnownRows:
-    """Exact values of rows that were computed outside the programme.
+    """Exact values of rows that were computed outside the programme."""
 
-    `times` (K,): from 0 [s]. `values` (K, m): in the unit of the rows and in their order.
-    """
-
-    times: np.ndarray
-    values: np.ndarray
+    times: np.ndarray  # (K,) from 0 [s]
+    values: np.ndarray  # (K, m) in the unit of the rows and in their order
 
 
 def path_row_excess(

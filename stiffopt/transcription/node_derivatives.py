@@ -24,17 +24,6 @@ import numpy as np
 class SplineCoordinates:
     """Map from local variables (spline coefficients, statics, duration) to a stage's variables w.
 
-    Parameters
-    ----------
-    chains : tuple of (position index, velocity index, .., control index)
-        Indices in w.
-    degree : int
-        Degree of the positions: degree + 1 splines are nonzero at a point.
-    statics : int
-        Number of static variables, the last of w.
-    free : bool
-        True where the duration of a point's phase is a variable, the last of all.
-
     Notes
     -----
     States and controls at a point are sums of few nonzero splines. The chain rule through them is
@@ -44,10 +33,11 @@ class SplineCoordinates:
     column, as derivatives by the share of the phase's duration, or by time where it is fixed.
     """
 
+    # (position index, velocity index, .., control index) indices in w.
     chains: tuple[tuple[int, ...], ...]
-    degree: int
-    statics: int
-    free: bool
+    degree: int  # degree of the positions: degree + 1 splines are nonzero at a point
+    statics: int  # number of static variables, the last of w
+    free: bool  # True where the duration of a point's phase is a variable, the last of all
 
     @property
     def orders(self) -> int:
@@ -110,24 +100,14 @@ _STRUCTURAL_NUMBERS = (-2.0, -1.0, 0.0, 0.5, 1.0, 2.0)
 
 @dataclass(frozen=True)
 class NumberedStage:
-    """A stage function whose numbers are inputs.
+    """A stage function whose numbers are inputs."""
 
-    Parameters
-    ----------
-    function : casadi.Function
-        (w, p, numbers) -> (y, values): w holds state, control and static variables, values the
-        integrands and the path rows; y is the intermediate.
-    numbers : array
-        Values of the last input.
-    formula : str
-        Hash of the function.
-    along : SplineCoordinates, optional
-        Where spline coefficients are the variables: derivatives are by these.
-    """
-
+    # (w, p, numbers) -> (y, values): w holds state, control and static variables, values the
+    # integrands and the path rows; y is the intermediate.
     function: ca.Function
-    numbers: np.ndarray
-    formula: str
+    numbers: np.ndarray  # values of the last input
+    formula: str  # hash of the function
+    # Where spline coefficients are the variables: derivatives are by these.
     along: SplineCoordinates | None = None
 
     @property

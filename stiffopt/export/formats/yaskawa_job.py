@@ -20,8 +20,6 @@ _GRIPPER_INSTRUCTIONS = {"grip": "DOUT OT#(1) ON", "release": "DOUT OT#(1) OFF"}
 class YaskawaJob(PointFormat):
     """Job of MOVJ instructions, one a sample; the first approaches the start.
 
-    `pulses`: pulses per degree of each axis, negative where the URDF turns the other way.
-
     Notes
     -----
     Yaskawa, NX100 data transmission manual HW0481924, section 4.1 (job data format): POSTYPE PULSE
@@ -29,6 +27,7 @@ class YaskawaJob(PointFormat):
     %, PL=0 to stop at the point, TIMER, DOUT.
     """
 
+    # Pulses per degree of each axis, negative where the URDF turns the other way.
     pulses: tuple[float, ...] = ()
 
     name = "yaskawa-job"

@@ -27,12 +27,10 @@ _MAX_STAMP = 4e9
 
 @dataclass(frozen=True)
 class Field:
-    """A number inside the messages of a topic, such as "/joint_states.position[elbow]".
-
-    `steps`: attributes; an entry of a list by number, or by name as "[elbow]".
-    """
+    """A number inside the messages of a topic, such as "/joint_states.position[elbow]"."""
 
     topic: str
+    # Attributes; an entry of a list by number, or by name as "[elbow]".
     steps: tuple[str | int, ...]
 
     def of(self, message: Any) -> float | None:

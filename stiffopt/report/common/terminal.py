@@ -44,17 +44,14 @@ def print_table(
 
 @dataclass(frozen=True, kw_only=True)
 class ReportSection:
-    """Part of an answer that page and terminal both show: a table and sentences.
-
-    `head`: column headings; none without a table. `rows`: cells; several values of a cell stand on
-    lines of their own. `numbers`: columns that the terminal aligns on the right.
-    """
+    """Part of an answer that page and terminal both show: a table and sentences."""
 
     title: str = ""
     lines: Sequence[str] = ()
-    head: Sequence[str] = ()
+    head: Sequence[str] = ()  # column headings; none without a table
+    # Cells; several values of a cell stand on lines of their own.
     rows: Sequence[Sequence[str]] = ()
-    numbers: Collection[str] = ()
+    numbers: Collection[str] = ()  # columns that the terminal aligns on the right
 
 
 def print_section(section: ReportSection) -> None:

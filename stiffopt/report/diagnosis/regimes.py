@@ -231,48 +231,28 @@ def spectrum_figure(rows: ChannelResiduals, time: np.ndarray, period: float) -> 
 
 @dataclass(frozen=True, eq=False)
 class ChannelResiduals:
-    """Filtered residuals of one channel in the training runs.
+    """Filtered residuals of one channel in the training runs."""
 
-    Parameters
-    ----------
-    name : str
-        Name such as "torque_3".
-    joint : int
-        From 0.
-    unit : str
-        Unit of the residuals, SI.
-    before, after : array (m,)
-        Residual of the nominal model, and with findings and calibrated nominal values.
-    noise : array (m,)
-        Standard deviation of each sample.
-    run : array (m,) of int
-        Index of the run.
-    chosen : array (m,) of int
-        Indices of the rows in the search.
-    """
-
-    name: str
-    joint: int
-    unit: str
+    name: str  # name such as "torque_3"
+    joint: int  # from 0
+    unit: str  # unit of the residuals, SI
+    # (m,) residual of the nominal model, and with findings and calibrated nominal values.
     before: np.ndarray
     after: np.ndarray
-    noise: np.ndarray
-    run: np.ndarray
-    chosen: np.ndarray
+    noise: np.ndarray  # (m,) standard deviation of each sample
+    run: np.ndarray  # (m,) index of the run
+    chosen: np.ndarray  # (m,) indices of the rows in the search
 
 
 @dataclass(frozen=True, eq=False)
 class Regime:
-    """A signal on which a residual may depend.
+    """A signal on which a residual may depend."""
 
-    `name` and `label`: the label has the unit. `values` (m,): in the label's unit. `apart`: True
-    where each run is a separate group of values, not to be connected.
-    """
-
+    # The label has the unit.
     name: str
     label: str
-    values: np.ndarray
-    apart: bool = False
+    values: np.ndarray  # (m,) in the label's unit
+    apart: bool = False  # True where each run is a separate group of values, not to be connected
 
 
 def channel_residuals(diagnosis: Diagnosis, name: str) -> ChannelResiduals:
