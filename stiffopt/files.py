@@ -38,11 +38,8 @@ _MAX_INTEGER_DIGITS = 20
 def load_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Read a TOML file.
 
-    Raises
-    ------
-    InputFileError
-        No such file (with the nearest names in that folder), not text, not TOML (with the line), or
-        larger, deeper or with longer integers than any such file.
+    Raises `InputFileError`: no such file (with the nearest names in that folder), not text, not
+    TOML (with the line), or larger, deeper or with longer integers than any such file.
     """
     path = Path(path)
     text = read_text(path)
@@ -96,10 +93,7 @@ def _check_values(path: Path, data: object, where: str = "", depth: int = 0) -> 
 def read_text(path: str | os.PathLike[str], most: int = MAX_TEXT_BYTES) -> str:
     """Read a UTF-8 file of at most `most` bytes, without its byte order mark.
 
-    Raises
-    ------
-    InputFileError
-        No such file, not text, not to be read, or larger than any such file.
+    Raises `InputFileError`: no such file, not text, not to be read, or larger than any such file.
     """
     path = Path(path)
     content = read_bytes(path, most)
@@ -131,12 +125,8 @@ _NO_SUCH_PLACE_MESSAGE = (
 def apply_changes(data: dict[str, Any], changes: Sequence[str], path: object) -> dict[str, Any]:
     """Change entries of a file's content: "motion.duration=0.5 s", "minimise[1].weight=2".
 
-    The value after "=" is read as TOML, else as a text.
-
-    Raises
-    ------
-    InputFileError
-        No "=", or a place that the file does not have.
+    The value after "=" is read as TOML, else as a text. Raises `InputFileError`: no "=", or a place
+    that the file does not have.
     """
     for change in changes:
         place, equals, text = change.partition("=")

@@ -160,10 +160,7 @@ def to_si(value: object, dimension: str, where: str = "") -> float:
 def convert(value: float, unit: str, target: str) -> float:
     """Convert a value to another unit of the same dimension.
 
-    Raises
-    ------
-    UnitError
-        One of the units is unknown, or their dimensions differ.
+    Raises `UnitError`: one of the units is unknown, or their dimensions differ.
     """
     if unit == target:
         return value

@@ -68,10 +68,7 @@ class Check:
 def problem_files(path: Path) -> list[Path]:
     """Return the trajectory problem and preload study files at a path, sorted by name.
 
-    Raises
-    ------
-    InputFileError
-        The folder has none.
+    Raises `InputFileError`: the folder has none.
     """
     if not path.is_dir():
         check_file(path)

@@ -62,13 +62,8 @@ def toppra_baseline(
     the spline through the via points. `duration`: wanted duration; the shortest one if left out
     [s]. `process_force` (3,): acts on the tool, base axes [N]. `intervals`: of the path grid.
     `eased`: let the acceleration rise from zero at the start and fall to zero at the end, each
-    within the first and the last interval of the grid.
-
-    Returns
-    -------
-    BaselineMotion
-        Without a motion, and with the reason, where the path cannot be followed within the limits
-        or not within `duration`.
+    within the first and the last interval of the grid. There is no motion, with the reason, where
+    the path cannot be followed within the limits or not within `duration`.
     """
     force = np.asarray(process_force, dtype=float)
     grid = _path_grid(path.knots, intervals)

@@ -233,12 +233,8 @@ def damping_sensitive_limits(problem: TrajectoryProblem, motion: Assessment) -> 
     """Return the limits after arrival that arms of other damping exceed, with the overshoot.
 
     Empty where the problem has none, or every joint states its damping. No motion is slowed for
-    that (decision 0027): a note reports it.
-
-    Raises
-    ------
-    NotSimulatedError
-        The arm cannot be simulated.
+    that (decision 0027): a note reports it. Raises `NotSimulatedError`: the arm cannot be
+    simulated.
     """
     if motion.simulated is None or motion.simulated.peak_after is None:
         return {}

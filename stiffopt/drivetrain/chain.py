@@ -100,8 +100,6 @@ Law = Callable[[Quantity], Quantity]
 class Chain:
     """Drivetrain of one joint, from motor to link.
 
-    Notes
-    -----
     Torques and wind-ups are those of the joint [N m], [rad]. An empty chain is rigid.
     """
 
@@ -131,11 +129,8 @@ class Chain:
         """Wind-up of the joint under a torque.
 
         `torque` (n,) or SX or MX [N m]. `preloads` [N]: replaces the elements' own; may be
-        symbolic. `smoothing` [-]: factor on every smoothing width.
-
-        Returns
-        -------
-        same kind as `torque` [rad]
+        symbolic. `smoothing` [-]: factor on every smoothing width. Returns same kind as `torque`
+        [rad].
         """
         total = 0.0 * torque
         for group in self.groups(preloads):

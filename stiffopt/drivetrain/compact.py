@@ -39,10 +39,7 @@ _MAX_FIT_ERROR = 5e-3
 class CompactChain:
     """Compact form of a chain with its own preloads.
 
-    Raises
-    ------
-    OutOfValidityError
-        The fit misses the smooth chain by more than 0.5 %.
+    Raises `OutOfValidityError`: the fit misses the smooth chain by more than 0.5 %.
     """
 
     chain: Chain

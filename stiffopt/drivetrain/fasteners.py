@@ -235,10 +235,7 @@ def tensile_strength(grade: str) -> float:
 def washer(size: str) -> WasherData:
     """Look up the hardened washer of a bolt: a user entry, else by size, else by diameter.
 
-    Raises
-    ------
-    InputError
-        There is none, or the head is wider than the washer.
+    Raises `InputError`: there is none, or the head is wider than the washer.
     """
     own = own_entries("washer")
     table = read_table("bolts")["washers"]

@@ -30,11 +30,7 @@ def tangent_compliance(
 
     `element`: of a kind known here, or a subclass with a method `exact_tangent_compliance(torque,
     preload=...)`. `torque` [N m]: on the connection's own shaft. `preload` [N]: replaces the
-    connection's own.
-
-    Notes
-    -----
-    Infinite where a contact carries no pressure or slips.
+    connection's own. Infinite where a contact carries no pressure or slips.
     """
     torque = np.asarray(torque, dtype=float)
     law = _COMPLIANCE_LAWS.get(getattr(element, "kind", ""))

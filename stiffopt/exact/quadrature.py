@@ -109,11 +109,8 @@ def antiderivative(
 
     `function`: (k,) -> (k,), positive; vectorised. `upper`: largest argument, above 0.
     `breakpoints`: known jumps and kinks of the function. `relative_tolerance`: of the integral over
-    each panel, hence of the whole.
-
-    Notes
-    -----
-    Where the function is infinite or NaN the integral is infinite from there on.
+    each panel, hence of the whole. Where the function is infinite or NaN the integral is infinite
+    from there on.
     """
     # Contact compliance changes over decades of torque: panels grow geometrically from zero.
     graded = upper * 2.0 ** np.arange(-30.0, 1.0)

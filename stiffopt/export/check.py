@@ -40,13 +40,9 @@ class CheckedMotion:
 def check_file(file: Path, result: Path, problem: Path | None = None) -> CheckedMotion:
     """Check an exported file against its result, whose motion is assessed again.
 
-    `result`: folder of the solve. `problem`: problem file in place of that of the result.
-
-    Raises
-    ------
-    InputError
-        The file has no header, was changed, or belongs to another result; or the motion of the
-        result is not the certified one.
+    `result`: folder of the solve. `problem`: problem file in place of that of the result. Raises
+    `InputError`: the file has no header, was changed, or belongs to another result; or the motion
+    of the result is not the certified one.
     """
     entries, body = read_seal(read_text(file))
     kind, which = entries.get("format", ""), entries.get("of", "")

@@ -32,12 +32,8 @@ class MjcfElement:
 class MjcfSource:
     """Files of an MJCF, and changes of named elements.
 
-    `path`: the MJCF.
-
-    Notes
-    -----
-    Elements that MuJoCo makes of others (replicas, attached models) have other names than in the
-    files, and are not found.
+    `path`: the MJCF. Elements that MuJoCo makes of others (replicas, attached models) have other
+    names than in the files, and are not found.
     """
 
     def __init__(self, path: Path) -> None:

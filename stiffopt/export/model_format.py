@@ -54,12 +54,8 @@ def read_diagnosed_robot(
     """Read extended.toml of a diagnosis and the robot of its recording set.
 
     `diagnosis`: folder of `stiffopt diagnose`. `recordings`: the recording set. `effects`: file of
-    effects outside the catalogue.
-
-    Raises
-    ------
-    InputFileError
-        A file is missing, or the set belongs to another robot.
+    effects outside the catalogue. Raises `InputFileError`: a file is missing, or the set belongs to
+    another robot.
     """
     check_result(diagnosis, MODEL_FILE)
     model = read_model(diagnosis / MODEL_FILE, effects)

@@ -171,12 +171,8 @@ def read_motion(
 
     `folder`: folder of `stiffopt solve`. `which`: command of the drives (command.csv if present),
     or planned motion of the links. `problem`: problem file in place of that of the result.
-    `stated`: the solved problem, where it was read already.
-
-    Raises
-    ------
-    InputError
-        No result, a motion that is not the certified one or exceeds a limit, or no link columns.
+    `stated`: the solved problem, where it was read already. Raises `InputError`: no result, a
+    motion that is not the certified one or exceeds a limit, or no link columns.
     """
     path = folder / RESULT_FILE
     document = read_document(path)

@@ -66,10 +66,7 @@ def solved_legs(
 ) -> list[TrajectoryProblem]:
     """Return the problems of the legs of a cycle.json at `path`, each as long as it was solved.
 
-    Raises
-    ------
-    InputFileError
-        The problem file is missing, or has another number of legs.
+    Raises `InputFileError`: the problem file is missing, or has another number of legs.
     """
     cycle = load_cycle(problem_file(path, document, given), read_changes(path, document)).cycle
     found = []
@@ -91,12 +88,8 @@ def solved_problem(
 ) -> TrajectoryProblem:
     """Return the solved problem of a result.json at `path`, with its changes and model.
 
-    `known` is the problem where it was read already.
-
-    Raises
-    ------
-    InputFileError
-        A file is missing, or robot, payload, limits or problem have changed.
+    `known` is the problem where it was read already. Raises `InputFileError`: a file is missing, or
+    robot, payload, limits or problem have changed.
     """
     file = problem_file(path, document, given)
     stated = known or load_problem(file, read_changes(path, document)).problem
@@ -128,10 +121,7 @@ def check_seal(
 def sealed(path: Path, document: dict[str, Any]) -> dict[str, Any]:
     """Return the hashes of the motion in a result.json at `path`.
 
-    Raises
-    ------
-    InputFileError
-        The result has no hashes, as those of earlier versions.
+    Raises `InputFileError`: the result has no hashes, as those of earlier versions.
     """
     seal = document.get("seal")
     texts = isinstance(seal, dict) and all(

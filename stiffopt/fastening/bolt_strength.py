@@ -29,11 +29,8 @@ def clamp_length(bolt: Bolt) -> float:
 def bolt_data(bolt: Bolt) -> BoltData:
     """Return the dimensions of a bolt with head and shank; a thin shank sets the stress area.
 
-    Raises
-    ------
-    InputError
-        The shank is thicker than the bolt or longer than the clamp length, an engagement is given
-        for a bolt with a nut, or a stainless thread is rolled after heat treatment.
+    Raises `InputError`: the shank is thicker than the bolt or longer than the clamp length, an
+    engagement is given for a bolt with a nut, or a stainless thread is rolled after heat treatment.
     """
     data = catalogue.bolt(bolt.size)
     if bolt.head == "hexagon":

@@ -143,10 +143,7 @@ def improve(
 ) -> Improvement:
     """Improve a given motion; parameters as of the command.
 
-    Raises
-    ------
-    ProblemError
-        The path exceeds a limit at rest, or a range of the joints.
+    Raises `ProblemError`: the path exceeds a limit at rest, or a range of the joints.
     """
     tell = progress or (lambda _: None)
     problem = problem_of_motion(robot, given, settings)

@@ -45,12 +45,7 @@ def batched(
     `library`: that interpreter.c is part of. `function`: of SX. Inputs and outputs of the points
     stand side by side: (m, n) becomes (m, POINTS n). `shared`: inputs that are the same at all
     points. `recalled`: keep the outputs of the last calls, for functions of one output that are
-    called with the same inputs again and again.
-
-    Returns
-    -------
-    casadi.Function or None
-        None where too many are in use.
+    called with the same inputs again and again. None where too many are in use.
     """
     loaded, kinds = _load_library(library)
     inputs, outputs = range(function.n_in()), range(function.n_out())

@@ -218,10 +218,8 @@ def curve_rows(
 ) -> tuple[tuple[str, ...], list[tuple[str | float, ...]]]:
     """Return the table of curves, one row per preload.
 
-    Returns
-    -------
-    (columns, rows)
-        Column names include units; nan for limits that an element does not have.
+    Returns (columns, rows): column names include units; nan for limits that an element does not
+    have.
     """
     names = tuple(dict.fromkeys(name for curve in curves for name in curve.utilisation))
     symbols = tuple(dict.fromkeys(symbol for curve in curves for symbol in curve.safety))

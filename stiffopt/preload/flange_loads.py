@@ -115,13 +115,9 @@ def tool_levers(
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return tilting moments of a flange and the vector from it to the tool, in base axes.
 
-    `joint`: 1-based.
-
-    Returns
-    -------
-    (moments (..., 2, 3) [N m], arm (..., 3) [m]) or None
-        Moments of the full load and of the reference load, which does not count in the deflection.
-        None if the load has no moments or the flange carries none.
+    `joint`: 1-based. Returns (moments (..., 2, 3) [N m], arm (..., 3) [m]) or None: moments of the
+    full load and of the reference load, which does not count in the deflection. None if the load
+    has no moments or the flange carries none.
     """
     if load.wrench is None or load.frames is None or load.arm is None or not carries_tilting(stage):
         return None

@@ -64,11 +64,8 @@ def _format_significant(value: float, digits: int) -> str:
 def find_stoppers(nlp: PreloadNlp) -> tuple[Stopper, ...]:
     """Return requirements that no preload within the limits can meet.
 
-    Returns
-    -------
-    tuple of Stopper
-        First rows independent of the preload, then slip and least preload, then stiffness at the
-        largest preloads. Empty if each requirement alone can be met.
+    First rows independent of the preload, then slip and least preload, then stiffness at the
+    largest preloads. Empty if each requirement alone can be met.
     """
     model = nlp.model
     _, upper = nlp.bounds()

@@ -77,12 +77,8 @@ def trajectory_history(
     process force of that motion [N]. `deflection`: None: torques only. Otherwise tool, payload and
     force must be those of the motion; checked if the file has tool_x.., qd1.. and qdd1... `whole`:
     return all six components of the joint loads. Requires payload and force of the motion and the
-    columns qd1.. and qdd1...; checked.
-
-    Raises
-    ------
-    InputFileError
-        Not a trajectory file, or one of another robot.
+    columns qd1.. and qdd1...; checked. Raises `InputFileError`: not a trajectory file, or one of
+    another robot.
     """
     path = Path(path)
     table = _TrajectoryTable(path, robot.n)
@@ -151,13 +147,9 @@ def motion_histories(
 ) -> tuple[LoadHistory, ...]:
     """Return torques and poses along a motion by pinocchio, on the certificate's grid.
 
-    `problem`: robot and process force. `objective`: minimised deflection.
-
-    Returns
-    -------
-    tuple of LoadHistory
-        First the history of that deflection; a second one of the full spring torque if the process
-        force does not count in the deflection.
+    `problem`: robot and process force. `objective`: minimised deflection. First the history of that
+    deflection; a second one of the full spring torque if the process force does not count in the
+    deflection.
     """
     body = rigid_body_history(problem.robot, motion.position, motion.velocity, motion.acceleration)
     # Loaded and reference torque. Dynamic: less the sag, without force. Process: by the force only.

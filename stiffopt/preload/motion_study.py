@@ -54,10 +54,7 @@ def motion_study(
 def deflection_objective(problem: TrajectoryProblem) -> str:
     """Return the name of the tool deflection that a motion minimises.
 
-    Raises
-    ------
-    ProblemError
-        The objective is not the peak of a tool deflection alone.
+    Raises `ProblemError`: the objective is not the peak of a tool deflection alone.
     """
     first = problem.objectives[0]
     if len(problem.objectives) == 1 and first.kind.deflection_part and first.measure == "peak":

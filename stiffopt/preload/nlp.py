@@ -44,12 +44,9 @@ class PreloadNlp:
 
     `objective`: a name in `stiffopt.preload.problem.OBJECTIVES`. `ceiling` (objective, float):
     upper bound of another objective, "bolt_utilisation" or "tool_deflection", while the total
-    preload is minimised.
-
-    Notes
-    -----
-    The ceiling is an elastic constraint. A hard one at an optimum leaves no interior: multipliers
-    grow beyond 1e8, IPOPT scales its residuals by them and accepts points that are not optimal.
+    preload is minimised. The ceiling is an elastic constraint. A hard one at an optimum leaves no
+    interior: multipliers grow beyond 1e8, IPOPT scales its residuals by them and accepts points
+    that are not optimal.
     """
 
     def __init__(

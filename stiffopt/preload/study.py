@@ -132,12 +132,8 @@ def value_units(
 ) -> dict[str, str]:
     """Return the names of a study's values with their SI units.
 
-    `front` and `motion`: the study has a Pareto front, and a motion.
-
-    Returns
-    -------
-    dict of name to unit
-        Names include element keys, with _ for the dot: preload_joint_2_flexspline_flange.
+    `front` and `motion`: the study has a Pareto front, and a motion. Returns dict of name to unit:
+    names include element keys, with _ for the dot: preload_joint_2_flexspline_flange.
     """
     units = {
         "objective": OBJECTIVES[problem.objective],
@@ -181,10 +177,7 @@ def value_units(
 def named_values(study: PreloadStudy) -> dict[str, tuple[float, str]]:
     """Return the values of a finished study.
 
-    Returns
-    -------
-    dict of name to (value in SI, unit)
-        Names as in `value_units`; nan for missing values.
+    Returns dict of name to (value in SI, unit): names as in `value_units`; nan for missing values.
     """
     problem, solution = study.problem, study.solution
     bounded = {

@@ -48,10 +48,7 @@ class FreedomOptimum:
 def optimise_freedom(task: FreedomTask, near: np.ndarray) -> list[FreedomOptimum]:
     """Return local optima of a path's freedom, the best first.
 
-    Raises
-    ------
-    ProblemError
-        No candidate of the scan follows the path.
+    Raises `ProblemError`: no candidate of the scan follows the path.
     """
     # Searches from different candidates.
     candidates = scan_candidates(task, near, 12)

@@ -27,10 +27,7 @@ if TYPE_CHECKING:
 def resolve(problem: TrajectoryProblem) -> ResolvedMotion:
     """Resolve all poses and check those that the motion must take.
 
-    Raises
-    ------
-    ProblemError
-        A pose is out of reach or out of range, or cannot be held at rest.
+    Raises `ProblemError`: a pose is out of reach or out of range, or cannot be held at rest.
     """
     check_plausible(problem)
     if problem.path is not None:

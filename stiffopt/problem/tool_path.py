@@ -285,12 +285,8 @@ def fit_tool_path(
     """Fit a joint spline that follows a tool path.
 
     `near` (n,) or callable: selects the inverse-kinematics solution at the start, or at each
-    distance [m] [rad]. `tolerance`: largest error of the tool's position [m].
-
-    Raises
-    ------
-    ProblemError
-        The path is out of reach, passes a singular pose, or needs too many knots.
+    distance [m]. `tolerance`: largest error of the tool's position [m]. Raises
+    `ProblemError`: the path is out of reach, passes a singular pose, or needs too many knots.
     """
     follower = PoseFollower(robot, path.poses, path.breaks, near)
     # Deviation of the joints' path over the size of the smallest blend: it must not vanish.

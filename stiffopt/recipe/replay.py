@@ -44,10 +44,8 @@ class Replay:
 def replay(folder: Path, *, progress: ProgressCallback | None = None) -> Replay:
     """Solve the recipe of a result folder again, from the same state, and compare.
 
-    Raises
-    ------
-    InputFileError
-        A file is missing, the problem has changed, or the plan is of an extended model.
+    Raises `InputFileError`: a file is missing, the problem has changed, or the plan is of an
+    extended model.
     """
     path = folder / RESULT_FILE
     document = read_document(path)

@@ -67,12 +67,8 @@ def read_result(
     `problem`: problem file, replaces the one that the result names. `changes`: of entries of its
     [uncertainty] and [tolerances], such as "uncertainty.stiffness=0.3"; the motion does not depend
     on them. `extend`: (problem, extended model, effects) -> problem of the extended robot, for
-    motions that were planned with one; without it they are refused.
-
-    Raises
-    ------
-    InputFileError
-        A file is missing or invalid, names no problem, or the problem has changed.
+    motions that were planned with one; without it they are refused. Raises `InputFileError`: a file
+    is missing or invalid, names no problem, or the problem has changed.
     """
     path = folder / RESULT_FILE
     document = read_document(path)
@@ -140,10 +136,7 @@ def _read_force(path: Path) -> ForceHistory | None:
 def problem_file(path: Path, document: dict[str, Any], given: Path | None = None) -> Path:
     """Return the problem file of a result.json at `path`: the one given, else the one it names.
 
-    Raises
-    ------
-    InputFileError
-        It names none, or there is none.
+    Raises `InputFileError`: it names none, or there is none.
     """
     if given is not None:
         return given
@@ -243,10 +236,7 @@ def _read_joint_table(path: Path, joints: int, quantities: Sequence[str]) -> tup
 def read_guess(folder: Path, problem: TrajectoryProblem) -> Assessment:
     """Read the motion of a result folder of the same arm as an initial guess.
 
-    Raises
-    ------
-    InputFileError
-        The folder has no motion of as many joints.
+    Raises `InputFileError`: the folder has no motion of as many joints.
     """
     check_result(folder, TRAJECTORY_FILE)
     time, position, velocity, _ = _read_trajectory(folder / TRAJECTORY_FILE, problem.joints)
@@ -270,10 +260,8 @@ def write_state(state: WarmStart | None, folder: Path) -> None:
 def read_stored_solution(folder: Path) -> tuple[TrajectoryProblem, Solution]:
     """Return problem and solution of a solve without a report, as they were.
 
-    Raises
-    ------
-    InputFileError
-        A file is missing or damaged, the problem has changed, or the solve drew its report.
+    Raises `InputFileError`: a file is missing or damaged, the problem has changed, or the solve
+    drew its report.
     """
     path = folder / RESULT_FILE
     document = read_document(path)

@@ -13,12 +13,8 @@ DEVIATION_PER_MAD = 1.4826
 def resolution(values: np.ndarray) -> float | None:
     """Smallest step of a quantised channel, None if its values lie on no grid.
 
-    `values` (K,): NaN is ignored.
-
-    Notes
-    -----
-    Valid where neighbouring levels occur: of the spacings between the values that occur, 95 %
-    must be whole multiples of the step within 5 %.
+    `values` (K,): NaN is ignored. Valid where neighbouring levels occur: of the spacings between
+    the values that occur, 95 % must be whole multiples of the step within 5 %.
     """
     levels = np.unique(values[np.isfinite(values)])
     if len(levels) < 3:

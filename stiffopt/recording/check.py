@@ -106,10 +106,7 @@ class RecordingReport:
 def check_recordings(recordings: RecordingSet) -> RecordingReport:
     """Open every run of a set and report on its content.
 
-    Raises
-    ------
-    InputFileError
-        A run that cannot be read.
+    Raises `InputFileError`: a run that cannot be read.
     """
     runs = [recordings.open(entry) for entry in recordings.runs]
     training = [run for run in runs if run.role == "train"] or runs

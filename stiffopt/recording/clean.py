@@ -38,12 +38,8 @@ def clean_run(
     """Check the clock and every channel, report faults and remove faulty samples.
 
     `columns` (R,). `path`: of the file, for messages. `name`, `file`, `role`, `session_time` and
-    `temperature`: as in `RecordedRun`. `prismatic` (n,).
-
-    Raises
-    ------
-    InputFileError
-        A clock that cannot be used.
+    `temperature`: as in `RecordedRun`. `prismatic` (n,). Raises `InputFileError`: a clock that
+    cannot be used.
     """
     n = len(signals.position)
     build_run = partial(

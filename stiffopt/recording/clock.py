@@ -41,10 +41,8 @@ class Clock:
 def read_clock(stamps: np.ndarray, path: Path, column: str) -> Clock:
     """Check the time stamps of a run.
 
-    Raises
-    ------
-    InputFileError
-        Time decreases or is constant, samples are too few, or the unit cannot be seconds.
+    Raises `InputFileError`: time decreases or is constant, samples are too few, or the unit cannot
+    be seconds.
     """
     where = column or "stamps"
     finite = np.flatnonzero(np.isfinite(stamps))

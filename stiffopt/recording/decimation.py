@@ -37,12 +37,8 @@ def sampling_rate(runs: Sequence[RecordedRun]) -> float:
 def decimate_run(run: RecordedRun, every: int) -> RecordedRun:
     """Decimate a run to means of `every` samples at their middle stamp.
 
-    `every`: odd; 1 returns the run unchanged.
-
-    Notes
-    -----
-    All stamps are kept for predictions. A mean that contains a NaN is NaN; means over gaps are
-    removed.
+    `every`: odd; 1 returns the run unchanged. All stamps are kept for predictions. A mean that
+    contains a NaN is NaN; means over gaps are removed.
     """
     count = len(run.time) // every
     if every == 1 or not count:

@@ -23,8 +23,6 @@ _PositionDeviation = Annotated[float, Unit("angle", joint=True, bare=True), NOT_
 class Counterbalance:
     """A known element that carries part of a joint's weight.
 
-    Notes
-    -----
     The torque relieves the drive: it adds to the drive torque in the joint's torque equation. A
     spring pulls towards its offset.
     """

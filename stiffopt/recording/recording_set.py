@@ -114,11 +114,8 @@ class RecordingSet(RecordedArm):
     def open(self, entry: RunEntry) -> RecordedRun:
         """Read and clean one run.
 
-        Raises
-        ------
-        InputFileError
-            A file that is missing or has other columns, a clock that runs backwards, too few
-            samples.
+        Raises `InputFileError`: a file that is missing or has other columns, a clock that runs
+        backwards, too few samples.
         """
         path = path_inside_set(self.path, "runs", entry.file)
         columns = self.signals.to_si(read_columns(path, self.signals))

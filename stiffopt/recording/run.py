@@ -58,8 +58,6 @@ class Fault:
 class RecordedRun:
     """Recording of one motion after removal of faulty samples.
 
-    Notes
-    -----
     A column of NaN is a signal that this joint lacks, or one removed as faulty; a single NaN is a
     removed sample; see `faults`. A prismatic joint has metres for radians and newtons for newton
     metres.

@@ -31,8 +31,6 @@ _SIGNAL_DIMENSIONS = {
 class Signals:
     """Column names of a recording set, one a joint; "" where a joint lacks that signal.
 
-    Notes
-    -----
     In a file of messages a name consists of the topic and a field of its messages:
     "/joint_states.position[2]", or "/joint_states.position[elbow]" where messages name entries.
     """

@@ -60,11 +60,8 @@ def load_state_pair(
 ) -> StatePair:
     """Load two recording sets of one robot as its states before and after a change.
 
-    Raises
-    ------
-    InputFileError
-        A set that cannot be read, without training or test runs, given twice, or of another
-        robot, other joints, signals or nominal values.
+    Raises `InputFileError`: a set that cannot be read, without training or test runs, given twice,
+    or of another robot, other joints, signals or nominal values.
     """
     first, second = (
         each if isinstance(each, RecordingSet) else load_recordings(each)

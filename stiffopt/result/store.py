@@ -72,12 +72,8 @@ COLUMNS = {
 def result_document(solution: Solution) -> dict[str, Any]:
     """Content of result.json.
 
-    `solution`: solution of any status; missing parts (no motion, no certificate) are None.
-
-    Returns
-    -------
-    dict
-        Plain numbers, strings, lists and dicts; no NaN and no infinity.
+    `solution`: solution of any status; missing parts (no motion, no certificate) are None. Plain
+    numbers, strings, lists and dicts; no NaN and no infinity.
     """
     document = {
         "schema": SCHEMA,
@@ -206,10 +202,7 @@ def read_document(path: Path) -> dict[str, Any]:
 def read_joints(document: dict[str, Any], path: Path) -> tuple[tuple[str, ...], np.ndarray]:
     """Joint names of a result, and its prismatic joints (n,).
 
-    Raises
-    ------
-    InputFileError
-        The result has no joint names; `path` is its file.
+    Raises `InputFileError`: the result has no joint names; `path` is its file.
     """
     try:
         joints = [(str(joint["name"]), bool(joint["slides"])) for joint in document["joints"]]

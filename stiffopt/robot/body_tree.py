@@ -77,10 +77,7 @@ class BodyTree:
 def body_tree(model: pin.Model) -> BodyTree:
     """Read the bodies of a pinocchio model with merged fixed joints.
 
-    Raises
-    ------
-    RobotError
-        A joint that is neither revolute nor prismatic.
+    Raises `RobotError`: a joint that is neither revolute nor prismatic.
     """
     bodies = []
     for i in range(1, model.njoints):

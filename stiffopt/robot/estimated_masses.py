@@ -49,12 +49,7 @@ def estimate_bodies(arm: LoadedUrdf, urdf: Path, tool: LinkFrame) -> dict[str, E
     """Estimate bodies of links where all links of a joint have no mass.
 
     `urdf`: file with the shapes of the arm. `tool`: at the end of the arm, where a last link
-    without shape ends.
-
-    Raises
-    ------
-    RobotError
-        A link without shape of an arm without length.
+    without shape ends. Raises `RobotError`: a link without shape of an arm without length.
     """
     model, tree = arm.model, body_tree(arm.model)
     without = arm.massless_joints

@@ -36,12 +36,8 @@ def load_mesh_file(
 ) -> coal.BVHModelBase:
     """Load a mesh (STL, OBJ, DAE and others) scaled along its axes (3,).
 
-    `scale` (3,). `boxes`: build the bounding-volume tree for distances to the mesh itself.
-
-    Raises
-    ------
-    InputFileError
-        No mesh, a size that is not plausible, or a scale of zero.
+    `scale` (3,). `boxes`: build the bounding-volume tree for distances to the mesh itself. Raises
+    `InputFileError`: no mesh, a size that is not plausible, or a scale of zero.
     """
     path = Path(path)
     check_file(path, MAX_MESH_BYTES)
@@ -65,10 +61,7 @@ def load_mesh_file(
 def convex_hull(mesh: coal.BVHModelBase, path: Path | None) -> coal.ConvexBase:
     """Convex hull of a mesh.
 
-    Raises
-    ------
-    InputFileError
-        A mesh without volume.
+    Raises `InputFileError`: a mesh without volume.
     """
     vertices = np.array(mesh.vertices(), dtype=float).reshape(-1, 3)
     spread = np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)
@@ -133,10 +126,7 @@ class JointShape:
 def read_link_shapes(path: str | os.PathLike[str]) -> tuple[LinkShape, ...]:
     """Read all shapes of a URDF that `load_urdf` has checked.
 
-    Raises
-    ------
-    RobotError
-        A size that is no finite number, or below 0.
+    Raises `RobotError`: a size that is no finite number, or below 0.
     """
     urdf = Path(path)
     found = []

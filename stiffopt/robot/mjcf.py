@@ -140,10 +140,7 @@ def is_mjcf(path: Path) -> bool:
 def mjcf_parts(path: Path) -> list[Path]:
     """Files that make up an MJCF: itself, and those that it includes or attaches.
 
-    Raises
-    ------
-    InputFileError
-        One is missing, no XML or too large.
+    Raises `InputFileError`: one is missing, no XML or too large.
     """
     found, waiting = [], [path]
     while waiting:

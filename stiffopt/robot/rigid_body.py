@@ -85,11 +85,8 @@ def without_rotors(model: Any) -> Any:
 class RigidBodies:
     """Torques, inertia and poses of links and payload; no rotors, no friction.
 
-    `model`: model of revolute and prismatic joints; copied.
-
-    Notes
-    -----
-    Joints are in the order of the model; torques [N m] of prismatic joints are forces [N].
+    `model`: model of revolute and prismatic joints; copied. Joints are in the order of the model;
+    torques [N m] of prismatic joints are forces [N].
     """
 
     def __init__(self, model: Any) -> None:
@@ -183,13 +180,9 @@ def inverse_dynamics_along(model: Any, q: np.ndarray, v: np.ndarray, a: np.ndarr
 class BodiesInMotion:
     """Torques along motions and their derivatives; no rotors, no friction.
 
-    `model`: model of revolute and prismatic joints; copied.
-
-    Notes
-    -----
-    The values of `RigidBodies`, without a Python call per instant where compiled code or pinocchio
-    evaluates many at a time. Joints are in the order of the model; torques [N m] of prismatic
-    joints are forces [N].
+    `model`: model of revolute and prismatic joints; copied. The values of `RigidBodies`, without a
+    Python call per instant where compiled code or pinocchio evaluates many at a time. Joints are in
+    the order of the model; torques [N m] of prismatic joints are forces [N].
     """
 
     def __init__(self, model: Any) -> None:

@@ -71,12 +71,8 @@ def guess_columns(
 ) -> GuessedColumns:
     """Guess kinds and units of the columns of a table.
 
-    `table` (K,). `rate`: sampling rate [Hz], if no column is a time; `with_time` adds one.
-
-    Raises
-    ------
-    InputError
-        No time column, or no position or torque for each joint; lists the columns found.
+    `table` (K,). `rate`: sampling rate [Hz], if no column is a time; `with_time` adds one. Raises
+    `InputError`: no time column, or no position or torque for each joint; lists the columns found.
     """
     reasons: list[str] = []
     time = find_time_column(table) if rate is None else COUNTED_TIME
@@ -235,10 +231,7 @@ def with_time(table: Mapping[str, np.ndarray], rate: float) -> dict[str, np.ndar
 def find_time_column(table: Mapping[str, np.ndarray]) -> str:
     """Return the name of the column of times.
 
-    Raises
-    ------
-    InputError
-        No column increases as a time does.
+    Raises `InputError`: no column increases as a time does.
     """
     named = [name for name in table if set(split_words(name)) & set(TIME_WORDS)]
     # Columns that rise in every row without restart take precedence over repeated stamps.

@@ -21,11 +21,7 @@ def problem_text(robot: Robot, file: str | Path, folder: Path) -> str:
     """Return the text of a trajectory problem file.
 
     `file`: name of a shipped robot, or path of a robot file. `folder`: folder of the problem file.
-
-    Raises
-    ------
-    RobotError
-        No feasible motion was found.
+    Raises `RobotError`: no feasible motion was found.
     """
     motion = first_motion(robot)
     named = relative_path(file, folder) if isinstance(file, Path) else file
@@ -117,12 +113,9 @@ class FirstMotion:
 def first_motion(robot: Robot) -> FirstMotion:
     """Find a motion within the drives' limits, free of collisions, above the base if possible.
 
-    Collisions are checked for links with shapes in the URDF, see `ClearanceModel`.
-
-    Raises
-    ------
-    RobotError
-        No pose within the drives' limits, none without a collision, or no feasible duration.
+    Collisions are checked for links with shapes in the URDF, see `ClearanceModel`. Raises
+    `RobotError`: no pose within the drives' limits, none without a collision, or no feasible
+    duration.
     """
     shapes = ClearanceModel(robot, Cell())
     start, end = _find_poses(robot, shapes)

@@ -122,12 +122,8 @@ STAMP_COLUMN = "stamp"
 def read_message_table(path: Path, joints: Sequence[str]) -> dict[str, np.ndarray]:
     """Read the columns of the joint topic, under names such as "/js.position[elbow]".
 
-    The stamps [s] are under `TIME`.
-
-    Raises
-    ------
-    InputFileError
-        No topic has a number for each joint; lists the topics found.
+    The stamps [s] are under `TIME`. Raises `InputFileError`: no topic has a number for each joint;
+    lists the topics found.
     """
     found: dict[str, list[str]] = {}
     # Number of messages searched for topics.

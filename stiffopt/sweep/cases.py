@@ -89,10 +89,7 @@ def load_sweep(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> Swe
 def fleet_sweep(sets: Sequence[Path], changes: Sequence[str] = ()) -> Sweep:
     """Build a sweep of recording sets, each with the changes of `--set`.
 
-    Raises
-    ------
-    InputFileError
-        A file is no recording set, is unreadable, or is named twice.
+    Raises `InputFileError`: a file is no recording set, is unreadable, or is named twice.
     """
     bases = [find_set_file(each).resolve() for each in sets]
     for base in bases:
@@ -118,10 +115,7 @@ def fleet_sweep(sets: Sequence[Path], changes: Sequence[str] = ()) -> Sweep:
 def build_sweep(document: SweepFile, path: Path, changes: Sequence[str] = ()) -> Sweep:
     """Build the cases of a sweep file at `path`; `changes` apply to every base file.
 
-    Raises
-    ------
-    InputFileError
-        As `load_sweep`.
+    Raises `InputFileError`: as `load_sweep`.
     """
     names = [document.base] if isinstance(document.base, str) else document.base
     twice = next((name for name, count in Counter(names).items() if count > 1), None)

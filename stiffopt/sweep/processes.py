@@ -61,10 +61,7 @@ class Processes:
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         """Queue a call; the first one starts all processes.
 
-        Raises
-        ------
-        InputError
-            Worker processes die at their start.
+        Raises `InputError`: worker processes die at their start.
         """
         if any(thread.failed_to_start for thread in self._threads):
             raise InputError("worker processes die at their start; use --workers 1.")

@@ -53,11 +53,7 @@ class Cluster:
     """Dask cluster, whose scheduler repeats the calls of dead workers.
 
     `address`: address of the scheduler, whose workers see the same files under the same paths.
-
-    Raises
-    ------
-    InputError
-        `distributed` is not installed, or no scheduler answers.
+    Raises `InputError`: `distributed` is not installed, or no scheduler answers.
     """
 
     def __init__(self, address: str) -> None:

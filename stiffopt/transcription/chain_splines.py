@@ -26,8 +26,6 @@ from stiffopt.transcription.nlp import Places
 class ChainSplines:
     """Splines of a problem's chains, phase by phase, in shares of the phase's duration.
 
-    Notes
-    -----
     Coefficients are one vector, in order of time, in which chains run fastest.
     """
 
@@ -99,12 +97,8 @@ class ChainSplines:
     def nonzero_basis(self, places: Places) -> tuple[np.ndarray, np.ndarray]:
         """Nonzero basis functions at places.
 
-        Returns
-        -------
-        coefficients : array (P, degree + 1) of int
-            Rows of the coefficients (size / n, n).
-        basis : array (P, orders, degree + 1)
-            Derivatives by shares of the phase's duration.
+        `coefficients` (P, degree + 1) of int: rows of the coefficients (size / n, n). `basis` (P,
+        orders, degree + 1): derivatives by shares of the phase's duration.
         """
         begins = np.cumsum(self.counts) - self.counts
         splines = np.arange(self.degree + 1)

@@ -24,8 +24,6 @@ import numpy as np
 class SplineCoordinates:
     """Map from local variables (spline coefficients, statics, duration) to a stage's variables w.
 
-    Notes
-    -----
     States and controls at a point are sums of few nonzero splines. The chain rule through them is
     part of the stage's derivatives: sparse matrix products of the whole programme took longer than
     the stages. Local variables are the coefficients (chains run fastest), the static variables, the
@@ -67,12 +65,8 @@ class SplineCoordinates:
         """Return a stage and its derivatives by local variables.
 
         `functions`: (w, p, numbers) -> values; -> Jacobian by w; (.., weights) -> Hessian by w.
-
-        Returns
-        -------
-        tuple of casadi.Function
-            (local, p, numbers, basis) -> values; -> Jacobian; (.., weights) -> upper half of the
-            Hessian.
+        Returns tuple of casadi.Function: (local, p, numbers, basis) -> values; -> Jacobian; (..,
+        weights) -> upper half of the Hessian.
         """
         values, jacobian, hessian = functions
         local, basis = (
@@ -190,13 +184,9 @@ def _without_numbers(function: ca.Function, inputs: list[ca.SX]) -> tuple[ca.Fun
 def with_derivatives(function: ca.Function) -> tuple[ca.Function, ca.Function, ca.Function]:
     """Return the stage function, its Jacobian and its Hessian.
 
-    `function`: of a `NumberedStage`.
-
-    Returns
-    -------
-    tuple of casadi.Function
-        (w, p, numbers) -> values (m,); (w, p, numbers) -> Jacobian by w (m, n);
-        (w, p, numbers, weights (m,)) -> Hessian of the weighted values by w (n, n). Sparse.
+    `function`: of a `NumberedStage`. Returns tuple of casadi.Function: (w, p, numbers) -> values
+    (m,); (w, p, numbers) -> Jacobian by w (m, n); (w, p, numbers, weights (m,)) -> Hessian of the
+    weighted values by w (n, n). Sparse.
     """
     inputs = function.sx_in()
     w = inputs[0]

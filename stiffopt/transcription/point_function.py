@@ -110,12 +110,9 @@ class StageFunction:
 
     `parameters`: number of the programme's parameters that the stage has; its numbers are the last.
     `basis` (k, count): basis of the splines at every point, where their coefficients are the
-    variables.
-
-    Notes
-    -----
-    The variables of all points are one matrix (n, count), so are the values (m, count); as vectors
-    their columns follow one another. `parameters` of the methods are all of the programme's.
+    variables. The variables of all points are one matrix (n, count), so are the values (m, count);
+    as vectors their columns follow one another. `parameters` of the methods are all of the
+    programme's.
     """
 
     def __init__(

@@ -34,8 +34,6 @@ class IsaacValue:
 class Usd(ModelFormat):
     """Armature, friction, drive gains and limits of every joint, one row a value.
 
-    Notes
-    -----
     Dry friction is an effort, as PhysX has it since Isaac Sim 5; `physxJoint:jointFriction` of
     earlier ones is a dimensionless share of the joint's load and cannot be computed. Gains are
     those of servos in the robot's MJCF.

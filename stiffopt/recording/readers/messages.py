@@ -83,10 +83,7 @@ class _Topic:
 def parse_field(name: str, topics: Iterable[str], path: Path) -> Field:
     """Parse a channel name into topic and field.
 
-    Raises
-    ------
-    InputFileError
-        No such topic, or no field after it.
+    Raises `InputFileError`: no such topic, or no field after it.
     """
     known = list(topics)
     fitting = [topic for topic in known if name == topic or name.startswith(f"{topic}.")]

@@ -101,21 +101,11 @@ def read_columns(path: str | os.PathLike[str], signals: Signals) -> Columns:
 
     `path`: text, JSON, NPZ, Parquet, MATLAB, Excel, HDF5, MCAP, a rosbag2 (its folder or the .db3
     inside), the .dat of a KUKA trace; "FILE#PART" for one of several runs in it: an episode of a
-    LeRobot dataset ("data/chunk-000/file-000.parquet#3"), a group of HDF5, a sheet.
-
-    Returns
-    -------
-    mapping of column name to array (R,)
-        The time under `signals.time` ("" for the stamps of messages) and every column that
-        `signals` names, as recorded.
-
-    Raises
-    ------
-    InputFileError
-        No such file, an unknown format, a missing column (with those of the file), or content that
-        is no series of numbers.
-    InputError
-        The format needs libraries that are not installed.
+    LeRobot dataset ("data/chunk-000/file-000.parquet#3"), a group of HDF5, a sheet. Returns mapping
+    of column name to array (R,): the time under `signals.time` ("" for the stamps of messages) and
+    every column that `signals` names, as recorded. Raises `InputFileError`: no such file, an
+    unknown format, a missing column (with those of the file), or content that is no series of
+    numbers. Raises `InputError`: the format needs libraries that are not installed.
     """
     path = Path(path)
     module = _select_reader(path)
@@ -142,10 +132,7 @@ def read_columns(path: str | os.PathLike[str], signals: Signals) -> Columns:
 def read_tables(path: Path) -> dict[str, Columns]:
     """Read all numeric columns of a file, by run; "" where it holds one run.
 
-    Raises
-    ------
-    InputFileError, InputError
-        See `read_columns`.
+    Raises `InputFileError` or `InputError`: see `read_columns`.
     """
     module = _select_reader(path)
     reader = _import_reader(module, path)
@@ -272,10 +259,7 @@ def read_bounded(read: Callable[[], Read], path: Path, name: str) -> Read:
 def find_set_file(path: Path) -> Path:
     """Find recordings.toml of a set, given by its folder or its path.
 
-    Raises
-    ------
-    InputFileError
-        Recordings without one; the message names the command that writes it.
+    Raises `InputFileError`: recordings without one; the message names the command that writes it.
     """
     file = path / SET_FILE if path.is_dir() else path
     if path.is_file() and path.suffix.lower() in RUN_ENDINGS:

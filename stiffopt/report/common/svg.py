@@ -174,11 +174,8 @@ def time_axes(figure: Figure, extent: Bbox) -> list[list[float]]:
     """Return the axes over time, for the page's time cursor: place in the SVG, first and last time.
 
     An axis counts where its label, or that of an axis it is shared with, begins with "time".
-
-    Returns
-    -------
-    list of [left, top, right, bottom, first, last]
-        In the SVG's units, the time in its own.
+    Returns list of [left, top, right, bottom, first, last]: in the SVG's units, the time in its
+    own.
     """
     width, height = figure.get_size_inches()
     found = []

@@ -200,12 +200,7 @@ def stiffness_sentence(
 ) -> str:
     """Return sentences on the change of stiffness from the present to the recommended preload.
 
-    `front`: front from which the gain of more preload is taken.
-
-    Returns
-    -------
-    str
-        Empty without a usable design.
+    `front`: front from which the gain of more preload is taken. Empty without a usable design.
     """
     if not solution.status.usable:
         return ""
