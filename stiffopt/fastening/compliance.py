@@ -96,10 +96,6 @@ def tip_compliance(contact_modulus: float, tip_diameter: float) -> float:
     return 1 / (contact_modulus * tip_diameter)
 
 
-# Load introduction factor n by type of joint: rows l_A/h = 0, 0.1, 0.2, 0.3, columns
-# a_k/h = 0, 0.1, 0.3, 0.5 (VDI 2230 Table 2).
-
-
 @dataclass(frozen=True)
 class LoadFactor:
     """Load factor Phi at both bounds of the load introduction factor n."""

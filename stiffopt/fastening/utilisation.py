@@ -77,7 +77,7 @@ class UtilisationRow:
     # In `unit`.
     value: float
     limit: float
-    unit: str
+    unit: str = ""
     utilisation: float  # 1 at the limit, above 1 if exceeded [-]
     # Of the limit.
     provenance: str = "given"

@@ -72,7 +72,6 @@ def _clamp_load_rows(steps: Verification, least: float) -> Iterator[UtilisationR
         safety=SafetyFactor("S_G", slips, steps.slip_safety),
         value=slips,
         limit=steps.slip_safety,
-        unit="",
         utilisation=_required_over_available(most, least),
         case=case,
         source=(

@@ -188,20 +188,7 @@ def _requirement_stopper(
         "the connections in the compliance; beyond it stiffer reducers, less load, or a lower "
         "requirement"
     )
+    cap, name = float(programme.cap[row]), programme.names[row]
     if programme.joints[row] is None:
-        return Stopper(
-            limit=programme.names[row],
-            best=least,
-            required=float(programme.cap[row]),
-            unit="m",
-            against=against,
-            remedy=remedy,
-        )
-    return Stopper(
-        limit=programme.names[row],
-        best=1.0 / least,
-        required=1.0 / float(programme.cap[row]),
-        unit="N m/rad",
-        against=against,
-        remedy=remedy,
-    )
+        return Stopper(name, least, cap, "m", against, remedy)
+    return Stopper(name, 1.0 / least, 1.0 / cap, "N m/rad", against, remedy)

@@ -87,9 +87,7 @@ def _preload_curve(
     first = max(first, 1.02 * element.largest(0.0))
     force = np.linspace(first, last, points)
     own = float(np.mean(preloads[model.slices[index]]))
-    slip = np.array(
-        [model.slip_torque(_with_preload(model, preloads, index, f), index) for f in force]
-    )
+    slip = np.array([model.slip_torque(model.replaced(preloads, index, f), index) for f in force])
     with np.errstate(divide="ignore"):
         safety = slip / abs(torque)
     stiffness = _stiffness_curve(model, preloads, index, torque, force)
@@ -119,9 +117,7 @@ def _preload_curve(
 def _safety_curves(
     model: PreloadModel, preloads: np.ndarray, index: int, forces: np.ndarray
 ) -> dict[str, np.ndarray]:
-    found = [
-        governing_safety(model, _with_preload(model, preloads, index, f), index) for f in forces
-    ]
+    found = [governing_safety(model, model.replaced(preloads, index, f), index) for f in forces]
     return {
         symbol: np.array(
             [math.nan if not (s := rows[symbol].safety) else s.value for rows in found]
@@ -133,9 +129,7 @@ def _safety_curves(
 def binding_preloads(model: PreloadModel, index: int, torque: float) -> dict[str, float]:
     """Return the preload [N] at which each requirement of an element is active, by name."""
     element, needs = model.elements[index], model.problem.requirements
-    # The slip torque is proportional to the least preload.
-    at_one = _with_preload(model, model.design, index, float(element.largest(1.0)))
-    unit = float(model.slip_torque(at_one, index))
+    unit = model.slip_torque_per_preload(index)
     return {
         "slip": float(element.largest(torque / unit)),
         "slip safety": float(element.largest(model.slip_safety(element.joint) * torque / unit)),
@@ -175,7 +169,7 @@ def _stiffness_binding_preloads(
     if needs.tool_deflection is not None:
         sizes = [
             np.nanmax(np.linalg.norm(model.exact_deflection(each), axis=1))
-            for each in (_with_preload(model, preloads, index, force) for force in forces)
+            for each in (model.replaced(preloads, index, force) for force in forces)
         ]
         compliant = -np.array(sizes)
         if compliant.min() < -needs.tool_deflection <= compliant.max():
@@ -193,21 +187,12 @@ def _first_crossing(values: np.ndarray, forces: np.ndarray, level: float) -> flo
     return float(forces[after - 1] + share * (forces[after] - forces[after - 1]))
 
 
-def _with_preload(
-    model: PreloadModel, preloads: np.ndarray, index: int, force: float
-) -> np.ndarray:
-    """Return the design vector with another preload of an element."""
-    changed = preloads.copy()
-    changed[model.slices[index]] = force
-    return changed
-
-
 def _stiffness_curve(
     model: PreloadModel, preloads: np.ndarray, index: int, torque: float, forces: np.ndarray
 ) -> np.ndarray:
     joint, at = model.elements[index].joint, np.array([torque])
     compliance = [
-        float(model.exact_compliance(_with_preload(model, preloads, index, force), joint, at)[0])
+        float(model.exact_compliance(model.replaced(preloads, index, force), joint, at)[0])
         for force in forces
     ]
     return np.asarray(1.0 / np.array(compliance))

@@ -26,6 +26,11 @@ class Stopper:
     against: str  # limiting condition; "" if none
     remedy: str  # change of the design or study
 
+    @classmethod
+    def of_row(cls, row: UtilisationRow, against: str, remedy: str) -> Stopper:
+        """Return the stopper of an exceeded row."""
+        return cls(row.name, row.value, row.limit, row.unit, against, remedy)
+
     def __str__(self) -> str:
         required, best = self.amounts
         stop = f" Limited by: {self.against}." if self.against else ""
@@ -72,7 +77,10 @@ def find_stoppers(nlp: PreloadNlp) -> tuple[Stopper, ...]:
     fixed = {
         limit.name for e in model.elements for limit in e.limits if not limit.depends_on_preload
     }
-    found = [_fixed_stopper(row) for row in _worst_by_owner(model, upper, ("key pressure", *fixed))]
+    found = [
+        Stopper.of_row(row, "", f"{row.remedy}; no preload changes this")
+        for row in _worst_by_owner(model, upper, ("key pressure", *fixed))
+    ]
     for index, element in enumerate(model.elements):
         stop = _slip_stopper(model, upper, index, element)
         if stop is not None:
@@ -104,27 +112,13 @@ def _worst_by_owner(
     return list(worst.values())
 
 
-def _fixed_stopper(row: UtilisationRow) -> Stopper:
-    return Stopper(
-        limit=row.name,
-        best=row.value,
-        required=row.limit,
-        unit=row.unit,
-        against="",
-        remedy=f"{row.remedy}; no preload changes this",
-    )
-
-
 def _floor_stopper(model: PreloadModel, row: UtilisationRow) -> Stopper:
     """Return the stopper of a least preload above the permissible one."""
     element = next(e for e in model.elements if e.key == row.element)
-    return Stopper(
-        limit=row.name,
-        best=row.value,
-        required=row.limit,
-        unit=row.unit,
-        against=describe_limit(element, model.problem.requirements.bolt_utilisation),
-        remedy="a smaller require.least_preload or a larger require.bolt_utilisation",
+    return Stopper.of_row(
+        row,
+        describe_limit(element, model.problem.requirements.bolt_utilisation),
+        "a smaller require.least_preload or a larger require.bolt_utilisation",
     )
 
 
@@ -168,14 +162,7 @@ def _service_stoppers(model: PreloadModel, upper: np.ndarray, index: int) -> lis
     element = model.elements[index]
     bound = model.problem.requirements.bolt_utilisation
     return [
-        Stopper(
-            limit=", ".join(p for p in (row.kind, element.key, row.case) if p),
-            best=row.value,
-            required=row.limit,
-            unit=row.unit,
-            against=describe_limit(element, bound),
-            remedy=row.remedy,
-        )
+        Stopper.of_row(row, describe_limit(element, bound), row.remedy)
         for row in model.vdi_rows(upper, index)
         if row.binding and not row.satisfied
     ]
@@ -195,16 +182,10 @@ def _stiffness_stopper(model: PreloadModel, row: UtilisationRow, upper: np.ndarr
         for e in model.elements
         if e.joint == row.joint
     ]
-    stop = " and ".join(ends) if ends else "no preload of this joint is free"
-    return Stopper(
-        limit=row.name,
-        best=row.value,
-        required=row.limit,
-        unit=row.unit,
-        against=stop,
-        remedy=(
-            f"the preloaded connections have {100 * share:.1f} % of the compliance, so larger "
-            "bolts gain at most that; beyond it a stiffer reducer, stiffer elements, or a lower "
-            "requirement"
-        ),
+    return Stopper.of_row(
+        row,
+        " and ".join(ends) if ends else "no preload of this joint is free",
+        f"the preloaded connections have {100 * share:.1f} % of the compliance, so larger "
+        "bolts gain at most that; beyond it a stiffer reducer, stiffer elements, or a lower "
+        "requirement",
     )

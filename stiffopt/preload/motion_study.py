@@ -120,7 +120,8 @@ class _JointStudy:
             moved = self._optimise_motion(last.vector, last.end)
             tightened = self._optimise_preloads(moved) if self._is_usable(moved) else None
             if tightened is None:
-                self._note_end(moved)
+                if not (self.interrupted or self._is_usable(moved)):
+                    self.remarks.append(f"The rounds ended: {moved.motion.message}")
                 break
             pairs.append((moved, tightened))
             self.converged = (
@@ -295,10 +296,6 @@ class _JointStudy:
                 "A connection slips or nearly slips at its present preload, so the start preload "
                 f"is raised: {', '.join(raised)}."
             )
-
-    def _note_end(self, moved: _Design) -> None:
-        if not (self.interrupted or self._is_usable(moved)):
-            self.remarks.append(f"The rounds ended: {moved.motion.message}")
 
     def _progress_callback(self) -> Callable[[SolveProgress | Progress], object] | None:
         """Return a callback that reports the stage of the study with a solve's progress."""

@@ -195,10 +195,8 @@ def loosen_element(
     model: PreloadModel, preloads: np.ndarray, index: int, fraction: float
 ) -> np.ndarray:
     """Return the design vector with a fraction of the least preloads of one element [N]."""
-    element, part = model.elements[index], model.slices[index]
-    changed = preloads.copy()
-    changed[part] = element.largest(fraction * element.least(preloads[part]))
-    return changed
+    element, own = model.elements[index], preloads[model.slices[index]]
+    return model.replaced(preloads, index, element.largest(fraction * element.least(own)))
 
 
 def _loosened_rows(

@@ -84,47 +84,39 @@ def preload_study(
         Of any status; an infeasible study has no front and no joint study.
     """
     with with_own(problem.robot.own):
-        return _run_study(problem, motion, rounds, front_points, progress)
-
-
-def _run_study(
-    problem: PreloadProblem,
-    motion: TrajectoryProblem | None,
-    rounds: int,
-    front_points: int,
-    progress: Callable[[SolveProgress | Progress], object] | None,
-) -> PreloadStudy:
-    begin = time.perf_counter()
-    solution = optimise_preloads(problem, progress=progress, throw=False)
-    model = PreloadModel(problem, solution.cases)
-    fixed = replace(problem, load_cases=solution.cases, histories=())
-    go_on = solution.status is not SolveStatus.INTERRUPTED
-    usable = solution.status.usable
-    front = choice = together = None
-    stopped = False
-    try:
-        if usable and front_points:
-            front = pareto_front(problem, solution.cases, points=front_points, progress=progress)
-            go_on = not front.interrupted
-        if go_on and problem.choose is not None:
-            choice = choose_design(fixed, progress=progress)
-        if go_on and usable and motion is not None:
-            together = motion_study(problem, motion, rounds=rounds, progress=progress)
-    except KeyboardInterrupt:  # finished parts are kept
-        stopped = True
-    return PreloadStudy(
-        problem=problem,
-        solution=solution,
-        curves=preload_curves(model, solution.vector),
-        loosening=loosening(model, solution.vector),
-        sensitivity=sensitivity(model, solution.vector),
-        front=front,
-        choice=choice,
-        motion=together,
-        stopped=stopped,
-        seconds=time.perf_counter() - begin,
-        versions=versions(),
-    )
+        begin = time.perf_counter()
+        solution = optimise_preloads(problem, progress=progress, throw=False)
+        model = PreloadModel(problem, solution.cases)
+        fixed = replace(problem, load_cases=solution.cases, histories=())
+        go_on = solution.status is not SolveStatus.INTERRUPTED
+        usable = solution.status.usable
+        front = choice = together = None
+        stopped = False
+        try:
+            if usable and front_points:
+                front = pareto_front(
+                    problem, solution.cases, points=front_points, progress=progress
+                )
+                go_on = not front.interrupted
+            if go_on and problem.choose is not None:
+                choice = choose_design(fixed, progress=progress)
+            if go_on and usable and motion is not None:
+                together = motion_study(problem, motion, rounds=rounds, progress=progress)
+        except KeyboardInterrupt:  # finished parts are kept
+            stopped = True
+        return PreloadStudy(
+            problem=problem,
+            solution=solution,
+            curves=preload_curves(model, solution.vector),
+            loosening=loosening(model, solution.vector),
+            sensitivity=sensitivity(model, solution.vector),
+            front=front,
+            choice=choice,
+            motion=together,
+            stopped=stopped,
+            seconds=time.perf_counter() - begin,
+            versions=versions(),
+        )
 
 
 def value_units(

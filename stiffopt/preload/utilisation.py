@@ -59,7 +59,6 @@ def _slip_rows(
                 case=case.name,
                 value=holds,
                 limit=needed,
-                unit="",
                 utilisation=needed * torque / slip if slip > 0.0 else np.inf,
                 equation="R12/4",
                 safety=SafetyFactor("S_G", holds, needed),
@@ -88,10 +87,8 @@ def _fastener_rows(model: PreloadModel, preloads: np.ndarray) -> Iterator[Utilis
                 kind=limit.name,
                 joint=element.joint,
                 element=element.key,
-                case="",
                 value=used,
                 limit=allowed,
-                unit="",
                 utilisation=used / allowed,
                 provenance=limit.provenance,
                 source=limit.source,
@@ -103,7 +100,6 @@ def _fastener_rows(model: PreloadModel, preloads: np.ndarray) -> Iterator[Utilis
             kind="least preload",
             joint=element.joint,
             element=element.key,
-            case="",
             value=lowest,
             limit=floor,
             unit="N",
@@ -157,7 +153,6 @@ def _stiffness_rows(model: PreloadModel, preloads: np.ndarray) -> Iterator[Utili
             yield UtilisationRow(
                 kind="joint stiffness",
                 joint=joint,
-                element="",
                 case=case.name,
                 value=float(stiffness),
                 limit=needed[joint],
@@ -177,8 +172,6 @@ def _deflection_rows(model: PreloadModel, preloads: np.ndarray) -> Iterator[Util
         size = float(np.linalg.norm(vector))
         yield UtilisationRow(
             kind="tool deflection",
-            joint=None,
-            element="",
             case=case.name,
             value=size,
             limit=allowed,
