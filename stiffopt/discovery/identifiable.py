@@ -61,19 +61,11 @@ MISSING_DATA: dict[Need, str] = {
 
 @dataclass(frozen=True, kw_only=True)
 class EffectCheck:
-    """Result of the check if recordings can identify an effect.
-
-    Parameters
-    ----------
-    joint : int or None
-        From 1; None for an effect of the whole robot.
-    lacks : tuple of str
-        Missing data, a clause each; empty if the effect is identifiable.
-    """
+    """Result of the check if recordings can identify an effect."""
 
     effect: Effect
-    joint: int | None
-    lacks: tuple[str, ...]
+    joint: int | None  # from 1; None for an effect of the whole robot
+    lacks: tuple[str, ...]  # missing data, a clause each; empty if the effect is identifiable
 
     @property
     def possible(self) -> bool:
@@ -110,10 +102,7 @@ def effect_checks(
 ) -> tuple[EffectCheck, ...]:
     """Check every effect at every joint, then those of the whole robot.
 
-    Parameters
-    ----------
-    facts : sequence of JointFacts (n,)
-        Of the training runs.
+    `facts` (n,): of the training runs.
     """
     nominal = recordings.nominal
     of_set: dict[Need, bool] = {
@@ -171,10 +160,7 @@ def restrict_to_identifiable(
 
     An effect that `recording check` calls not identifiable at a joint is never found there.
 
-    Parameters
-    ----------
-    checks : sequence of EffectCheck
-        Of every effect at every joint.
+    `checks`: of every effect at every joint.
     """
     told: dict[str, set[int | None]] = {}
     for check in checks:
@@ -222,10 +208,7 @@ def select_unseen(
 ) -> tuple[LocatedEffect, ...]:
     """Return the effects in channels that an extended model has no recordings and effects of.
 
-    Parameters
-    ----------
-    unseen : array (2 n,) of bool
-        Channels without recordings: torques, then link positions.
+    `unseen` (2 n,) of bool: channels without recordings: torques, then link positions.
     """
     torque, link = np.split(unseen, 2)
     known = [each.located for each in model.effects]

@@ -19,17 +19,10 @@ from stiffopt.recording.run import RecordedRun
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Prediction:
-    """Predicted channels of one run.
+    """Predicted channels of one run."""
 
-    Parameters
-    ----------
-    stamps : array (R,)
-        Every time stamp of the run [s].
-    torque, link_position : array (R, n)
-        [N m], [rad]; always finite.
-    """
-
-    stamps: np.ndarray
+    stamps: np.ndarray  # (R,) every time stamp of the run [s]
+    # torque, link_position (R, n) [N m], [rad]; always finite.
     torque: np.ndarray
     link_position: np.ndarray
 
@@ -37,21 +30,11 @@ class Prediction:
 class Predictor:
     """Predictions along the motion of one run.
 
-    Parameters
-    ----------
-    run : RecordedRun
-        Only its motor positions, temperature and times are used.
-    constants : RobotConstants
-        Of the training runs.
-    prepared : PreparedRun, optional
-        The run as prepared for a fit; with elastic joints, predictions use the same motion.
-    vibrating : bool
-        See `prepare`.
+    `run`: only its motor positions, temperature and times are used. `constants`: of the training
+    runs. `prepared`: the run as prepared for a fit; with elastic joints, predictions use the same
+    motion. `vibrating`: see `prepare`.
 
-    Attributes
-    ----------
-    nominal : PreparedRun
-        The run with signals of the nominal model.
+    `nominal`: the run with signals of the nominal model.
     """
 
     def __init__(
@@ -156,26 +139,15 @@ def _interpolate_columns(time: np.ndarray, values: np.ndarray, stamps: np.ndarra
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelError:
-    """Squares of the residuals of one channel of one run.
+    """Squares of the residuals of one channel of one run."""
 
-    Parameters
-    ----------
-    kind : str
-        "torque" or "link_position".
-    joint : int
-        From 0.
-    before, after : float
-        Sum of squares [(N m)^2] or [rad^2].
-    noise : float
-        One standard deviation [N m] or [rad].
-    """
-
-    kind: str
-    joint: int
+    kind: str  # "torque" or "link_position"
+    joint: int  # from 0
     samples: int
+    # before, after: sum of squares [(N m)^2] or [rad^2].
     before: float
     after: float
-    noise: float
+    noise: float  # one standard deviation [N m] or [rad]
 
     @property
     def name(self) -> str:
@@ -185,15 +157,10 @@ class ChannelError:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RunProof:
-    """One held-out run with its predictions.
-
-    Parameters
-    ----------
-    before, after : Prediction
-        Of the model that the diagnosis started from, and of the extended one.
-    """
+    """One held-out run with its predictions."""
 
     run: RecordedRun
+    # before, after: of the model that the diagnosis started from, and of the extended one.
     before: Prediction
     after: Prediction
     channels: tuple[ChannelError, ...]
@@ -212,9 +179,7 @@ class RunProof:
 def nrmse(proofs: list[RunProof] | tuple[RunProof, ...], when: str) -> float:
     """Return the normalised residual, all channels of all runs; nan without samples.
 
-    Parameters
-    ----------
-    when : {"before", "after"}
+    `when` {"before", "after"}.
     """
     channels = [c for proof in proofs for c in proof.channels]
     count = sum(c.samples for c in channels)
@@ -227,15 +192,9 @@ def compare_predictions(
 ) -> RunProof:
     """Compare a run with its predictions.
 
-    Parameters
-    ----------
-    velocity : array (K, n)
-        Of the joints, on the run's own samples [rad/s].
-    before, after : Prediction
-        On the run's stamps.
+    `velocity` (K, n): of the joints, on the run's own samples [rad/s]. `before`, `after`: on the
+    run's stamps.
 
-    Notes
-    -----
     Unfiltered samples are compared: torque where the joint is faster than 0.03 rad/s, the link
     position everywhere. Missing channels are skipped.
     """
@@ -266,10 +225,7 @@ def used_samples(
 ) -> Iterator[tuple[str, int, np.ndarray | None]]:
     """Yield kind, joint and mask (K,) of the samples to compare: torques, then link positions.
 
-    Parameters
-    ----------
-    velocity : array (K, n)
-        Of the joints [rad/s].
+    `velocity` (K, n): of the joints [rad/s].
     """
     moving = np.abs(velocity) >= MIN_MOVING_SPEED
     for kind in ("torque", "link_position"):

@@ -28,11 +28,7 @@ def choose_prediction_bands(
 ) -> tuple[float, ...]:
     """Return the band [Hz] for each joint in which the model predicts the training runs best.
 
-    Parameters
-    ----------
-    training : Training
-    extensions : sequence of Extension
-        Of the nominal model, each added to those before.
+    `extensions`: of the nominal model, each added to those before.
     """
     tried = candidate_bands(training.recorded, PREDICTION_CUTOFF)
     errors = np.array([_torque_errors(training, extensions, band) for band in tried])

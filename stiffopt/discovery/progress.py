@@ -17,12 +17,8 @@ def repeat_progress(
 ) -> Iterator[Callable[[str], object]]:
     """Pass sentences on; repeat the last one with its elapsed time after a silence.
 
-    Parameters
-    ----------
-    say : callable or None
-        Called with a sentence; repeated ones come from another thread.
-    quiet : float
-        Silence before a repetition [s].
+    `say`: called with a sentence; repeated ones come from another thread. `quiet`: silence before a
+    repetition [s].
     """
     if say is None:
         yield lambda _: None
@@ -77,10 +73,7 @@ def throttle_progress(
 class RoundProgress:
     """Estimate the remaining time of a round from the time of its finished steps.
 
-    Parameters
-    ----------
-    steps : int
-        Number of steps of the round.
+    `steps`: number of steps of the round.
     """
 
     def __init__(self, steps: int) -> None:
@@ -89,10 +82,7 @@ class RoundProgress:
     def words(self, done: int) -> str:
         """Return text such as "4 of 12, about 20 s of this round left".
 
-        Parameters
-        ----------
-        done : int
-            Number of finished steps.
+        `done`: number of finished steps.
         """
         step = f"{done + 1} of {self._steps}"
         if not done:

@@ -44,24 +44,10 @@ def search_training_runs(
 ) -> tuple[Training, SearchResult, tuple[Episode, ...]]:
     """Search the training runs for missing effects.
 
-    Parameters
-    ----------
-    asked : sequence of Effect
-        Effects that the recordings can identify.
-    settings : Settings
-        Before bands were chosen by the training runs.
-    base : ExtendedModel or None
-        Model that the diagnosis starts from.
-    say : callable
-        Called with a sentence at every step.
-
-    Returns
-    -------
-    training : Training
-        Training runs that the result refers to.
-    result : SearchResult
-    touched : tuple of Episode
-        Contact intervals excluded from it.
+    `asked`: effects that the recordings can identify. `settings`: before bands were chosen by the
+    training runs. `base`: model that the diagnosis starts from. `say`: called with a sentence at
+    every step. Returns `training`: training runs that the result refers to. `touched`: contact
+    intervals excluded from it.
     """
     comparison = training.comparison()
     # Contacts that show already beside the nominal model are excluded from the first search.

@@ -49,49 +49,28 @@ _MIN_RELATIVE_NOISE = 2.0**-24
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Training:
-    """Prepared training runs with noise, tolerances and settings.
-
-    Parameters
-    ----------
-    runs : tuple of PreparedRun
-        With signals of the nominal model.
-    start : Extension
-        Extension of the model that the diagnosis started from, as fitted.
-    recorded : tuple of RecordedRun
-        The same runs as read.
-    constants : RobotConstants
-        With the ranges of the runs.
-    free_bodies : bool
-        True if no tolerance of nominal masses is stated: inertial parameters are free.
-    reidentified : bool
-        True if all inertial parameters are then re-identified: unless starting from an extended
-        model.
-    most : int
-        Maximum number of findings, values that the set does not state apart.
-    settings : Settings
-        With the chosen bands.
-    least : array (2 n,), optional
-        Factors that raise the noise to the open residual of the starting model.
-    suspects : mapping of str to float
-        Effects that the open residual suggests, with log evidence per row.
-    leanings : mapping of str to tuple of float
-        Amplitudes that single effects would have in the open residual.
-    """
+    """Prepared training runs with noise, tolerances and settings."""
 
     robot: RobotModel
-    runs: tuple[PreparedRun, ...]
-    start: Extension
-    recorded: tuple[RecordedRun, ...]
-    constants: RobotConstants
+    runs: tuple[PreparedRun, ...]  # with signals of the nominal model
+    start: Extension  # extension of the model that the diagnosis started from, as fitted
+    recorded: tuple[RecordedRun, ...]  # the same runs as read
+    constants: RobotConstants  # with the ranges of the runs
     noise: KnownNoise
     tolerance: Tolerance
+    # True if no tolerance of nominal masses is stated: inertial parameters are free.
     free_bodies: bool
+    # True if all inertial parameters are then re-identified: unless starting from an extended
+    # model.
     reidentified: bool
-    most: int
-    settings: Settings
+    most: int  # maximum number of findings, values that the set does not state apart
+    settings: Settings  # with the chosen bands
     assumptions: tuple[str, ...]
+    # (2 n,) factors that raise the noise to the open residual of the starting model.
     least: np.ndarray | None = None
+    # Effects that the open residual suggests, with log evidence per row.
     suspects: Mapping[str, float] = field(default_factory=dict)
+    # Amplitudes that single effects would have in the open residual.
     leanings: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     @cached_property
@@ -135,16 +114,8 @@ def prepare_training(
 ) -> Training:
     """Open and prepare the training runs, and no other run.
 
-    Parameters
-    ----------
-    model : ExtendedModel, optional
-        Starting model in place of the nominal one.
-    say : callable
-        Called with a sentence at every step.
-    runs : sequence of RecordedRun, optional
-        The training runs, if already read.
-    vibrating : bool
-        See `prepare`.
+    `model`: starting model in place of the nominal one. `say`: called with a sentence at every
+    step. `runs`: the training runs, if already read. `vibrating`: see `prepare`.
     """
     robot = RobotModel(recordings)
     left_open = None if model is None else model.left_open

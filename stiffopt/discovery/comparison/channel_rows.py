@@ -14,14 +14,9 @@ from stiffopt.recording.nominal import Noise
 
 @dataclass(frozen=True, eq=False)
 class ChannelNoise:
-    """Standard deviation of each unfiltered channel.
+    """Standard deviation of each unfiltered channel."""
 
-    Parameters
-    ----------
-    torque, deflection : array (n,)
-        [N m], [rad]
-    """
-
+    # torque, deflection (n,) [N m], [rad]
     torque: np.ndarray
     deflection: np.ndarray
 
@@ -31,15 +26,9 @@ class ChannelRows:
 
     Channels are numbered: torque of joint 1 to n, then deflection of joint 1 to n.
 
-    Parameters
-    ----------
-    blocks : int
-        Cross-validation blocks per run; 1 takes each run as a whole.
+    `blocks`: cross-validation blocks per run; 1 takes each run as a whole.
 
-    Attributes
-    ----------
-    channel, block : array (m,) of int
-        Channel and block of every row.
+    `channel`, `block` (m,) of int: channel and block of every row.
     """
 
     def __init__(self, runs: Sequence[PreparedRun], noise: ChannelNoise, blocks: int = 1) -> None:
@@ -93,9 +82,7 @@ class ChannelRows:
     ) -> np.ndarray:
         """Return one column of rows from additions to the channels of every run.
 
-        Parameters
-        ----------
-        torque, deflection : sequence of array (K, n) or None, one a run
+        `torque`, `deflection` (K, n).
         """
         out = np.zeros(self.size)
         for number, both in enumerate(zip(torque, deflection, strict=True)):
@@ -107,10 +94,7 @@ class ChannelRows:
     ) -> None:
         """Write additions to the channels (K, n) of one run (from 0) into its rows of a column.
 
-        Parameters
-        ----------
-        out : array (m,)
-        torque, deflection : array (K, n) or None
+        `out` (m,). `torque`, `deflection` (K, n).
         """
         run, places, begins = self.runs[number], self._places[number], self._first_rows[number]
         for kind, values in enumerate((torque, deflection)):
@@ -132,15 +116,8 @@ class ChannelRows:
     ) -> Iterator[tuple[int, np.ndarray]]:
         """Yield columns of rows from additions to single channels of one run (from 0).
 
-        Parameters
-        ----------
-        own : sequence of (kind, joint, column, array (K,))
-            "torque" or "deflection", and the joint from 0.
-
-        Yields
-        ------
-        (int, array (rows, count))
-            First row, and the columns from there on, of each affected channel.
+        `own` (K,): "torque" or "deflection", and the joint from 0. Returns (rows, count) first row,
+        and the columns from there on, of each affected channel.
         """
         if not own:
             return
@@ -183,21 +160,14 @@ _MIN_NOISE_SHARE = 1e-3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class KnownNoise:
-    """Noise of the channels and its origin.
+    """Noise of the channels and its origin."""
 
-    Parameters
-    ----------
-    channels : ChannelNoise
-        Standard deviations of torque [N m] and deflection [rad] (n,).
-    torque_stated, deflection_stated : array (n,) of bool
-        True where the set states it; otherwise estimated.
-    at_rest : bool
-        Torques are of poses at rest: their noise includes friction of unknown direction.
-    """
-
-    channels: ChannelNoise
+    channels: ChannelNoise  # standard deviations of torque [N m] and deflection [rad] (n,)
+    # torque_stated, deflection_stated (n,) of bool: True where the set states it; otherwise
+    # estimated.
     torque_stated: np.ndarray
     deflection_stated: np.ndarray
+    # Torques are of poses at rest: their noise includes friction of unknown direction.
     at_rest: bool = False
 
     def assumptions(self) -> list[str]:
@@ -229,13 +199,8 @@ class KnownNoise:
 def known_noise(stated: Noise, runs: Sequence[PreparedRun]) -> KnownNoise:
     """Return the noise of the unfiltered channels.
 
-    Parameters
-    ----------
-    runs : sequence of PreparedRun
-        Training runs, for channels without stated noise.
+    `runs`: training runs, for channels without stated noise.
 
-    Notes
-    -----
     An estimate is the spread of the samples above the cutoff of the zero-phase low-pass, scaled to
     white noise; by medians, so that jerks at reversals hardly count. Motion above the cutoff counts
     as noise. A channel that no run has is nan. Rounding to one count is the lower limit.

@@ -45,19 +45,11 @@ _NO_SUSPECTS: Mapping[str, float] = MappingProxyType({})
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Least-squares fit of nominal values within tolerance and of effects.
-
-    Parameters
-    ----------
-    posterior : Posterior
-        Of the nuisance values, then the amplitudes over their sizes.
-    residual : array (m,)
-        Over the stated noise.
-    """
+    """Least-squares fit of nominal values within tolerance and of effects."""
 
     effects: tuple[LocatedEffect, ...]
-    posterior: Posterior
-    residual: np.ndarray
+    posterior: Posterior  # of the nuisance values, then the amplitudes over their sizes
+    residual: np.ndarray  # (m,) over the stated noise
     nuisance: int
 
     def evidence_losses(self) -> np.ndarray:
@@ -80,39 +72,21 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class ModelSums:
-    """Sums of products of a model's columns.
+    """Sums of products of a model's columns."""
 
-    Parameters
-    ----------
-    own : Sums
-        Of the nominal values, then the amplitudes over their sizes.
-    added_sums : callable
-        -> sums of an effect's columns with those.
-    """
-
-    own: Sums
-    added_sums: Callable[[LocatedEffect], AddedSums]
+    own: Sums  # of the nominal values, then the amplitudes over their sizes
+    added_sums: Callable[[LocatedEffect], AddedSums]  # -> sums of an effect's columns with those
 
 
 class Comparison:
     """Training runs against the nominal model.
 
-    Parameters
-    ----------
-    runs : sequence of PreparedRun
-        Runs with the nominal model.
-    start : Extension, optional
-        Extension of the compared model beyond the nominal one.
-    inflation : array (2 n,), optional
-        Factor on the noise of every channel for its unexplained residual.
-    least : array (2 n,), optional
-        Smallest of these factors: the residual of the starting model in its own recordings; nan for
-        unseen channels.
-    suspects : mapping of str to float
-        Log evidence per row of effects, by label, that the starting model left unexplained: so much
-        does not count as evidence of a change.
-    columns : DesignMatrix, optional
-        Design matrix of these runs, linearised about known findings.
+    `runs`: runs with the nominal model. `start`: extension of the compared model beyond the nominal
+    one. `inflation` (2 n,): factor on the noise of every channel for its unexplained residual.
+    `least` (2 n,): smallest of these factors: the residual of the starting model in its own
+    recordings; nan for unseen channels. `suspects`: log evidence per row of effects, by label, that
+    the starting model left unexplained: so much does not count as evidence of a change. `columns`:
+    design matrix of these runs, linearised about known findings.
     """
 
     def __init__(
@@ -150,10 +124,7 @@ class Comparison:
     def linearised_at(self, fit: Fit, near: float = MAX_LINEARISATION_ERROR) -> Comparison:
         """Return the comparison linearised at a fit, with its residual noise in each channel.
 
-        Parameters
-        ----------
-        near : float
-            Largest linearisation error of the links, rms over that noise.
+        `near`: largest linearisation error of the links, rms over that noise.
         """
         left = np.nan_to_num(self.channel_ratio(fit.residual), nan=1.0)
         return self.with_extension(self.extension_of(fit), np.maximum(self.least, left), near)

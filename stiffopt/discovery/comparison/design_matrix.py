@@ -64,14 +64,8 @@ class _NominalColumns:
 class DesignMatrix:
     """Training runs linearised about an extension, and columns of small changes to them.
 
-    Parameters
-    ----------
-    runs : tuple of PreparedRun
-        Runs with the nominal model.
-    start : Extension
-        Extension of the compared model.
-    found : Extension
-        Further extension by which the links move; nonlinear effects are linearised about it.
+    `runs`: runs with the nominal model. `start`: extension of the compared model. `found`: further
+    extension by which the links move; nonlinear effects are linearised about it.
     """
 
     def __init__(
@@ -114,13 +108,9 @@ class DesignMatrix:
         Returns itself where masses are not positive definite, whose vibration would grow without
         bound.
 
-        Parameters
-        ----------
-        inflation : array (2 n,), optional
-            Residual noise of every channel over the stated one; default as stated. With vibrating
-            links the residual may stem from the linearisation: the stated one counts.
-        near : float
-            Largest linearisation error of the links, rms over that noise.
+        `inflation` (2 n,): residual noise of every channel over the stated one; default as stated.
+        With vibrating links the residual may stem from the linearisation: the stated one counts.
+        `near`: largest linearisation error of the links, rms over that noise.
         """
         found = self._link_moving_part(found)
         if any(run.vibration is not None for run in self.runs):

@@ -40,13 +40,8 @@ def simulate_links(run: PreparedRun, robot: RobotModel, extension: Extension) ->
 
     Contributions to readings are left out too.
 
-    Parameters
-    ----------
-    run : PreparedRun
-        Run with the nominal model and its vibration.
+    `run`: run with the nominal model and its vibration.
 
-    Notes
-    -----
     Where no such motion is found, as in a fit far from the solution, nominal values are applied to
     first order, and effects too where that does not suffice.
     """
@@ -217,15 +212,8 @@ def with_link_motion(run: PreparedRun, robot: RobotModel, links: LinkMotion) -> 
 def extend_run(run: PreparedRun, robot: RobotModel, *extensions: Extension) -> PreparedRun:
     """Return a run whose nominal torques and wind-up include extensions.
 
-    Parameters
-    ----------
-    run : PreparedRun
-        Run with the nominal model.
-    extensions : Extension
-        Each on top of those before it.
+    `run`: run with the nominal model. `extensions`: each on top of those before it.
 
-    Notes
-    -----
     Where links vibrate, they do so with all changes of stiffness and inertia. Otherwise terms are
     evaluated with the extended spring torque, as in the fit; the joints wind up by the exact law
     under it.
@@ -255,21 +243,10 @@ def linearise_run(
 ) -> tuple[PreparedRun, np.ndarray | float, np.ndarray | float]:
     """Return a run about an extension, for nonlinear springs and changed modes.
 
-    Parameters
-    ----------
-    run : PreparedRun
-        Run with the nominal model.
-    start : Extension
-        Extension that is included in the prediction as a whole.
-    found : Extension
-        Extension of which only link motions are included.
-
-    Returns
-    -------
-    run : PreparedRun
-    torque, deflection : array (K, n) or float
-        Contribution of the found amplitudes by the columns about this run, which its prediction
-        contains already [N m], [rad].
+    `run`: run with the nominal model. `start`: extension that is included in the prediction as a
+    whole. `found`: extension of which only link motions are included. Returns `torque`,
+    `deflection` (K, n): contribution of the found amplitudes by the columns about this run, which
+    its prediction contains already [N m], [rad].
     """
     if start.empty and found.empty:
         return run, 0.0, 0.0

@@ -189,17 +189,8 @@ def added_inertia(
 ) -> np.ndarray:
     """Return the inertia that extensions add to the links, by the bodies' regressor.
 
-    Parameters
-    ----------
-    run : PreparedRun
-        Run with the nominal model.
-    every : int
-        Samples between matrices.
-
-    Returns
-    -------
-    array (K / every, n, n)
-        Added inertia [kg m^2].
+    `run`: run with the nominal model. `every`: samples between matrices. Returns (K / every, n, n)
+    added inertia [kg m^2].
     """
     few = replace(run, signals=run.signals.decimate(every))
     q = few.signals.link_position

@@ -28,18 +28,10 @@ _END_DIFFERENCES = np.array([[-25.0, 48.0, -36.0, 16.0, -3.0], [-3.0, -10.0, 18.
 
 @dataclass(frozen=True)
 class ZeroPhaseFilter:
-    """Symmetric FIR low-pass: rows of a fit depend on few neighbouring samples.
+    """Symmetric FIR low-pass: rows of a fit depend on few neighbouring samples."""
 
-    Parameters
-    ----------
-    rate : float
-        Sampling rate [Hz].
-    cutoff : float
-        Cutoff frequency [Hz], below half the rate.
-    """
-
-    rate: float
-    cutoff: float
+    rate: float  # sampling rate [Hz]
+    cutoff: float  # cutoff frequency [Hz], below half the rate
 
     def __call__(self, samples: np.ndarray) -> np.ndarray:
         """Filter along the first axis, with point-symmetric extension at the ends."""
@@ -242,22 +234,12 @@ def near_gaps(stamps: np.ndarray, step: float, time: np.ndarray, reach: int) -> 
 
 @dataclass(frozen=True, eq=False)
 class SlowMotion:
-    """Motion and torque of a run on a uniform clock, in a band that weight and friction show in.
+    """Motion and torque of a run on a uniform clock, in a band that weight and friction show in."""
 
-    Parameters
-    ----------
-    time : array (K,)
-        [s]
-    dt : float
-        [s]
-    low_pass : ZeroPhaseFilter
-    position, velocity, acceleration, torque : array (K, n)
-        Filtered; gaps are bridged.
-    """
-
-    time: np.ndarray
-    dt: float
+    time: np.ndarray  # (K,) [s]
+    dt: float  # [s]
     low_pass: ZeroPhaseFilter
+    # position, velocity, acceleration, torque (K, n): filtered; gaps are bridged.
     position: np.ndarray
     velocity: np.ndarray
     acceleration: np.ndarray

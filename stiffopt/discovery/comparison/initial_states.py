@@ -25,10 +25,7 @@ _MAX_ROUNDS, _MIN_SIGNIFICANT_GAIN = 2, 3.0
 def estimate_initial_states(comparison: Comparison) -> tuple[PreparedRun, ...]:
     """Return the runs with initial states that reduce the residual, or unchanged.
 
-    Parameters
-    ----------
-    comparison : Comparison
-        Comparison with the nominal model.
+    `comparison`: comparison with the nominal model.
     """
     left = _residual_square(comparison)
     for _ in range(_MAX_ROUNDS):

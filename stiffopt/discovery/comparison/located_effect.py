@@ -30,24 +30,13 @@ _MAX_LINEAR_RATIO = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Contribution:
-    """Contribution of an effect to the channels of one run, (K, n) each or None.
+    """Contribution of an effect to the channels of one run, (K, n) each or None."""
 
-    Parameters
-    ----------
-    torque : array
-        To the drive torque, in addition to the link torque [N m].
-    link_torque : array
-        To the torque between motor and link [N m].
-    deflection : array
-        To motor minus link angle, in addition to the wind-up under the link torque [rad].
-    reading : array
-        To the readings of motor minus link angle [rad].
-    """
-
-    torque: np.ndarray | None = None
-    link_torque: np.ndarray | None = None
+    torque: np.ndarray | None = None  # to the drive torque, in addition to the link torque [N m]
+    link_torque: np.ndarray | None = None  # to the torque between motor and link [N m]
+    # To motor minus link angle, in addition to the wind-up under the link torque [rad].
     deflection: np.ndarray | None = None
-    reading: np.ndarray | None = None
+    reading: np.ndarray | None = None  # to the readings of motor minus link angle [rad]
 
     @classmethod
     def of_joint(cls, joint: int, like: np.ndarray, **values: np.ndarray) -> Contribution:
@@ -71,26 +60,15 @@ def channel_changes(
 
 @dataclass(frozen=True, kw_only=True)
 class LocatedEffect:
-    """Effect at a joint, link or run, with its shapes.
-
-    Parameters
-    ----------
-    joint : int or None
-        0-based.
-    link : int or None
-        0-based, for effects of a link.
-    run : str or None
-        Name of the run, for effects of one run.
-    calibrated : bool
-        True for a value that every arm has and the nominal model does not state, such as dry
-        friction: fitted in every model, and never compared with effects in its place.
-    """
+    """Effect at a joint, link or run, with its shapes."""
 
     effect: Effect
-    joint: int | None = None
-    link: int | None = None
-    run: str | None = None
+    joint: int | None = None  # 0-based
+    link: int | None = None  # 0-based, for effects of a link
+    run: str | None = None  # name of the run, for effects of one run
     shapes: tuple[float, ...] = ()
+    # True for a value that every arm has and the nominal model does not state, such as dry
+    # friction: fitted in every model, and never compared with effects in its place.
     calibrated: bool = False
 
     @property
@@ -328,18 +306,11 @@ def _as_joint_column(values: object, like: np.ndarray, joint: int) -> np.ndarray
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EstimatedEffect:
-    """Effect at a place, with fitted amplitudes.
-
-    Parameters
-    ----------
-    amplitudes : tuple of float
-        In their own units.
-    step : float
-        Change of the first amplitude from the fit to the estimate from all moving samples.
-    """
+    """Effect at a place, with fitted amplitudes."""
 
     located: LocatedEffect
-    amplitudes: tuple[float, ...]
+    amplitudes: tuple[float, ...]  # in their own units
+    # Change of the first amplitude from the fit to the estimate from all moving samples.
     step: float = 0.0
 
     @property
@@ -361,15 +332,10 @@ class EstimatedEffect:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Extension:
-    """Change of a nominal model.
+    """Change of a nominal model."""
 
-    Parameters
-    ----------
-    calibration : mapping of ValueName to float
-        Changes of nominal values by name: relative, [m],
-        [rad], or of the inertial parameters of a body.
-    """
-
+    # Changes of nominal values by name: relative, [m], [rad], or of the inertial parameters of a
+    # body.
     calibration: Mapping[ValueName, float] = field(default_factory=dict)
     effects: tuple[EstimatedEffect, ...] = ()
 

@@ -36,14 +36,9 @@ _CENTRE_STEP = 1e-5
 class RobotModel:
     """Nominal dynamics in the joint order of the recording set.
 
-    Attributes
-    ----------
-    n : int
-        Joints.
-    rotor_inertia, coulomb, viscous : array (n,)
-        Zero where the set states none.
-    torque_cache : dict
-        Recently used torques of single bodies, and harmonics of single joints, along motions.
+    `n`: joints. `rotor_inertia`, `coulomb`, `viscous` (n,): zero where the set states none.
+    `torque_cache`: recently used torques of single bodies, and harmonics of single joints, along
+    motions.
     """
 
     def __init__(self, recordings: RecordingSet) -> None:
@@ -102,10 +97,7 @@ class RobotModel:
     ) -> RobotConstants:
         """Return constants with the ranges of some runs, which also bound unknown torques.
 
-        Parameters
-        ----------
-        measured : array (n,), optional
-            Largest measured drive torque [N m].
+        `measured` (n,): largest measured drive torque [N m].
         """
         base = self.constants
 
@@ -290,14 +282,8 @@ class _TorqueParts:
 
     Body torques of a ten-minute run exceed all its other signals, and most effects use none.
 
-    Parameters
-    ----------
-    motion : tuple of array (K, n)
-        Position, velocity and acceleration of the links.
-    width : int
-        Columns of a part.
-    evaluate : callable
-        (part, *motion) -> its columns.
+    `motion` (K, n): position, velocity and acceleration of the links. `width`: columns of a part.
+    `evaluate`: (part, *motion) -> its columns.
     """
 
     def __init__(
@@ -325,9 +311,7 @@ class _TorqueParts:
 class BodyRegressor(_TorqueParts):
     """Joint torques along a motion per inertial parameter (K, n, 10 n), body by body.
 
-    Parameters
-    ----------
-    motion : tuple of array (K, n)
+    `motion` (K, n).
     """
 
     def __init__(self, robot: RobotModel, motion: tuple[np.ndarray, ...]) -> None:
@@ -352,16 +336,10 @@ class BodyRegressor(_TorqueParts):
 class LazyArmSignals:
     """Tool, weight, body torques and joint zeros along a link motion, evaluated on demand.
 
-    Parameters
-    ----------
-    q, v, a : array (K, n)
+    `q`, `v`, `a` (K, n).
 
-    Attributes
-    ----------
-    body_regressor : BodyRegressor
-        Torques per inertial parameter.
-    zero_harmonics : _TorqueParts
-        Harmonics of the torques over the zeros of joints (K, n, 4 n).
+    `body_regressor`: torques per inertial parameter. `zero_harmonics`: harmonics of the torques
+    over the zeros of joints (K, n, 4 n).
     """
 
     def __init__(self, robot: RobotModel, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> None:

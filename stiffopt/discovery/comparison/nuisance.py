@@ -43,19 +43,11 @@ def accept_every_value(_: ValueName) -> bool:
 
 @dataclass(frozen=True)
 class NuisanceColumn:
-    """Contribution of one nominal value to the channels.
-
-    Parameters
-    ----------
-    sd : float
-        Tolerance of the value, one standard deviation.
-    added : Contribution
-        Per unit of the value.
-    """
+    """Contribution of one nominal value to the channels."""
 
     name: ValueName
-    sd: float
-    added: Contribution
+    sd: float  # tolerance of the value, one standard deviation
+    added: Contribution  # per unit of the value
 
 
 # Tolerances from nominal beyond which a value is outside its tolerance, which is one standard
@@ -67,20 +59,13 @@ _MAX_DEVIATION_OUTSIDE = 0.5
 
 @dataclass(frozen=True)
 class OutsideValue:
-    """A nominal value that the recordings put outside its tolerance.
-
-    Parameters
-    ----------
-    change, sd : float
-        Fitted change from nominal, and its standard deviation: relative, or [m].
-    tolerance : float
-        One standard deviation of the nominal value, as stated.
-    """
+    """A nominal value that the recordings put outside its tolerance."""
 
     name: ValueName
+    # change, sd: fitted change from nominal, and its standard deviation: relative, or [m].
     change: float
     sd: float
-    tolerance: float
+    tolerance: float  # one standard deviation of the nominal value, as stated
 
     @property
     def of_body(self) -> bool:
@@ -93,11 +78,7 @@ def select_outside(
 ) -> tuple[OutsideValue, ...]:
     """Return the values outside their tolerances, the furthest first.
 
-    Parameters
-    ----------
-    names : sequence of ValueName (p,)
-    tolerances, changes, deviations : array (p,)
-        Relative, or [m], [rad].
+    `names` (p,). `tolerances`, `changes`, `deviations` (p,): relative, or [m], [rad].
     """
     known = {field.name for field in fields(Tolerance)}
     found = [
@@ -119,12 +100,8 @@ def nuisance_columns(
 ) -> Iterator[NuisanceColumn]:
     """Yield columns of nominal values along a run, in the same order for every run.
 
-    Parameters
-    ----------
-    bodies : array (n, 10), optional
-        Standard deviations of all inertial parameters, in place of mass and centre of mass.
-    selected : callable
-        Selects values by name.
+    `bodies` (n, 10): standard deviations of all inertial parameters, in place of mass and centre of
+    mass. `selected`: selects values by name.
     """
     signals = run.signals
     if bodies is None:
@@ -160,24 +137,12 @@ def command_rate(run: PreparedRun, robot: RobotModel) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class JointColumn:
-    """Contribution of one nominal value to one joint.
+    """Contribution of one nominal value to one joint."""
 
-    Parameters
-    ----------
-    name : ValueName
-        Its place is the joint.
-    sd : float
-        Tolerance of the value, one standard deviation.
-    field : str
-        Field of `Contribution`.
-    values : array (K,)
-        Per unit of the value.
-    """
-
-    name: ValueName
-    sd: float
-    field: str
-    values: np.ndarray
+    name: ValueName  # its place is the joint
+    sd: float  # tolerance of the value, one standard deviation
+    field: str  # field of `Contribution`
+    values: np.ndarray  # (K,) per unit of the value
 
 
 def joint_columns(
@@ -264,14 +229,8 @@ def spring_deflection(
 ) -> np.ndarray:
     """Return the deflection (K, n) by nominal values of springs [rad].
 
-    Parameters
-    ----------
-    values : mapping of ValueName to float
-        Changes, of `SPRING_VALUES`.
-    elastic : array (K, n)
-        Elastic deflection of vibrating links [rad].
-    spring : array (K, n)
-        Torque of the springs [N m].
+    `values`: changes, of `SPRING_VALUES`. `elastic` (K, n): elastic deflection of vibrating links
+    [rad]. `spring` (K, n): torque of the springs [N m].
     """
     found = np.zeros_like(elastic)
     asked = {name for name, value in values.items() if value}

@@ -51,12 +51,7 @@ def motor_cutoff(robot: RobotModel, position: np.ndarray, dt: float) -> float:
     filtering one and not the other leaves a residual. Encoder noise limits the cutoff, since
     accelerations multiply it by the square of the frequency.
 
-    Parameters
-    ----------
-    position : array (K, n)
-        Recorded motor positions [rad].
-    dt : float
-        [s]
+    `position` (K, n): recorded motor positions [rad]. `dt` [s].
     """
     # Torque of white encoder noise after two derivatives and a filter [N m/Hz^2.5].
     noise = (2.0 * np.pi) ** 2 * np.sqrt(0.4 * dt) * robot.rotor_inertia * _sample_noise(position)
@@ -88,61 +83,39 @@ def _sample_noise(samples: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PreparedRun:
-    """Run with filtered signals and the nominal prediction.
-
-    Parameters
-    ----------
-    index : int
-        Index among the compared runs.
-    time : array (K,)
-        Uniform clock [s].
-    signals : RobotSignals
-        Filtered motion and nominal torques.
-    torque, deflection : array (K, n)
-        Measured drive torque, and motor minus link angle; not filtered; nan where missing.
-    torque_count : array (n,)
-        One count of a quantised torque [N m]; 0 where it lies on no grid.
-    torque_used, deflection_used : array (K, n) of bool
-        Samples that a fit uses.
-    moving : array (K, n) of bool
-        True where the joint is faster than `settings.slow`.
-    low_pass : ZeroPhaseFilter
-        Filter of the fit.
-    motion_filter : ZeroPhaseFilter
-        Filter of the motion and of friction torques: the motor acceleration at a jump of friction
-        would otherwise leave a residual.
-    vibration : Vibration or None
-        Linear vibration response of the links; None where they follow quasi-statically.
-    added_deflection : array (K, n) or float
-        Deflection from extensions in addition to the nominal wind-up of the spring torque [rad].
-    play : array (K, n) or float
-        Share of the deflection that is free travel between flanks [rad].
-    initial_state : array (2 n,), optional
-        Initial displacement and velocity of the links relative to their slow motion, where known.
-    at_rest : bool
-        Samples are poses at rest.
-    extension_cache : dict
-        This run with the extensions that were simulated last.
-    """
+    """Run with filtered signals and the nominal prediction."""
 
     name: str
     role: str
-    index: int
-    time: np.ndarray
-    signals: RobotSignals
+    index: int  # index among the compared runs
+    time: np.ndarray  # (K,) uniform clock [s]
+    signals: RobotSignals  # filtered motion and nominal torques
+    # torque, deflection (K, n): measured drive torque, and motor minus link angle; not filtered;
+    # nan where missing.
     torque: np.ndarray
     deflection: np.ndarray
+    # (n,) one count of a quantised torque [N m]; 0 where it lies on no grid.
     torque_count: np.ndarray
+    # torque_used, deflection_used (K, n) of bool: samples that a fit uses.
     torque_used: np.ndarray
     deflection_used: np.ndarray
-    moving: np.ndarray
-    low_pass: ZeroPhaseFilter
+    moving: np.ndarray  # (K, n) of bool, True where the joint is faster than `settings.slow`
+    low_pass: ZeroPhaseFilter  # filter of the fit
+    # Filter of the motion and of friction torques: the motor acceleration at a jump of friction
+    # would otherwise leave a residual.
     motion_filter: ZeroPhaseFilter
+    # Linear vibration response of the links; None where they follow quasi-statically.
     vibration: Vibration | None = None
+    # (K, n) deflection from extensions in addition to the nominal wind-up of the spring torque
+    # [rad].
     added_deflection: np.ndarray | float = 0.0
+    # (K, n) share of the deflection that is free travel between flanks [rad].
     play: np.ndarray | float = 0.0
+    # (2 n,) initial displacement and velocity of the links relative to their slow motion, where
+    # known.
     initial_state: np.ndarray | None = None
-    at_rest: bool = False
+    at_rest: bool = False  # samples are poses at rest
+    # This run with the extensions that were simulated last.
     extension_cache: dict[tuple[object, ...], PreparedRun] = field(default_factory=dict, init=False)
     _joints: dict[int, JointSignals] = field(default_factory=dict, init=False)
     _compliance: dict[int, np.ndarray] = field(default_factory=dict, init=False)
@@ -220,10 +193,8 @@ class PreparedRun:
     ) -> list[tuple[np.ndarray | None, np.ndarray | None]]:
         """Return changes of torque and deflection between motor and link (K, n), or None, by load.
 
-        Parameters
-        ----------
-        loads : sequence of (array (K, n) or None, array (K, n) or None)
-            Added torque on the links [N m], and displacement of the springs' ends [rad].
+        `loads` (K, n): added torque on the links [N m], and displacement of the springs' ends
+        [rad].
         """
         if self.vibration is not None:
             return self.vibration.respond(loads)
@@ -251,12 +222,9 @@ def prepare_run(
 ) -> PreparedRun:
     """Filter a run and evaluate the nominal model along it.
 
-    Parameters
-    ----------
-    constants : RobotConstants or None
-        Constants of the training runs; None takes the ranges of this run alone.
-    vibrating : bool
-        Let links vibrate where the nominal model determines how; else they follow quasi-statically.
+    `constants`: constants of the training runs; None takes the ranges of this run alone.
+    `vibrating`: let links vibrate where the nominal model determines how; else they follow
+    quasi-statically.
     """
     if run.at_rest:
         return _prepare_poses(robot, run, index, constants)

@@ -40,31 +40,18 @@ _MIN_SEPARATION = 1.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExperimentPlan:
-    """A motion that separates two explanations.
+    """A motion that separates two explanations."""
 
-    Parameters
-    ----------
-    joints : tuple of str (n,)
-    motion : Trajectory
-        Callable `motion(t, order)` [rad], [rad/s], [rad/s^2].
-    first, second : LocatedEffect
-        The explanations.
-    separation : float
-        Predicted on the motion [sigma].
-    reference : float
-        On the training run that separates them best, scaled to the motion's duration [sigma].
-    commands : SentCommands, optional
-        That move the arm so, where it follows commands.
-    """
-
-    joints: tuple[str, ...]
-    motion: Trajectory
+    joints: tuple[str, ...]  # (n,)
+    motion: Trajectory  # callable `motion(t, order)` [rad], [rad/s], [rad/s^2]
+    # first, second: the explanations.
     first: LocatedEffect
     second: LocatedEffect
-    separation: float
+    separation: float  # predicted on the motion [sigma]
+    # On the training run that separates them best, scaled to the motion's duration [sigma].
     reference: float
     reference_run: str
-    commands: SentCommands | None = None
+    commands: SentCommands | None = None  # that move the arm so, where it follows commands
 
     @property
     def sentence(self) -> str:
@@ -116,25 +103,13 @@ def plan_experiment(
 ) -> ExperimentPlan | None:
     """Design the motion that separates two explanations best.
 
-    Parameters
-    ----------
-    result : SearchResult
-        Of these training runs.
-    pair : (LocatedEffect, LocatedEffect)
-        The explanations, such as a finding and its strongest rival.
-    say : callable
-        Called with a sentence at every step.
+    `result`: of these training runs. `pair` (LocatedEffect, LocatedEffect): the explanations, such
+    as a finding and its strongest rival. `say`: called with a sentence at every step. None if no
+    motion beats the training runs, or none separates the two.
 
-    Returns
-    -------
-    ExperimentPlan or None
-        None if no motion beats the training runs, or none separates the two.
-
-    Notes
-    -----
     Fourier series within the limits are rated by `Separation`, which includes all values that a
-    refit could change: random ones first, then variations of the best one (an evolution strategy
-    of one parent and one child, whose step grows with success).
+    refit could change: random ones first, then variations of the best one (an evolution strategy of
+    one parent and one child, whose step grows with success).
     """
     first, second = pair
     say(f"design the motion that separates {first.label} from {second.label}")

@@ -32,18 +32,12 @@ _SAMPLE_TIME = 0.01  # [s]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotionLimits:
-    """Limits of a designed motion, (n,) each.
+    """Limits of a designed motion, (n,) each."""
 
-    Parameters
-    ----------
-    lower, upper : array
-        [rad]
-    velocity, acceleration, torque : array
-        Magnitudes [rad/s], [rad/s^2], [N m].
-    """
-
+    # lower, upper [rad]
     lower: np.ndarray
     upper: np.ndarray
+    # velocity, acceleration, torque: magnitudes [rad/s], [rad/s^2], [N m].
     velocity: np.ndarray
     acceleration: np.ndarray
     torque: np.ndarray
@@ -93,17 +87,9 @@ def fourier_motion(
 ) -> Trajectory | None:
     """Return a Fourier series in every joint, from rest to rest, scaled to the limits.
 
-    Parameters
-    ----------
-    duration : float
-        [s]
-    draws : array (n, DRAWS_PER_JOINT)
-        Standard normal draws: of base frequency, stroke and centre, then of the harmonics.
-
-    Returns
-    -------
-    Trajectory or None
-        None if even a small motion about the drawn pose exceeds them.
+    `duration` [s]. `draws` (n, DRAWS_PER_JOINT): standard normal draws: of base frequency, stroke
+    and centre, then of the harmonics. None if even a small motion about the drawn pose exceeds
+    them.
     """
     from scipy.interpolate import CubicSpline
 

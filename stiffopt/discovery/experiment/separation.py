@@ -26,15 +26,8 @@ class _Explanation:
 class Separation:
     """Predicted separation of two explanations of the same training runs.
 
-    Parameters
-    ----------
-    comparison : Comparison
-        Of the training runs.
-    others : sequence of LocatedEffect
-        Effects common to both explanations.
+    `comparison`: of the training runs. `others`: effects common to both explanations.
 
-    Notes
-    -----
     Both predict the channels of a motion with values fitted to the training runs. Amplitudes of one
     and nominal values are then refitted to the prediction of the other, with the posterior of the
     training runs as prior; the remaining difference is the separation, the lesser of both
@@ -58,10 +51,7 @@ class Separation:
     def of(self, run: PreparedRun, *, step: float | None = None) -> float:
         """Return the separation on a motion [sigma].
 
-        Parameters
-        ----------
-        step : float, optional
-            Sampling time of the recording [s]; default: that of the run.
+        `step`: sampling time of the recording [s]; default: that of the run.
         """
         here = self._compare_along(run, step)
         parts = [self._parameter_columns(here, each) for each in (self.first, self.second)]

@@ -33,20 +33,10 @@ def left_open_section(
 ) -> LeftOpenSection:
     """Return the section `left_open` of extended.toml.
 
-    Parameters
-    ----------
-    ratio : array (2 n,)
-        Normalised residual of every channel; nan without rows.
-    settings : Settings
-        With the chosen bands.
-    suspects : mapping of str to float
-        Effects that the residual suggests, with log evidence per row.
-    leanings : mapping of str to tuple of float
-        Amplitudes that single effects would have in it.
-    before : LeftOpenSection, optional
-        Section of the starting model, kept for channels without recordings.
-    rate : float, optional
-        Sampling rate of these recordings [Hz].
+    `ratio` (2 n,): normalised residual of every channel; nan without rows. `settings`: with the
+    chosen bands. `suspects`: effects that the residual suggests, with log evidence per row.
+    `leanings`: amplitudes that single effects would have in it. `before`: section of the starting
+    model, kept for channels without recordings. `rate`: sampling rate of these recordings [Hz].
     """
     spread = np.nan_to_num(ratio) * np.nan_to_num([*noise.torque, *noise.deflection])
     if before is not None:
@@ -107,17 +97,9 @@ def describe_assumptions(
 ) -> list[str]:
     """Return sentences about the assumptions of a diagnosis from an extended model.
 
-    Parameters
-    ----------
-    section : LeftOpenSection or None
-        Section of the model.
-    least : array (2 n,) or None
-        Factors on the noise; None if it is not raised.
-    asked : Settings
-        Settings before the model's bands were adopted.
-    tolerance : Tolerance
-        Tolerances that the set states.
-    prismatic : array (n,) of bool
+    `section`: section of the model. `least` (2 n,): factors on the noise; None if it is not raised.
+    `asked`: settings before the model's bands were adopted. `tolerance`: tolerances that the set
+    states. `prismatic` (n,) of bool.
     """
     found = []
     if silent := ", ".join(missing_tolerances(tolerance)):

@@ -57,17 +57,9 @@ class _JointChannel:
 def find_bursts(training: Training, extensions: Sequence[Extension]) -> Unexplained | None:
     """Find the joint with the strongest torque bursts that the model does not predict.
 
-    Parameters
-    ----------
-    training : Training
-    extensions : sequence of Extension
-        Extensions of the nominal model.
-
-    Returns
-    -------
-    Unexplained or None
-        None without bursts, and without elastic joints. `ratio` is the normalised residual of the
-        samples with bursts, `gain` their share of the residual's excess.
+    `extensions`: extensions of the nominal model. None without bursts, and without elastic joints.
+    `ratio` is the normalised residual of the samples with bursts, `gain` their share of the
+    residual's excess.
     """
     parts: list[list[_JointChannel]] = [[] for _ in range(training.robot.n)]
     noise = training.noise.channels.torque

@@ -44,32 +44,20 @@ _MAX_TRACK_RATE = 100.0
 
 @dataclass(frozen=True, kw_only=True)
 class Episode:
-    """A contact interval.
-
-    Parameters
-    ----------
-    run, role : str
-    begin, end : float
-        Times of the run [s].
-    joints : tuple of int
-        Joints with changed torques, from 1.
-    sizes : tuple of float
-        Largest torque [N m] or force [N] at each of them.
-    stays : bool
-        True if it lasts until the end of a held-out run and depends on the position like a load;
-        then it is not excluded.
-    nrmse_with, nrmse_without : float or None
-        Normalised residual of the held-out run with and without all its intervals; None in
-        training.
-    """
+    """A contact interval."""
 
     run: str
     role: str
+    # begin, end: times of the run [s].
     begin: float
     end: float
-    joints: tuple[int, ...]
-    sizes: tuple[float, ...]
+    joints: tuple[int, ...]  # joints with changed torques, from 1
+    sizes: tuple[float, ...]  # largest torque [N m] or force [N] at each of them
+    # True if it lasts until the end of a held-out run and depends on the position like a load; then
+    # it is not excluded.
     stays: bool = False
+    # nrmse_with, nrmse_without: normalised residual of the held-out run with and without all its
+    # intervals; None in training.
     nrmse_with: float | None = None
     nrmse_without: float | None = None
 
@@ -80,30 +68,17 @@ class Episode:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ResidualTrack:
-    """Residuals and states along one run.
-
-    Parameters
-    ----------
-    run, role : str
-    time : array (K,)
-        [s]
-    left : array (K, 2 n)
-        Residuals of torques, then of motor less link angles, over the noise; nan if not compared.
-    unit : array (2 n,)
-        Torque at the link per unit of these [N m].
-    velocity : array (K, n)
-        [rad/s]
-    state : array (K, n, 3)
-        Angle, velocity and load of each joint over the recorded ranges.
-    """
+    """Residuals and states along one run."""
 
     run: str
     role: str
-    time: np.ndarray
+    time: np.ndarray  # (K,) [s]
+    # (K, 2 n) residuals of torques, then of motor less link angles, over the noise; nan if not
+    # compared.
     left: np.ndarray
-    unit: np.ndarray
-    velocity: np.ndarray
-    state: np.ndarray
+    unit: np.ndarray  # (2 n,) torque at the link per unit of these [N m]
+    velocity: np.ndarray  # (K, n) [rad/s]
+    state: np.ndarray  # (K, n, 3) angle, velocity and load of each joint over the recorded ranges
 
     @property
     def usual(self) -> np.ndarray:
@@ -210,15 +185,9 @@ def find_episodes(
 ) -> tuple[Episode, ...]:
     """Find contact intervals in runs.
 
-    Parameters
-    ----------
-    tracks : sequence of Track
-        Runs to search in.
-    others : sequence of Track
-        Further runs without contacts, whose states count as undisturbed.
+    `tracks`: runs to search in. `others`: further runs without contacts, whose states count as
+    undisturbed.
 
-    Notes
-    -----
     A channel with any strong residual that is no contact is not used.
     """
     strengths = [track.strength() for track in tracks]

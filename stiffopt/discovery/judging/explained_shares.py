@@ -24,17 +24,11 @@ Kind = Literal["unstated", "nominal", "usual", "finding"]
 
 @dataclass(frozen=True, kw_only=True)
 class ExtensionPart:
-    """Part of an extension.
+    """Part of an extension."""
 
-    Parameters
-    ----------
-    kind : str
-        "unstated": values that the nominal model does not state; "nominal": stated values fitted
-        within tolerance or re-identified, with findings of masses; "usual": offsets, which every
-        robot has; "finding".
-    effects : tuple of LocatedEffect
-    """
-
+    # "unstated": values that the nominal model does not state; "nominal": stated values fitted
+    # within tolerance or re-identified, with findings of masses; "usual": offsets, which every
+    # robot has; "finding".
     kind: Kind
     effects: tuple[LocatedEffect, ...] = ()
 
@@ -51,32 +45,19 @@ class ExtensionPart:
 
 @dataclass(frozen=True, kw_only=True)
 class MismatchShare:
-    """Share of the mismatch that a part explains.
+    """Share of the mismatch that a part explains."""
 
-    Parameters
-    ----------
-    part : Part or None
-        None for the open share.
-    measured : str
-        "torque" or "link_position".
-    share : float
-        Of the excess squares beside the nominal model in held-out runs; negative if it increases
-        them.
-    """
-
-    part: ExtensionPart | None
-    measured: str
+    part: ExtensionPart | None  # None for the open share
+    measured: str  # "torque" or "link_position"
+    # Of the excess squares beside the nominal model in held-out runs; negative if it increases
+    # them.
     share: float
 
 
 def split_extension(extension: Extension, unstated: Sequence[str]) -> tuple[ExtensionPart, ...]:
     """Split an extension: findings by effect, unstated values by family.
 
-    Parameters
-    ----------
-    extension : Extension
-    unstated : sequence of str
-        Nominal values that the set does not state.
+    `unstated`: nominal values that the set does not state.
     """
     by_name: dict[tuple[Kind, object], list[LocatedEffect]] = {}
     if any(extension.calibration.values()):
@@ -97,12 +78,7 @@ def split_extension(extension: Extension, unstated: Sequence[str]) -> tuple[Exte
 
 
 class MismatchShares:
-    """Sums over held-out runs from which shares are calculated.
-
-    Parameters
-    ----------
-    parts : sequence of Part
-    """
+    """Sums over held-out runs from which shares are calculated."""
 
     def __init__(self, parts: Sequence[ExtensionPart]) -> None:
         self._parts = tuple(parts)

@@ -37,15 +37,8 @@ def refit_friction(
 ) -> tuple[tuple[Selected, ...], Estimate]:
     """Refit friction of findings to all moving samples, and drop findings that these contradict.
 
-    Parameters
-    ----------
-    training : Training
-    settings : Settings
-    start : sequence of Extension
-        Extension of the starting model.
-    comparison : Comparison
-        With the noise estimated beside the effects.
-    selected : sequence of Selected
+    `start`: extension of the starting model. `comparison`: with the noise estimated beside the
+    effects.
     """
     while True:
         located = tuple(s.located for s in selected)

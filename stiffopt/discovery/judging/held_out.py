@@ -41,31 +41,13 @@ class _PredictedRun:
 class HeldOutRuns:
     """Proof of an extended model on held-out runs, as far as these were read.
 
-    Parameters
-    ----------
-    training : Training
-    settings : Settings
-    start : tuple of Extension
-        Extension of the starting model.
-    found : Extension
-    parts : sequence of Part
-        Parts of the findings whose explained shares are calculated.
-    every : int
-        Number of averaged samples, as of the training runs.
-    known : sequence of Track
-        Residual tracks of the training runs.
+    `start`: extension of the starting model. `parts`: parts of the findings whose explained shares
+    are calculated. `every`: number of averaged samples, as of the training runs. `known`: residual
+    tracks of the training runs.
 
-    Attributes
-    ----------
-    proofs : list of RunProof
-        Without the contact intervals.
-    episodes : list of Episode
-        Contact intervals.
-    velocities : list of array (K, n)
-        Of the joints in these runs.
-    shares : Shares
-    left, unusable : list of str
-        Files of runs that were not predicted: not yet read, and without a joint's position.
+    `proofs`: without the contact intervals. `episodes`: contact intervals. `velocities` (K, n): of
+    the joints in these runs. `left`, `unusable`: files of runs that were not predicted: not yet
+    read, and without a joint's position.
     """
 
     def __init__(
@@ -231,14 +213,7 @@ def mark_lasting_loads(
 ) -> tuple[Episode, ...]:
     """Mark the contact intervals that last until the end of a run and act like a load.
 
-    Parameters
-    ----------
-    episodes : sequence of Episode
-    track : Track
-        Residuals of the run.
-    robot : RobotModel
-    prepared : PreparedRun
-        The run with its motion.
+    `track`: residuals of the run. `prepared`: the run with its motion.
     """
     return tuple(
         replace(each, stays=True) if _is_load(each, track, robot, prepared) else each

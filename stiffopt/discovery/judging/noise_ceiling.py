@@ -27,27 +27,17 @@ _RIDGE_FACTORS = (1e-3, 1e-2, 1e-1, 1.0)
 
 @dataclass(frozen=True, eq=False)
 class SmoothFunction:
-    """A smooth function of signals.
+    """A smooth function of signals."""
 
-    Parameters
-    ----------
-    middle, spread : array (s,)
-        Mean and standard deviation of the signals.
-    waves : array (s, f)
-    phases, weights : array (f,)
-    limit : float
-        Largest training value, which clips the result.
-    held_out_share : float
-        Share of the squares that it removes in stretches left out.
-    """
-
+    # middle, spread (s,): mean and standard deviation of the signals.
     middle: np.ndarray
     spread: np.ndarray
-    waves: np.ndarray
+    waves: np.ndarray  # (s, f)
+    # phases, weights (f,)
     phases: np.ndarray
     weights: np.ndarray
-    limit: float
-    held_out_share: float
+    limit: float  # largest training value, which clips the result
+    held_out_share: float  # share of the squares that it removes in stretches left out
 
     def __call__(self, signals: np.ndarray) -> np.ndarray:
         """Return values (m,) at signals (m, s)."""
@@ -61,12 +51,7 @@ def fit_smooth_function(
 ) -> SmoothFunction | None:
     """Fit the function that predicts stretches left out best; None if none predicts anything.
 
-    Parameters
-    ----------
-    signals : array (m, s)
-    values : array (m,)
-    stretch : array (m,) of int
-        Number of the stretch of each sample.
+    `signals` (m, s). `values` (m,). `stretch` (m,) of int: number of the stretch of each sample.
     """
     middle, spread = signals.mean(axis=0), signals.std(axis=0)
     spread = np.where(spread > 1e-12, spread, 1.0)
@@ -120,54 +105,31 @@ _CURVE_QUANTILES = (0.02, 0.98)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Dependence:
-    """Mean dependence of a residual on one signal.
-
-    Parameters
-    ----------
-    channel : str
-    signal : str
-        Such as "q_1".
-    at, mean : array (k,)
-        Values of the signal [SI], and mean residual [N m].
-    """
+    """Mean dependence of a residual on one signal."""
 
     channel: str
-    signal: str
+    signal: str  # such as "q_1"
+    # at, mean (k,): values of the signal [SI], and mean residual [N m].
     at: np.ndarray
     mean: np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NoiseCeiling:
-    """Explained share of the best attainable fit on held-out runs.
+    """Explained share of the best attainable fit on held-out runs."""
 
-    Parameters
-    ----------
-    explained : float
-        Explained over attainable share, mean over the torques.
-    channels : dict of str to (float, float)
-        Root mean square residual of each torque with the extended model, and with the black box.
-    depends : tuple of Dependence
-        Of the torque that the black box improves most, the strongest signal first; empty if it
-        improves none.
-    """
-
-    explained: float
+    explained: float  # explained over attainable share, mean over the torques
+    # Root mean square residual of each torque with the extended model, and with the black box.
     channels: dict[str, tuple[float, float]]
+    # Of the torque that the black box improves most, the strongest signal first; empty if it
+    # improves none.
     depends: tuple[Dependence, ...]
 
 
 class BlackBox:
     """Black boxes of all torques, fitted to training runs.
 
-    Parameters
-    ----------
-    training : Training
-    settings : Settings
-    extensions : sequence of Extension
-        Extensions of the extended model.
-    say : callable
-        Called with a sentence every few seconds.
+    `extensions`: extensions of the extended model. `say`: called with a sentence every few seconds.
     """
 
     def __init__(

@@ -28,45 +28,26 @@ _COLLINEAR_SHARE = 0.9
 
 @dataclass(frozen=True, kw_only=True)
 class NotCarriedOver:
-    """A value that differs between a run and the training runs.
-
-    Parameters
-    ----------
-    run, channel : str
-    kind : str
-        "constant", "dry friction", "viscous friction", or "friction drift" if friction was found to
-        differ from run to run.
-    value : float
-        Difference to training [SI]; of a drift in its standard deviations.
-    share : float
-        Explained share of the squared residual of the channel.
-    """
+    """A value that differs between a run and the training runs."""
 
     run: str
     channel: str
+    # "constant", "dry friction", "viscous friction", or "friction drift" if friction was found to
+    # differ from run to run.
     kind: str
-    value: float
-    share: float
+    value: float  # difference to training [SI]; of a drift in its standard deviations
+    share: float  # explained share of the squared residual of the channel
 
 
 @dataclass(frozen=True, kw_only=True)
 class Drift:
-    """Standard deviation of a joint's friction between runs.
+    """Standard deviation of a joint's friction between runs."""
 
-    Parameters
-    ----------
-    joint : int
-        From 0.
-    dry, viscous : float
-        [N m], [N m s/rad]
-    rms : float
-        Root mean square error of predictions over the held-out runs from it [N m].
-    """
-
-    joint: int
+    joint: int  # from 0
+    # dry, viscous [N m], [N m s/rad]
     dry: float
     viscous: float
-    rms: float = 0.0
+    rms: float = 0.0  # root mean square error of predictions over the held-out runs from it [N m]
 
     def torque(self, speed: np.ndarray) -> np.ndarray:
         """Return the torque of one standard deviation [N m]."""
@@ -78,13 +59,8 @@ def find_friction_drift(
 ) -> tuple[Drift, ...]:
     """Return friction that differs from run to run; the latest finding per joint.
 
-    Parameters
-    ----------
-    found : Extension
-        Including the extension of the starting model.
-    constants : RobotConstants
-    velocities : sequence of array (K, n)
-        Of the joints in held-out runs [rad/s].
+    `found`: including the extension of the starting model. `velocities` (K, n): of the joints in
+    held-out runs [rad/s].
     """
     every: dict[int, Drift] = {}
     for each in found.effects:
@@ -110,12 +86,7 @@ def find_run_deviations(
 ) -> tuple[NotCarriedOver, ...]:
     """Find single values that explain most of the residual of a channel in a run.
 
-    Parameters
-    ----------
-    proofs : sequence of RunProof
-    velocities : sequence of array (K, n)
-        Of the joints in each of these runs [rad/s].
-    drift : sequence of Drift
+    `velocities` (K, n): of the joints in each of these runs [rad/s].
     """
     found = []
     of_joint = {each.joint: each for each in drift}

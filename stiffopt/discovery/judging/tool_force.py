@@ -25,20 +25,11 @@ _SIZE_PERCENTILE = 95.0
 
 @dataclass(frozen=True, kw_only=True)
 class ToolForce:
-    """Forces at the tool that explain a residual.
+    """Forces at the tool that explain a residual."""
 
-    Parameters
-    ----------
-    explained : float
-        Share of the squared residual of the torques.
-    size : float
-        Force exceeded in a twentieth of the time [N].
-    steadiness : float
-        Length of the mean force in the base frame over the root mean square, 0 to 1.
-    """
-
-    explained: float
-    size: float
+    explained: float  # share of the squared residual of the torques
+    size: float  # force exceeded in a twentieth of the time [N]
+    # Length of the mean force in the base frame over the root mean square, 0 to 1.
     steadiness: float
 
 

@@ -43,40 +43,22 @@ _DOMINANT_RUN_RATIO = 5.0
 
 @dataclass(frozen=True)
 class Unexplained:
-    """Residual beyond the catalogue.
+    """Residual beyond the catalogue."""
 
-    Parameters
-    ----------
-    channels : tuple of str
-        "torque_3", "link_position_3"; the worst first.
-    regressors : tuple of str
-        Signals that the residual of the worst channel depends on: "q_5", "sign(qd_3)", "time".
-    period : float or None
-        Of a residual that is periodic in time, independent of the motion [s].
-    gain : float
-        Share of the residual's excess that a spline model of these explains in blocks left out.
-    ratio : float
-        Normalised residual of the worst channel.
-    left : float
-        Root mean square in that channel over that of the nominal model.
-    brief : bool
-        True for bursts above the filter's band: `ratio` is that of the bursts, `gain` their share.
-    alone : tuple of (str, float) or None
-        Training run with nearly all of the nominal residual in the worst channel, and the ratio to
-        any other run.
-    tool_force : ToolForce or None
-        Forces at the tool that explain it.
-    """
-
-    channels: tuple[str, ...]
+    channels: tuple[str, ...]  # "torque_3", "link_position_3"; the worst first
+    # Signals that the residual of the worst channel depends on: "q_5", "sign(qd_3)", "time".
     regressors: tuple[str, ...]
-    period: float | None
+    period: float | None  # of a residual that is periodic in time, independent of the motion [s]
+    # Share of the residual's excess that a spline model of these explains in blocks left out.
     gain: float
-    ratio: float
-    left: float = 1.0
+    ratio: float  # normalised residual of the worst channel
+    left: float = 1.0  # root mean square in that channel over that of the nominal model
+    # True for bursts above the filter's band: `ratio` is that of the bursts, `gain` their share.
     brief: bool = False
+    # Training run with nearly all of the nominal residual in the worst channel, and the ratio to
+    # any other run.
     alone: tuple[str, float] | None = None
-    tool_force: ToolForce | None = None
+    tool_force: ToolForce | None = None  # forces at the tool that explain it
 
 
 ChannelOutcome = Literal["named", "nothing", "outside"]
@@ -84,26 +66,17 @@ ChannelOutcome = Literal["named", "nothing", "outside"]
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelVerdict:
-    """Verdict on one channel, whatever is found in others.
+    """Verdict on one channel, whatever is found in others."""
 
-    Parameters
-    ----------
-    channel : str
-        Such as "torque_3".
-    verdict : str
-        "named": findings explain its residual; "nothing": nominal values within tolerance do;
-        "outside": a residual remains that findings do not explain.
-    before, after : float
-        Residual over noise with nominal values within tolerance, and with the findings.
-    acted_on : bool
-        A finding contributes to the channel.
-    """
-
-    channel: str
+    channel: str  # such as "torque_3"
+    # "named": findings explain its residual; "nothing": nominal values within tolerance do;
+    # "outside": a residual remains that findings do not explain.
     verdict: ChannelOutcome
+    # before, after: residual over noise with nominal values within tolerance, and with the
+    # findings.
     before: float
     after: float
-    acted_on: bool
+    acted_on: bool  # a finding contributes to the channel
 
 
 def judge_channels(
@@ -111,12 +84,7 @@ def judge_channels(
 ) -> tuple[ChannelVerdict, ...]:
     """Return the verdict on every recorded channel.
 
-    Parameters
-    ----------
-    result : SearchResult
-    findings : sequence of LocatedEffect
-    unexplained : Unexplained or None
-        Of all channels, beside the findings.
+    `unexplained`: of all channels, beside the findings.
     """
     comparison, n = result.comparison, result.comparison.robot.n
     acted = _mark_affected_channels(comparison, findings)
@@ -166,15 +134,7 @@ def _mark_affected_channels(
 def assess_findings(result: SearchResult) -> tuple[tuple[Selected, ...], Unexplained | None]:
     """Select findings that explain their channels, and describe the unexplained residual.
 
-    Parameters
-    ----------
-    result : SearchResult
-
-    Returns
-    -------
-    findings : tuple of Selected
-    unexplained : Unexplained or None
-        None without a significant residual.
+    Returns `unexplained`: None without a significant residual.
     """
     after = np.nan_to_num(result.after, nan=0.0)
     before = np.nan_to_num(result.calibrated, nan=0.0)

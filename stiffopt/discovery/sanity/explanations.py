@@ -59,31 +59,16 @@ _MAX_SMALL_TILT = np.pi / 6.0
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """Another description of the files with its residual shares.
+    """Another description of the files with its residual shares."""
 
-    Parameters
-    ----------
-    left : array (n,)
-        Residual shares; nan if the motion cannot decide.
-    joints : tuple of int
-        Joints that it explains, from 0.
-    score : float
-        Sum of the log ratios of residual shares.
-    gains : array (n,) or None
-        Recorded over true torque.
-    gravity : array (3,) or None
-        Unit vector in the base frame; 0 if the torques contain no weight.
-    delay : float or None
-        Delay of the torque [s].
-    """
-
-    left: np.ndarray
-    joints: tuple[int, ...]
-    score: float
+    left: np.ndarray  # (n,) residual shares; nan if the motion cannot decide
+    joints: tuple[int, ...]  # joints that it explains, from 0
+    score: float  # sum of the log ratios of residual shares
     reading: Reading
-    gains: np.ndarray | None = None
+    gains: np.ndarray | None = None  # (n,) recorded over true torque
+    # (3,) unit vector in the base frame; 0 if the torques contain no weight.
     gravity: np.ndarray | None = None
-    delay: float | None = None
+    delay: float | None = None  # delay of the torque [s]
 
     @property
     def price(self) -> float:

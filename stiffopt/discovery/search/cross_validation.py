@@ -32,15 +32,10 @@ def stack_columns(
 class FoldPredictions:
     """Predictions of every fold by fits to the other folds.
 
-    Parameters
-    ----------
-    columns : array (m, p)
-    target : array (m,)
-    prior, limits : array (p,)
-        Standard deviations, and bounds in units of them. Nominal values keep their bounds: beyond
-        them they would stand for an effect that is left out, as torque constants twice their size
-        do for a load about which the columns are linear.
-    fold : array (m,) of int
+    `columns` (m, p). `target` (m,). `prior`, `limits` (p,): standard deviations, and bounds in
+    units of them. Nominal values keep their bounds: beyond them they would stand for an effect that
+    is left out, as torque constants twice their size do for a load about which the columns are
+    linear. `fold` (m,) of int.
     """
 
     def __init__(

@@ -40,31 +40,21 @@ _MIN_ACTIVE_FOLDS = 3
 
 @dataclass(frozen=True, kw_only=True)
 class LeftOutGain:
-    """Gain of an effect in folds left out, against a refit without it.
+    """Gain of an effect in folds left out, against a refit without it."""
 
-    Parameters
-    ----------
-    removed : float
-        Squares over the stated noise that it removes in its best channel.
-    left_open : float
-        Squares that the fit with it leaves there and that noise does not make: alike from row to
-        row, or beyond those of the noise by more than inexact formulas make.
-    share, explained : float
-        Share of the channel's squares that it removes, and of those beyond the stated noise, 0
-        to 1.
-    channel : int
-        Its best channel among those that it acts on: others improve through nominal values.
-    support : float
-        Probability that it improves predictions where it acts, by the spread of its gain between
-        stretches (Student's t): errors of a law are correlated within a stretch, so that the number
-        of samples says nothing.
-    """
-
-    removed: float
+    removed: float  # squares over the stated noise that it removes in its best channel
+    # Squares that the fit with it leaves there and that noise does not make: alike from row to row,
+    # or beyond those of the noise by more than inexact formulas make.
     left_open: float
+    # share, explained: share of the channel's squares that it removes, and of those beyond the
+    # stated noise, 0 to 1.
     share: float
     explained: float
+    # Its best channel among those that it acts on: others improve through nominal values.
     channel: int
+    # Probability that it improves predictions where it acts, by the spread of its gain between
+    # stretches (Student's t): errors of a law are correlated within a stretch, so that the number
+    # of samples says nothing.
     support: float
 
     @property
@@ -165,17 +155,10 @@ def select_predictive(
 ) -> list[LocatedEffect]:
     """Select effects without which folds left out are predicted worse.
 
-    Parameters
-    ----------
-    comparison : Comparison
-        With the noise estimated beside the effects.
-    effects : sequence of LocatedEffect
-        With shapes as found, which are not refitted.
-    spared : callable
-        -> True for an effect, among those kept, that stays without a gain.
+    `comparison`: with the noise estimated beside the effects. `effects`: with shapes as found,
+    which are not refitted. `spared` -> True for an effect, among those kept, that stays without a
+    gain.
 
-    Notes
-    -----
     Effects that cancel others are removed first, then the least helpful one repeatedly, each judged
     by a fit without it. Calibrated values stay.
     """

@@ -42,21 +42,10 @@ def find_changes(
 
     A single change is preferred where it predicts recordings left out nearly as well as several.
 
-    Parameters
-    ----------
-    comparison : Comparison
-        With the extended model.
-    current : Comparison
-        Linearised about `start`.
-    start : sequence of LocatedEffect
-        Effects in channels that the model has no recordings of.
-    catalogue : sequence of Effect
-    most : int
-        Maximum number of changes.
-    say, tell : callable
-        Called with a sentence at every finding, and before every candidate.
-    keep : callable
-        Called with comparison and effects whenever they change.
+    `comparison`: with the extended model. `current`: linearised about `start`. `start`: effects in
+    channels that the model has no recordings of. `most`: maximum number of changes. `say`, `tell`:
+    called with a sentence at every finding, and before every candidate. `keep`: called with
+    comparison and effects whenever they change.
     """
     effects = list(start)
     first: list[Candidate] = []

@@ -35,28 +35,15 @@ _MIN_REFINED_SHARE = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Selected:
-    """A found effect with its rivals.
-
-    Parameters
-    ----------
-    located : LocatedEffect
-    loss : float
-        Log evidence lost without it.
-    deviations : float
-    probability : float
-        Against its rivals.
-    rivals : tuple of (LocatedEffect, float)
-        Effects that the data do not tell apart from it, with probabilities.
-    channel : int
-        Channel that it changes most.
-    """
+    """A found effect with its rivals."""
 
     located: LocatedEffect
-    loss: float
+    loss: float  # log evidence lost without it
     deviations: float
-    probability: float
+    probability: float  # against its rivals
+    # Effects that the data do not tell apart from it, with probabilities.
     rivals: tuple[tuple[LocatedEffect, float], ...]
-    channel: int
+    channel: int  # channel that it changes most
 
 
 @dataclass(frozen=True, eq=False)

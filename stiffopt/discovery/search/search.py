@@ -43,44 +43,25 @@ from stiffopt.interrupts import complete_step
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """Result of a search.
+    """Result of a search."""
 
-    Parameters
-    ----------
-    selected : tuple of Selected
-        In decreasing order of loss.
-    comparison : Comparison
-        Linearised about the effects found, with the noise estimated beside them.
-    fit : Fit
-    rigid : RigidStage or None
-        Re-identified rigid model; None if its tolerances are stated.
-    before, calibrated, after : array (2 n,)
-        Normalised residual of every channel: of the nominal model, with nominal values fitted
-        within tolerance, and with the effects.
-    target : array (m,)
-        Residual of the nominal model over the stated noise: the rows of `before`.
-    contenders : tuple of Contender
-        Models that competed in the prediction of stretches left out, the best first.
-    stopped : bool
-        By Ctrl-C, before the search was complete.
-    weighed : bool
-        True if all findings were compared with their rivals.
-    hurried : bool
-        True if Ctrl-C came after the search.
-    """
-
-    selected: tuple[Selected, ...]
+    selected: tuple[Selected, ...]  # in decreasing order of loss
+    # Linearised about the effects found, with the noise estimated beside them.
     comparison: Comparison
     fit: Fit
-    rigid: RigidStage | None
+    rigid: RigidStage | None  # re-identified rigid model; None if its tolerances are stated
+    # before, calibrated, after (2 n,): normalised residual of every channel: of the nominal model,
+    # with nominal values fitted within tolerance, and with the effects.
     before: np.ndarray
     calibrated: np.ndarray
     after: np.ndarray
+    # (m,) residual of the nominal model over the stated noise: the rows of `before`.
     target: np.ndarray
+    # Models that competed in the prediction of stretches left out, the best first.
     contenders: tuple[Contender, ...] = ()
-    stopped: bool = False
-    weighed: bool = True
-    hurried: bool = False
+    stopped: bool = False  # by Ctrl-C, before the search was complete
+    weighed: bool = True  # True if all findings were compared with their rivals
+    hurried: bool = False  # True if Ctrl-C came after the search
 
     @property
     def effects(self) -> tuple[LocatedEffect, ...]:
@@ -101,23 +82,12 @@ def search(
 ) -> SearchResult:
     """Search the catalogue for missing effects.
 
-    Parameters
-    ----------
-    comparison : Comparison
-        With the nominal or an extended model.
-    catalogue : sequence of Effect
-    start : sequence of LocatedEffect
-        Values that the nominal model does not state: fitted together before any other effect.
-    most : int
-        Maximum number of effects beside those.
-    strict : bool
-        Without stated tolerances: only effects that recordings left out support are kept.
-    reidentify : bool
-        Re-identify the rigid model first.
-    about : Extension, optional
-        Extension found by another comparison, to linearise about; its effects are tried first.
-    report : callable, optional
-        Called with a sentence at every step.
+    `comparison`: with the nominal or an extended model. `start`: values that the nominal model does
+    not state: fitted together before any other effect. `most`: maximum number of effects beside
+    those. `strict`: without stated tolerances: only effects that recordings left out support are
+    kept. `reidentify`: re-identify the rigid model first. `about`: extension found by another
+    comparison, to linearise about; its effects are tried first. `report`: called with a sentence at
+    every step.
     """
     say = report or (lambda _: None)
     target = comparison.target * comparison.inflation[comparison.rows.channel]
@@ -156,24 +126,13 @@ def search(
 
 @dataclass(eq=False)
 class _SearchState:
-    """State of a search, from which Ctrl-C makes a result.
+    """State of a search, from which Ctrl-C makes a result."""
 
-    Parameters
-    ----------
-    start, current : Comparison
-        Comparison that fits start from, and the one linearised about the effects.
-    effects : list of LocatedEffect
-    ranked : list of Ranked
-        Effects ranked last.
-    rigid : RigidStage or None
-    contenders : tuple of Contender
-    stopped : bool
-    """
-
+    # start, current: comparison that fits start from, and the one linearised about the effects.
     start: Comparison
     current: Comparison
     effects: list[LocatedEffect] = field(default_factory=list)
-    ranked: list[RankedEffect] = field(default_factory=list)
+    ranked: list[RankedEffect] = field(default_factory=list)  # effects ranked last
     rigid: RigidStage | None = None
     contenders: tuple[Contender, ...] = ()
     stopped: bool = False

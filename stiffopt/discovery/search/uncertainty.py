@@ -36,33 +36,20 @@ _MIN_STRETCHES = 5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Estimate:
-    """Joint posterior of nominal values and effects.
+    """Joint posterior of nominal values and effects."""
 
-    Parameters
-    ----------
-    nuisance : tuple of ValueName
-        Names of the nominal values.
-    values : array (p,)
-        Nominal values, then amplitudes over their sizes.
-    effects : tuple of EstimatedEffect
-    covariance : array (r, r)
-        Nominal values, amplitudes over sizes, shapes over sizes; by the linear model.
-    spread, between : array (r, r)
-        The same by a jackknife over stretches, and over whole runs where there are three or more:
-        only those show differences between runs.
-    parts : tuple of int
-        Number of stretches and of runs.
-    """
-
-    nuisance: tuple[ValueName, ...]
-    values: np.ndarray
+    nuisance: tuple[ValueName, ...]  # names of the nominal values
+    values: np.ndarray  # (p,) nominal values, then amplitudes over their sizes
     effects: tuple[EstimatedEffect, ...]
+    # (r, r) nominal values, amplitudes over sizes, shapes over sizes; by the linear model.
     covariance: np.ndarray
+    # spread, between (r, r): the same by a jackknife over stretches, and over whole runs where
+    # there are three or more: only those show differences between runs.
     spread: np.ndarray
     between: np.ndarray
     sizes: tuple[np.ndarray, ...]
     shape_sizes: tuple[np.ndarray, ...]
-    parts: tuple[int, int]
+    parts: tuple[int, int]  # number of stretches and of runs
 
     def calibration(self) -> dict[ValueName, float]:
         """Return the changes of the nominal values by name."""
@@ -252,15 +239,8 @@ class Estimate:
 def estimate_parameters(comparison: Comparison, effects: Sequence[LocatedEffect]) -> Estimate:
     """Fit nominal values and effects together and estimate their covariance.
 
-    Parameters
-    ----------
-    comparison : Comparison
-        With the noise estimated beside the effects.
-    effects : sequence of LocatedEffect
-        With fitted shapes.
+    `comparison`: with the noise estimated beside the effects. `effects`: with fitted shapes.
 
-    Notes
-    -----
     Shapes are linearised numerically about their fitted values.
     """
     fit = comparison.fit(effects)
