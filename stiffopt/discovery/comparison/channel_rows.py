@@ -80,10 +80,7 @@ class ChannelRows:
         torque: Sequence[np.ndarray | None],
         deflection: Sequence[np.ndarray | None],
     ) -> np.ndarray:
-        """Return one column of rows from additions to the channels of every run.
-
-        `torque`, `deflection` (K, n).
-        """
+        """Return one column of rows from additions (K, n) to the channels of every run."""
         out = np.zeros(self.size)
         for number, both in enumerate(zip(torque, deflection, strict=True)):
             self.fill_run(out, number, *both)
@@ -92,10 +89,7 @@ class ChannelRows:
     def fill_run(
         self, out: np.ndarray, number: int, torque: np.ndarray | None, deflection: np.ndarray | None
     ) -> None:
-        """Write additions to the channels (K, n) of one run (from 0) into its rows of a column.
-
-        `out` (m,). `torque`, `deflection` (K, n).
-        """
+        """Write additions (K, n) to the channels of one run (from 0) into its rows of `out` (m,)."""
         run, places, begins = self.runs[number], self._places[number], self._first_rows[number]
         for kind, values in enumerate((torque, deflection)):
             own = slice(kind * self.n, (kind + 1) * self.n)
@@ -116,8 +110,8 @@ class ChannelRows:
     ) -> Iterator[tuple[int, np.ndarray]]:
         """Yield columns of rows from additions to single channels of one run (from 0).
 
-        `own` (K,): "torque" or "deflection", and the joint from 0. Returns (rows, count) first row,
-        and the columns from there on, of each affected channel.
+        `own`: kind of channel, joint and column (from 0), and the addition (K,). Yields the first
+        row of each affected channel, and its columns (rows, count) from there on.
         """
         if not own:
             return

@@ -36,11 +36,9 @@ class Posterior:
 
 
 class BlockSums:
-    """Sums of products of every block of rows.
+    """Sums of products of rows: gram (b, p, p), moment (b, p) and square (b,) of every block.
 
-    `columns` (m, p). `target` (m,). `block` (m,) of int.
-
-    `gram` (b, p, p). `moment` (b, p). `square` (b,).
+    Of columns (m, p) and target (m,), whose blocks (m,) are numbered from 0.
     """
 
     def __init__(

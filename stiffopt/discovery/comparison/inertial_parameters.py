@@ -55,10 +55,7 @@ def nominal_bodies(robot: RobotModel) -> np.ndarray:
 
 
 def pseudo_inertia(parameters: np.ndarray) -> np.ndarray:
-    """Return the second moments of mass about the joint's origin (..., 4, 4), mass last.
-
-    `parameters` (..., 10).
-    """
+    """Return second moments of mass about the joint's origin (..., 4, 4), mass last."""
     out = np.zeros((*parameters.shape[:-1], 4, 4))
     half = 0.5 * parameters[..., _MOMENT_ENTRIES].sum(axis=-1)
     for axis, k in enumerate(_MOMENT_ENTRIES):

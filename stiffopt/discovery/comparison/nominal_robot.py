@@ -309,10 +309,7 @@ class _TorqueParts:
 
 
 class BodyRegressor(_TorqueParts):
-    """Joint torques along a motion per inertial parameter (K, n, 10 n), body by body.
-
-    `motion` (K, n).
-    """
+    """Joint torques along a motion per inertial parameter (K, n, 10 n), body by body."""
 
     def __init__(self, robot: RobotModel, motion: tuple[np.ndarray, ...]) -> None:
         super().__init__(robot, motion, PARAMETERS_PER_BODY, robot.body_torques)
@@ -335,8 +332,6 @@ class BodyRegressor(_TorqueParts):
 
 class LazyArmSignals:
     """Tool, weight, body torques and joint zeros along a link motion, evaluated on demand.
-
-    `q`, `v`, `a` (K, n).
 
     `body_regressor`: torques per inertial parameter. `zero_harmonics`: harmonics of the torques
     over the zeros of joints (K, n, 4 n).
