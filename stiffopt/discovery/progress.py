@@ -7,14 +7,15 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+# Called with a sentence at every step.
+Say = Callable[[str], object]
+
 # Silence after which the last progress line is repeated [s].
 _MAX_SILENCE = 4.0
 
 
 @contextmanager
-def repeat_progress(
-    say: Callable[[str], object] | None, quiet: float = _MAX_SILENCE
-) -> Iterator[Callable[[str], object]]:
+def repeat_progress(say: Say | None, quiet: float = _MAX_SILENCE) -> Iterator[Say]:
     """Pass sentences on; repeat the last one with its elapsed time after a silence.
 
     `say`: called with a sentence; repeated ones come from another thread. `quiet`: silence before a
@@ -55,9 +56,7 @@ def repeat_progress(
         beside.join()
 
 
-def throttle_progress(
-    say: Callable[[str], object], seconds: float = 4.0
-) -> Callable[[str], object]:
+def throttle_progress(say: Say, seconds: float = 4.0) -> Say:
     """Return a function that passes on a sentence if the last one is some seconds old."""
     last = time.monotonic()
 

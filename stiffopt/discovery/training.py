@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -20,6 +20,7 @@ from stiffopt.discovery.comparison.nuisance import merge_tolerances
 from stiffopt.discovery.comparison.prepared_run import PreparedRun, prepare_run
 from stiffopt.discovery.extended.left_open import adopt_bands, describe_assumptions, noise_factors
 from stiffopt.discovery.extended.model import ExtendedModel, check_extended
+from stiffopt.discovery.progress import Say
 from stiffopt.discovery.settings import (
     DEFAULT_TOLERANCE,
     EXTENDED_MODEL_TOLERANCE,
@@ -37,8 +38,6 @@ from stiffopt.recording.run import RecordedRun
 from stiffopt.recording.state_pair import StatePair
 from stiffopt.units import joint_unit
 
-Say = Callable[[str], object]
-
 # Largest wind-up of a drivetrain, [rad] or [m]; more is a wrong stiffness, mass or time.
 _MAX_WINDUP = 1.0
 # Longest relaxation time of a joint's spring and damper [s].
@@ -53,7 +52,10 @@ class Training:
 
     robot: RobotModel
     runs: tuple[PreparedRun, ...]  # with signals of the nominal model
-    start: Extension  # extension of the model that the diagnosis started from, as fitted
+    # Extension of the model that the diagnosis started from, as fitted; and as predictions use it,
+    # none without a model.
+    start: Extension
+    before: tuple[Extension, ...]
     recorded: tuple[RecordedRun, ...]  # the same runs as read
     constants: RobotConstants  # with the ranges of the runs
     noise: KnownNoise
@@ -190,6 +192,7 @@ def prepare_training(
         robot=robot,
         runs=tuple(ready),
         start=Extension() if model is None else model.extension.fitted,
+        before=() if model is None else (model.extension,),
         recorded=tuple(opened),
         constants=ranged,
         noise=noise,

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
@@ -56,7 +57,8 @@ def _errors(spec, folder, *extensions, vibrating=True):
     for record, (name, run) in zip(case.runs, runs.items(), strict=True):
         if not name.startswith("test"):
             continue
-        predictor = Predictor(robot, run, ranged, Settings())
+        training = SimpleNamespace(robot=robot, constants=ranged, settings=Settings())
+        predictor = Predictor(training, run)
         if not vibrating:
             predictor.nominal = prepare_run(
                 robot, run, 0, ranged, replace(Settings(), cutoff=20.0), vibrating=False

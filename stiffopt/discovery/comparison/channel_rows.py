@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -19,6 +20,11 @@ class ChannelNoise:
     # torque, deflection (n,) [N m], [rad]
     torque: np.ndarray
     deflection: np.ndarray
+
+    @property
+    def stacked(self) -> np.ndarray:
+        """Deviations (2 n,) of all channels, torques first."""
+        return np.concatenate([self.torque, self.deflection])
 
 
 class ChannelRows:
@@ -89,7 +95,7 @@ class ChannelRows:
     def fill_run(
         self, out: np.ndarray, number: int, torque: np.ndarray | None, deflection: np.ndarray | None
     ) -> None:
-        """Write additions (K, n) to the channels of one run (from 0) into its rows of `out` (m,)."""
+        """Write additions (K, n) to the channels of one run (from 0) into its rows of `out`."""
         run, places, begins = self.runs[number], self._places[number], self._first_rows[number]
         for kind, values in enumerate((torque, deflection)):
             own = slice(kind * self.n, (kind + 1) * self.n)
@@ -128,6 +134,16 @@ class ChannelRows:
         for channel, columns in found.items():
             yield int(begins[channel]), columns
 
+    @cached_property
+    def run(self) -> np.ndarray:
+        """Number (m,) of the run of every row, from 0."""
+        return np.repeat(np.arange(len(self.runs)), [len(p.channel) for p in self._places])
+
+    @cached_property
+    def sample(self) -> np.ndarray:
+        """Number (m,) of the sample of its run that every row is of."""
+        return np.concatenate([where for p in self._places for where in p.samples])
+
     def sample_signal(self, signal: Callable[[PreparedRun], np.ndarray]) -> np.ndarray:
         """Return a signal (K, ...) of each run at every row (m, ...)."""
         parts = []
@@ -143,6 +159,12 @@ class _RowPlaces:
     rows: tuple[np.ndarray, ...]
     channel: np.ndarray
     block: np.ndarray
+
+
+def part_numbers(time: np.ndarray, parts: int) -> np.ndarray:
+    """Return the number (K,) of the equal part of a run that each of its times is in."""
+    share = (time - time[0]) / float(time[-1] - time[0])
+    return np.asarray(np.minimum((share * parts).astype(int), parts - 1))
 
 
 # Standard deviation of rounding to one count.

@@ -18,13 +18,11 @@ from stiffopt.discovery.experiment.motion import (
     prepared_motion,
 )
 from stiffopt.discovery.experiment.separation import Separation
+from stiffopt.discovery.progress import Say
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import SearchResult
-from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import Training
 from stiffopt.result.trajectory import Trajectory
-
-Say = Callable[[str], object]
 
 EXPERIMENT_FILE = "next_experiment.csv"
 _MAX_DURATION = 10.0  # [s], of a designed motion
@@ -97,7 +95,6 @@ def leading_pair(selected: Sequence[Selected]) -> tuple[LocatedEffect, LocatedEf
 def plan_experiment(
     training: Training,
     result: SearchResult,
-    settings: Settings,
     pair: tuple[LocatedEffect, LocatedEffect],
     say: Say = lambda _: None,
 ) -> ExperimentPlan | None:
@@ -126,8 +123,7 @@ def plan_experiment(
     reference, name = max(known)
 
     def rated(motion: Trajectory) -> float:
-        run = prepared_motion(training, training.constants, motion, settings)
-        return separation.of(run, step=step)
+        return separation.of(prepared_motion(training, motion), step=step)
 
     best, value = _search_motions(training, limits, duration, rated)
     # Less than one standard deviation separates nothing, even if training runs do less.

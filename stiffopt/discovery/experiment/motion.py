@@ -9,8 +9,6 @@ from scipy.special import ndtr
 
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepared_run import PreparedRun, prepare_run
-from stiffopt.discovery.settings import Settings
-from stiffopt.discovery.signals import RobotConstants
 from stiffopt.discovery.training import Training
 from stiffopt.recording.run import RecordedRun
 from stiffopt.result.trajectory import Trajectory
@@ -122,9 +120,7 @@ def fourier_motion(
     return None
 
 
-def prepared_motion(
-    training: Training, constants: RobotConstants, motion: Trajectory, settings: Settings
-) -> PreparedRun:
+def prepared_motion(training: Training, motion: Trajectory) -> PreparedRun:
     """Prepare a motion as a run with all channels of the training runs."""
     times = np.arange(0.0, motion.duration, _SAMPLE_TIME)
     position = motion(times)
@@ -155,4 +151,6 @@ def prepared_motion(
         torque=np.where(has_torque, np.zeros_like(position), np.nan),
         faults=(),
     )
-    return prepare_run(training.robot, run, 0, constants, settings, vibrating=False)
+    return prepare_run(
+        training.robot, run, 0, training.constants, training.settings, vibrating=False
+    )

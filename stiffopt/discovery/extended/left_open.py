@@ -38,7 +38,7 @@ def left_open_section(
     `leanings`: amplitudes that single effects would have in it. `before`: section of the starting
     model, kept for channels without recordings. `rate`: sampling rate of these recordings [Hz].
     """
-    spread = np.nan_to_num(ratio) * np.nan_to_num([*noise.torque, *noise.deflection])
+    spread = np.nan_to_num(ratio) * np.nan_to_num(noise.stacked)
     if before is not None:
         spread = np.where(spread > 0.0, spread, [*before.torque, *before.link_position])
     torque, link = np.split(spread, 2)
@@ -76,8 +76,7 @@ def noise_factors(section: LeftOpenSection | None, noise: ChannelNoise) -> np.nd
     if section is None:
         return None
     left = np.array([*section.torque, *section.link_position])
-    known = np.array([*noise.torque, *noise.deflection])
-    return np.where(left > 0.0, np.maximum(1.0, np.nan_to_num(left / known)), np.nan)
+    return np.where(left > 0.0, np.maximum(1.0, np.nan_to_num(left / noise.stacked)), np.nan)
 
 
 def adopt_bands(settings: Settings, section: LeftOpenSection | None) -> Settings:
@@ -107,7 +106,7 @@ def describe_assumptions(
         near = "narrow defaults about values of the model are used"
         found.append(f"Tolerances not given, {near if least is None else kept}: {silent}.")
     if least is not None:
-        raised = np.where(least > 1.0, least * [*noise.torque, *noise.deflection], np.nan)
+        raised = np.where(least > 1.0, least * noise.stacked, np.nan)
         for name, values, unit in zip(
             ("torques", "link positions"), np.split(raised, 2), ("N m", "rad"), strict=True
         ):

@@ -16,8 +16,7 @@ from scipy.spatial import cKDTree
 
 from stiffopt.discovery.comparison.channel_rows import ChannelNoise
 from stiffopt.discovery.comparison.comparison import Comparison, Fit
-from stiffopt.discovery.comparison.prepared_run import PreparedRun
-from stiffopt.discovery.prediction import Prediction, Predictor, used_samples
+from stiffopt.discovery.prediction import Prediction, Predictor, residuals
 from stiffopt.discovery.signals import RobotConstants, RobotSignals
 from stiffopt.recording.channel import DEVIATION_PER_MAD
 from stiffopt.recording.run import RecordedRun
@@ -105,19 +104,13 @@ def training_tracks(comparison: Comparison, fit: Fit) -> list[ResidualTrack]:
     """Return the residual tracks of a fit to the training runs."""
     if comparison.runs[0].at_rest:
         return []  # poses have no intervals
-    rows, n = comparison.rows, comparison.robot.n
-
-    def place(run: PreparedRun) -> np.ndarray:
-        return np.arange(len(run.time))
-
-    number = rows.sample_signal(lambda run: np.full(len(run.time), comparison.runs.index(run)))
-    places = rows.sample_signal(place)
+    rows = comparison.rows
     tracks = []
     for index, run in enumerate(comparison.runs):
-        own = number == index
+        own = rows.run == index
         grid = np.arange(0, len(run.time), run.low_pass.step)
-        left = np.full((len(grid), 2 * n), np.nan)
-        left[places[own] // run.low_pass.step, rows.channel[own]] = fit.residual[own]
+        left = np.full((len(grid), 2 * rows.n), np.nan)
+        left[rows.sample[own] // run.low_pass.step, rows.channel[own]] = fit.residual[own]
         gain = run.low_pass.noise_gain
         tracks.append(
             _build_track(
@@ -131,21 +124,17 @@ def held_out_track(
     run: RecordedRun, predictor: Predictor, after: Prediction, noise: ChannelNoise
 ) -> ResidualTrack:
     """Return the residual track of a predicted run."""
-    places = np.searchsorted(run.stamps, run.time)
-    columns = []
-    for kind, joint, used in used_samples(run, predictor.velocity):
-        own = np.full(len(run.time), np.nan)
-        scale = noise.torque if kind == "torque" else noise.deflection
-        if used is not None and np.isfinite(scale[joint]):
-            measured = getattr(run, kind)[used, joint]
-            own[used] = (measured - getattr(after, kind)[places[used], joint]) / scale[joint]
-        columns.append(own)
+    left = np.full((len(run.time), 2 * run.n), np.nan)
+    for kind, joint, used, (own,) in residuals(run, predictor.velocity, after):
+        of_link = kind == "link_position"
+        scale = (noise.deflection if of_link else noise.torque)[joint]
+        if np.isfinite(scale):
+            left[used, of_link * run.n + joint] = own / scale
     every = max(1, round(1.0 / (_MAX_TRACK_RATE * run.step)))
     time = run.time[::every]
     signals = predictor.nominal.signals
     nearest = np.clip(np.searchsorted(signals.time, time), 0, len(signals.time) - 1)
-    left = np.column_stack(columns)[::every]
-    return _build_track(run.name, run.role, time, left, noise, 1.0, signals, nearest)
+    return _build_track(run.name, run.role, time, left[::every], noise, 1.0, signals, nearest)
 
 
 def _build_track(

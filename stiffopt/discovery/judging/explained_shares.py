@@ -87,20 +87,17 @@ class MismatchShares:
         self._sums: dict[str, tuple[np.ndarray, int]] = {}
 
     def add(
-        self,
-        predictor: Predictor,
-        start: tuple[Extension, ...],
-        found: Extension,
-        proof: RunProof,
+        self, predictor: Predictor, start: Sequence[Extension], found: Extension, proof: RunProof
     ) -> None:
         """Add a run, predicted with the whole extension and without each part."""
-        each = [(*start, part.left_out_of(found)) for part in self._parts]
-        without = list(predictor.predict_each(each))
+        without = list(
+            predictor.predict_each([(*start, part.left_out_of(found)) for part in self._parts])
+        )
         run = predictor.run
         judged = {(each.kind, each.joint): each for each in proof.channels}
         sums, none = dict(self._sums), np.zeros((len(self._parts) + 1, len(self._parts) + 1))
         for kind, joint, used in used_samples(run, predictor.velocity):
-            if used is None or (kind, joint) not in judged:
+            if (kind, joint) not in judged:
                 continue
             channel = judged[kind, joint]
             places = np.searchsorted(run.stamps, run.time)[used]

@@ -8,15 +8,16 @@ Recht 2007), whose ridge fit approximates a Gaussian process; length and ridge b
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from stiffopt.discovery.comparison.channel_rows import part_numbers
 from stiffopt.discovery.comparison.located_effect import Extension
-from stiffopt.discovery.prediction import Prediction, Predictor, used_samples
+from stiffopt.discovery.prediction import Prediction, Predictor, residuals
 from stiffopt.discovery.progress import RoundProgress, throttle_progress
-from stiffopt.discovery.settings import SIGN_SPEED, Settings
+from stiffopt.discovery.settings import SIGN_SPEED
 from stiffopt.discovery.training import Training
 
 # Number of cosines; kernel lengths over the spread of the signals, and ridges, that are tried.
@@ -127,29 +128,19 @@ class NoiseCeiling:
 
 
 class BlackBox:
-    """Black boxes of all torques, fitted to training runs.
-
-    `extensions`: extensions of the extended model. `say`: called with a sentence every few seconds.
-    """
+    """Black boxes of all torques, fitted to what an extension leaves of the training runs."""
 
     def __init__(
-        self,
-        training: Training,
-        settings: Settings,
-        extensions: Sequence[Extension],
-        say: Callable[[str], object] = lambda _: None,
+        self, training: Training, found: Extension, say: Callable[[str], object] = lambda _: None
     ) -> None:
         n = training.robot.n
         samples = _ResidualSamples(n)
         tell = throttle_progress(say)
         for number, run in enumerate(training.recorded):
             tell(f"calculate the residual of {run.file}")
-            predictor = Predictor(training.robot, run, training.constants, settings)
-            share = (run.time - run.time[0]) / float(run.time[-1] - run.time[0])
-            stretch = np.minimum((share * _STRETCHES_PER_RUN).astype(int), _STRETCHES_PER_RUN - 1)
-            samples.add(
-                predictor, predictor.predict(*extensions), number * _STRETCHES_PER_RUN + stretch
-            )
+            predictor = Predictor(training, run)
+            stretch = part_numbers(run.time, _STRETCHES_PER_RUN) + number * _STRETCHES_PER_RUN
+            samples.add(predictor, predictor.predict(*training.before, found), stretch)
         self._motion_signals = [samples.signals(j) for j in range(n)]
         self._boxes: list[SmoothFunction | None] = []
         pace = RoundProgress(n)
@@ -160,17 +151,13 @@ class BlackBox:
 
     def add(self, predictor: Predictor, before: Prediction, after: Prediction) -> None:
         """Add a held-out run."""
-        run = predictor.run
         signals = _motion_signals(predictor)
-        places = np.searchsorted(run.stamps, run.time)
-        for kind, joint, used in used_samples(run, predictor.velocity):
-            if kind != "torque" or used is None:
+        compared = residuals(predictor.run, predictor.velocity, before, after)
+        for kind, joint, used, (first, left) in compared:
+            if kind != "torque":
                 continue
-            measured = run.torque[used, joint]
-            left = measured - after.torque[places[used], joint]
             box = self._boxes[joint]
             beside = left if box is None else left - box(_input_columns(signals[used]))
-            first = measured - before.torque[places[used], joint]
             self._squares[joint] += (first @ first, left @ left, beside @ beside, len(left))
 
     def found(self) -> NoiseCeiling | None:
@@ -236,14 +223,10 @@ class _ResidualSamples:
         ]
 
     def add(self, predictor: Predictor, after: Prediction, stretch: np.ndarray) -> None:
-        run = predictor.run
         signals = _motion_signals(predictor)
-        places = np.searchsorted(run.stamps, run.time)
-        for kind, joint, used in used_samples(run, predictor.velocity):
-            if kind == "torque" and used is not None:
-                left = run.torque[used, joint] - after.torque[places[used], joint]
-                own = np.flatnonzero(used)
-                self._parts[joint].append((signals, own, left, stretch[used]))
+        for kind, joint, used, (left,) in residuals(predictor.run, predictor.velocity, after):
+            if kind == "torque":
+                self._parts[joint].append((signals, np.flatnonzero(used), left, stretch[used]))
 
     def signals(self, joint: int) -> np.ndarray:
         """Return signals (m, s) at the samples of a joint."""

@@ -196,9 +196,8 @@ def _noise_excess(result: SearchResult) -> float:
     """Return the noise of the worst channel above the cutoff over the stated noise; at least 1."""
     comparison = result.comparison
     worst = int(np.nanargmax(result.after))
-    stated = np.concatenate([comparison.noise.torque, comparison.noise.deflection])
-    held = noise_above_cutoff(comparison.nominal_runs)
-    return float(np.nanmax([1.0, held[worst] / stated[worst]]))
+    held = noise_above_cutoff(comparison.nominal_runs) / comparison.noise.stacked
+    return float(np.nanmax([1.0, held[worst]]))
 
 
 def channel_name(channel: int, joints: int) -> str:
@@ -209,13 +208,11 @@ def channel_name(channel: int, joints: int) -> str:
 
 def _find_dominant_run(comparison: Comparison, rows: np.ndarray) -> tuple[str, float] | None:
     """Return the run with by far the largest nominal residual in these rows, and the ratio."""
-    number = comparison.rows.sample_signal(lambda run: np.full(len(run.time), float(run.index)))[
-        rows
-    ]
+    number, target = comparison.rows.run[rows], comparison.target[rows]
     left = {
-        run.name: float(np.sqrt(np.mean(comparison.target[rows][number == run.index] ** 2)))
-        for run in comparison.runs
-        if (number == run.index).any()
+        run.name: float(np.sqrt(np.mean(target[number == k] ** 2)))
+        for k, run in enumerate(comparison.runs)
+        if (number == k).any()
     }
     if len(left) < 2:
         return None

@@ -113,8 +113,8 @@ class _GainJudge:
         stretch = number_stretches(comparison)
         self._stretch = fold if stretch.max() < fold.max() else stretch
         # Noise above the filter's band may exceed the stated one.
-        stated = np.concatenate([comparison.noise.torque, comparison.noise.deflection])
-        held = np.fmax(noise_above_cutoff(comparison.nominal_runs) / stated, 1.0)
+        held = noise_above_cutoff(comparison.nominal_runs) / comparison.noise.stacked
+        held = np.fmax(held, 1.0)
         self._usual = (UNEXPLAINED_RATIO * held) ** 2
 
     def gain(
@@ -224,16 +224,14 @@ def _smooth_squares(comparison: Comparison, residual: np.ndarray, own: np.ndarra
     Filtered noise is correlated as far as the filter makes it; what is correlated beyond that is no
     noise. Expected value, since the correlation of noise differs from zero by chance.
     """
-    run = comparison.rows.sample_signal(lambda each: np.full(len(each.time), float(each.index)))
     time = comparison.rows.sample_signal(lambda each: each.time)
-    filters = {float(each.index): each.low_pass for each in comparison.runs}
     shared, square, white = 0.0, 0.0, 0.0
-    for number, low_pass in filters.items():
-        rows = own & (run == number)
+    for number, run in enumerate(comparison.runs):
+        rows = own & (comparison.rows.run == number)
         left, gaps = residual[rows], np.diff(time[rows])
         if len(left) < 2:
             continue
-        beside, white = gaps < 1.5 * gaps.min(), low_pass.row_correlation
+        beside, white = gaps < 1.5 * gaps.min(), run.low_pass.row_correlation
         shared += float(np.sum((left[1:] * left[:-1])[beside])) / float(np.mean(beside))
         shared -= white * float(left @ left)
         square += float(left @ left)
