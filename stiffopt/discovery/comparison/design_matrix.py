@@ -203,7 +203,9 @@ class DesignMatrix:
                 run, self.robot, self.tolerance, self.bodies, lambda name: name not in known
             )
             while together := list(islice(new, _batch_size(run))):
-                changes = channel_changes([each.added for each in together], run, self.robot)
+                like = run.signals.spring_torque
+                added = [each.contribution(like) for each in together]
+                changes = channel_changes(added, run, self.robot)
                 for each, change in zip(together, changes, strict=True):
                     sd[each.name] = each.sd
                     rows = columns.setdefault(each.name, np.zeros(self.rows.size))

@@ -172,24 +172,16 @@ class LocatedEffect:
             place = self.link if self.joint is None else self.joint
             seen = signals if place is None else replace(signals, link=place)
             term = self.effect.term(seen, amplitudes, self.shapes)
-            return Contribution(
-                _as_robot_array(term.drive_torque, like),
-                _as_robot_array(term.link_torque, like),
-                _as_robot_array(term.deflection, like),
-                _as_robot_array(term.reading, like),
-            )
+            parts = (term.drive_torque, term.link_torque, term.deflection, term.reading)
+            return Contribution(*(_as_robot_array(part, like) for part in parts))
         assert self.joint is not None
         term = self.effect.term(run.of_joint(self.joint), amplitudes, self.shapes)
-        drive = _as_joint_column(term.drive_torque, like, self.joint)
-        before = (
-            _as_joint_column(term.previous_torque, like, self.joint - 1) if self.joint else None
-        )
-        return Contribution(
-            _add_optional(drive, before),
-            _as_joint_column(term.link_torque, like, self.joint),
-            _as_joint_column(term.deflection, like, self.joint),
-            _as_joint_column(term.reading, like, self.joint),
-        )
+        parts = (term.drive_torque, term.link_torque, term.deflection, term.reading)
+        drive, *others = (_as_joint_column(part, like, self.joint) for part in parts)
+        if self.joint:
+            before = _as_joint_column(term.previous_torque, like, self.joint - 1)
+            drive = _add_optional(drive, before)
+        return Contribution(drive, *others)
 
     def unit_changes(
         self, run: PreparedRun, robot: RobotModel
@@ -352,17 +344,14 @@ class Extension:
 
     def minus(self, other: Extension) -> Extension:
         """Return the difference to another one."""
-        names = {**self.calibration, **other.calibration}
-        taken = (
-            replace(e, amplitudes=tuple(-value for value in e.amplitudes)) for e in other.effects
+        opposite = Extension(
+            calibration={name: -value for name, value in other.calibration.items()},
+            effects=tuple(
+                replace(e, amplitudes=tuple(-value for value in e.amplitudes))
+                for e in other.effects
+            ),
         )
-        return Extension(
-            calibration={
-                name: self.calibration.get(name, 0.0) - other.calibration.get(name, 0.0)
-                for name in names
-            },
-            effects=(*self.effects, *taken),
-        )
+        return self.plus(opposite)
 
     @property
     def fitted(self) -> Extension:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
@@ -168,7 +168,7 @@ class RobotModel:
 
     def spring_torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return the spring torque of rigid bodies and counterbalances [N m]."""
-        torque = self._bodies.torque(*(self._to_robot_order(x) for x in (q, v, a)))[:, self.order]
+        torque = self._bodies.torque(*self._ordered(q, v, a))[:, self.order]
         for balance in self._counterbalances:
             j = balance.joint
             torque[:, j] -= balance.at(q[:, j])
@@ -183,13 +183,13 @@ class RobotModel:
         self, q: np.ndarray, v: np.ndarray, a: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return torque derivatives by position, velocity, acceleration (K, n, n) each."""
-        slopes = self._bodies.torque_slopes(*(self._to_robot_order(x) for x in (q, v, a)))
+        slopes = self._bodies.torque_slopes(*self._ordered(q, v, a))
         position, velocity, acceleration = (x[:, self.order][..., self.order] for x in slopes)
         return position, velocity, acceleration
 
     def body_torques(self, body: int, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return the spring torques per inertial parameter of one body (K, n, 10)."""
-        motion = (self._to_robot_order(x) for x in (q, v, a))
+        motion = self._ordered(q, v, a)
         torques = body_torque_regressor(self.arm.tree, int(self.order[body]), *motion)
         # Avoid a copy of the largest array of a long run where both orders agree.
         return torques if np.all(self.order == np.arange(self.n)) else torques[:, self.order]
@@ -204,8 +204,7 @@ class RobotModel:
         """Return the spring torques (K, n) of changed inertial parameters (n, 10)."""
         by_body = np.empty_like(change)
         by_body[self.order] = change
-        motion = (self._to_robot_order(x) for x in (q, v, a))
-        return self._bodies.changed_torque(by_body, *motion)[:, self.order]
+        return self._bodies.changed_torque(by_body, *self._ordered(q, v, a))[:, self.order]
 
     def weight(self, q: np.ndarray) -> np.ndarray:
         """Return the gravity torque per gravity along the axes of the base (K, n, 3)."""
@@ -223,7 +222,7 @@ class RobotModel:
         for angle in angles:
             moved = q.copy()
             moved[:, joint] += angle
-            torque = self._bodies.torque(*(self._to_robot_order(x) for x in (moved, v, a))).T
+            torque = self._bodies.torque(*self._ordered(moved, v, a)).T
             for k, order in enumerate((1, 1, 2, 2)):
                 wave = np.cos(order * angle) if k % 2 else np.sin(order * angle)
                 found[k] += 2.0 / count * wave * torque[self.order]
@@ -263,6 +262,9 @@ class RobotModel:
         if run.temperature is None or reference is None:
             return np.zeros((self.n, count)).T
         return np.tile(np.asarray(run.temperature, dtype=float) - reference, (count, 1))
+
+    def _ordered(self, *motion: np.ndarray) -> Iterator[np.ndarray]:
+        return map(self._to_robot_order, motion)
 
     def _to_robot_order(self, values: np.ndarray) -> np.ndarray:
         """Return columns (K, n) in the robot's own joint order."""

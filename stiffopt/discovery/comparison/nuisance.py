@@ -36,18 +36,20 @@ GAIN, DAMPING = "actuator_gain", "actuator_damping"
 NameFilter = Callable[[ValueName], bool]
 
 
-def accept_every_value(_: ValueName) -> bool:
-    """Select all values."""
-    return True
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class NuisanceColumn:
-    """Contribution of one nominal value to the channels."""
+    """Contribution of one nominal value to the channels, or to those of one joint."""
 
-    name: ValueName
+    name: ValueName  # of a value of one joint its place is the joint
     sd: float  # tolerance of the value, one standard deviation
-    added: Contribution  # per unit of the value
+    field: str  # field of `Contribution`
+    values: np.ndarray  # per unit of the value: (K, n), or (K,) of one joint
+
+    def contribution(self, like: np.ndarray) -> Contribution:
+        """Return the contribution per unit to all channels; signals are like (K, n) others."""
+        if self.values.ndim > 1:
+            return Contribution(**{self.field: self.values})
+        return Contribution.of_joint(self.name.place, like, **{self.field: self.values})
 
 
 # Tolerances from nominal beyond which a value is outside its tolerance, which is one standard
@@ -95,33 +97,27 @@ def nuisance_columns(
     run: PreparedRun,
     robot: RobotModel,
     tolerance: Tolerance,
-    bodies: np.ndarray | None = None,
-    selected: NameFilter = accept_every_value,
+    bodies: np.ndarray | None,
+    selected: NameFilter,
 ) -> Iterator[NuisanceColumn]:
     """Yield columns of nominal values along a run, in the same order for every run.
 
     `bodies` (n, 10): standard deviations of all inertial parameters, in place of mass and centre of
     mass. `selected`: selects values by name.
     """
-    signals = run.signals
     if bodies is None:
         yield from _body_columns(run, robot, tolerance, selected)
     else:
-        for k, (name, sd) in enumerate(
-            zip(all_body_parameter_names(robot), bodies.ravel(), strict=True)
-        ):
+        names = all_body_parameter_names(robot)
+        for k, (name, sd) in enumerate(zip(names, bodies.ravel(), strict=True)):
             if selected(name):
-                torque = signals.body_regressor[..., k]
-                yield NuisanceColumn(name, float(sd), Contribution(link_torque=torque))
+                torque = run.signals.body_regressor[..., k]
+                yield NuisanceColumn(name, float(sd), "link_torque", torque)
     law = robot.recordings.actuator
     if law is not None and law.delay_deviation and selected(COMMAND_DELAY):
-        added = Contribution(command_rate(run, robot))
-        yield NuisanceColumn(COMMAND_DELAY, law.delay_deviation, added)
-    for own in joint_columns(run, robot, tolerance, selected):
-        like, values = signals.spring_torque, {own.field: own.values}
-        yield NuisanceColumn(
-            own.name, own.sd, Contribution.of_joint(own.name.place, like, **values)
-        )
+        rate = command_rate(run, robot)
+        yield NuisanceColumn(COMMAND_DELAY, law.delay_deviation, "torque", rate)
+    yield from joint_columns(run, robot, tolerance, selected)
 
 
 def command_rate(run: PreparedRun, robot: RobotModel) -> np.ndarray:
@@ -135,33 +131,18 @@ def command_rate(run: PreparedRun, robot: RobotModel) -> np.ndarray:
     return np.asarray(gains * run.signals.motor_velocity)
 
 
-@dataclass(frozen=True, eq=False)
-class JointColumn:
-    """Contribution of one nominal value to one joint."""
-
-    name: ValueName  # its place is the joint
-    sd: float  # tolerance of the value, one standard deviation
-    field: str  # field of `Contribution`
-    values: np.ndarray  # (K,) per unit of the value
-
-
 def joint_columns(
-    run: PreparedRun,
-    robot: RobotModel,
-    tolerance: Tolerance,
-    selected: NameFilter = accept_every_value,
-) -> Iterator[JointColumn]:
+    run: PreparedRun, robot: RobotModel, tolerance: Tolerance, selected: NameFilter
+) -> Iterator[NuisanceColumn]:
     """Yield the columns of nominal values that act on one joint each, joint by joint."""
     signals = run.signals
     for j in range(robot.n):
         for kind in _DRIVE_VALUES:
             sd, name = getattr(tolerance, kind), ValueName(kind, j)
-            if (
-                sd
-                and selected(name)
-                and np.any(values := _drive_torque_column(run, robot, kind, j))
-            ):
-                yield JointColumn(name, sd, "torque", values)
+            if not sd or not selected(name):
+                continue
+            if np.any(values := _drive_torque_column(run, robot, kind, j)):
+                yield NuisanceColumn(name, sd, "torque", values)
         yield from _servo_columns(run, robot, j, selected)
         if tolerance.stiffness:
             yield from _spring_columns(run, j, tolerance.stiffness, selected)
@@ -171,16 +152,16 @@ def joint_columns(
             nominal = signals.constants.joints[j].joint_damping
             taken = nominal * (signals.motor_velocity[:, j] - signals.link_velocity[:, j])
             relief = -taken / run.vibration.stiffness[:, j]
-            yield JointColumn(name, tolerance.joint_damping, "deflection", relief)
+            yield NuisanceColumn(name, tolerance.joint_damping, "deflection", relief)
         name = ValueName("encoder_zero", j)
         if tolerance.encoder_zero and selected(name):
             values = np.ones(len(signals.time))
-            yield JointColumn(name, tolerance.encoder_zero, "reading", values)
+            yield NuisanceColumn(name, tolerance.encoder_zero, "reading", values)
 
 
 def _servo_columns(
     run: PreparedRun, robot: RobotModel, j: int, selected: NameFilter
-) -> Iterator[JointColumn]:
+) -> Iterator[NuisanceColumn]:
     """Yield gain and damping of the servo of a joint that torques are derived from.
 
     They nearly cancel in motion: an error of either looks like viscous friction many times its
@@ -192,7 +173,7 @@ def _servo_columns(
     damping = law.damping[j] * signals.motor_velocity[:, j]
     for kind, values in ((GAIN, signals.drive_torque[:, j] + damping), (DAMPING, damping)):
         if selected(name := ValueName(kind, j)):
-            yield JointColumn(name, float(law.tolerance[j]), "torque", values)
+            yield NuisanceColumn(name, float(law.tolerance[j]), "torque", values)
 
 
 def _drive_torque_column(run: PreparedRun, robot: RobotModel, kind: str, j: int) -> np.ndarray:
@@ -209,7 +190,7 @@ def _drive_torque_column(run: PreparedRun, robot: RobotModel, kind: str, j: int)
 
 def _spring_columns(
     run: PreparedRun, j: int, sd: float, selected: NameFilter
-) -> Iterator[JointColumn]:
+) -> Iterator[NuisanceColumn]:
     signals = run.signals
     elastic = signals.windup[:, j]
     if run.vibration is not None:
@@ -246,7 +227,7 @@ def _columns_of_spring(
     spring: np.ndarray,
     sd: float,
     selected: NameFilter,
-) -> Iterator[JointColumn]:
+) -> Iterator[NuisanceColumn]:
     """Yield the columns of one spring with its elastic deflection and torque (K,)."""
     j = constants.joint - 1
     own = ValueName("stiffness", j)
@@ -255,13 +236,13 @@ def _columns_of_spring(
     if not asked or not constants.elastic or not np.any(spring):
         return
     if asked[0] == own:
-        yield JointColumn(own, sd, "deflection", elastic)
+        yield NuisanceColumn(own, sd, "deflection", elastic)
     yield from _knee_columns(constants, spring, asked)
 
 
 def _knee_columns(
     constants: JointConstants, spring: np.ndarray, asked: Collection[ValueName]
-) -> Iterator[JointColumn]:
+) -> Iterator[NuisanceColumn]:
     """Yield columns for torque and roundness of a reducer's slope changes."""
     if constants.slopes is None or constants.corners is None:
         return
@@ -274,10 +255,10 @@ def _knee_columns(
         beyond = (size - knee) / width
         if moved in asked:
             values = fall * knee * (side * np.clip(beyond, 0.0, 1.0))
-            yield JointColumn(moved, _RELATIVE_KNEE_SD, "deflection", values)
+            yield NuisanceColumn(moved, _RELATIVE_KNEE_SD, "deflection", values)
         if rounded in asked:
             values = side * fall * width * np.exp(-np.abs(beyond))
-            yield JointColumn(rounded, 1.0, "deflection", values)
+            yield NuisanceColumn(rounded, 1.0, "deflection", values)
 
 
 def _body_columns(
@@ -288,7 +269,7 @@ def _body_columns(
         sd = getattr(tolerance, name.kind)
         if sd and selected(name):
             torque = run.signals.body_regressor.torque_of_body(name.place, change)
-            yield NuisanceColumn(name, sd, Contribution(link_torque=torque))
+            yield NuisanceColumn(name, sd, "link_torque", torque)
 
 
 def body_parameter_changes(robot: RobotModel, values: Mapping[ValueName, float]) -> np.ndarray:

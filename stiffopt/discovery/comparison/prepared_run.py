@@ -252,36 +252,20 @@ def prepare_run(
             *(np.asfortranarray(getattr(links, part.name)) for part in fields(LinkMotion))
         )
         motor, velocity, acceleration = map(np.asfortranarray, (motor, velocity, acceleration))
-    q, v, a = links.position, links.velocity, links.acceleration
-    windup = robot.windup(links.spring)
     direction = smooth_sign(velocity) if vibration is None else mean_sign(velocity)
     friction = robot.friction(velocity, direction)
     if vibration is not None:
         friction = wide(friction)
     drive = robot.rotor_inertia * acceleration + links.torque + friction
     derived = robot.recordings.signals.commanded
-    signals = RobotSignals(
-        time=time,
-        run=run.name,
-        dt=dt,
-        session_time=time + (run.session_time or 0.0),
-        temperature_rise=robot.temperature_rise(run, len(time)),
-        motor_position=motor,
-        motor_velocity=velocity,
-        motor_acceleration=acceleration,
+    signals = _nominal_signals(
+        robot, run, constants, time, dt, (motor, velocity, acceleration), links
+    )
+    signals = replace(
+        signals,
         motor_direction=direction,
-        link_position=q,
-        link_velocity=v,
-        link_acceleration=a,
-        transmitted_torque=links.torque,
-        spring_torque=links.spring,
-        windup=windup,
         drive_torque=drive,
         drive_torque_rate=derivative(low_pass(drive), dt),
-        arm=LazyArmSignals(robot, q, v, a),
-        last_link=robot.n - 1,
-        link=robot.n - 1,
-        constants=constants or robot.constants,
         asked_torque=np.where(np.isfinite(torque), torque, drive) if derived else None,
     )
     moving = np.abs(velocity) >= settings.slow
@@ -311,6 +295,42 @@ def prepare_run(
     )
 
 
+def _nominal_signals(
+    robot: RobotModel,
+    run: RecordedRun,
+    constants: RobotConstants | None,
+    time: np.ndarray,
+    dt: float,
+    motor: tuple[np.ndarray, np.ndarray, np.ndarray],
+    links: LinkMotion,
+) -> RobotSignals:
+    """Return the signals of motors, by derivative, and links, without friction and rotors."""
+    rest = np.zeros_like(motor[0])
+    return RobotSignals(
+        time=time,
+        run=run.name,
+        dt=dt,
+        session_time=time + (run.session_time or 0.0),
+        temperature_rise=robot.temperature_rise(run, len(time)),
+        motor_position=motor[0],
+        motor_velocity=motor[1],
+        motor_acceleration=motor[2],
+        motor_direction=rest,
+        link_position=links.position,
+        link_velocity=links.velocity,
+        link_acceleration=links.acceleration,
+        transmitted_torque=links.torque,
+        spring_torque=links.spring,
+        windup=robot.windup(links.spring),
+        drive_torque=links.torque,
+        drive_torque_rate=rest,
+        arm=LazyArmSignals(robot, links.position, links.velocity, links.acceleration),
+        last_link=robot.n - 1,
+        link=robot.n - 1,
+        constants=constants or robot.constants,
+    )
+
+
 def _prepare_poses(
     robot: RobotModel, run: RecordedRun, index: int, constants: RobotConstants | None
 ) -> PreparedRun:
@@ -321,29 +341,10 @@ def _prepare_poses(
     for _ in range(_WINDUP_ITERATIONS if robot.elastic else 0):
         q = np.asfortranarray(run.position - robot.windup(robot.spring_torque(q, rest, rest)))
     spring = np.asfortranarray(robot.spring_torque(q, rest, rest))
-    signals = RobotSignals(
-        time=run.time,
-        run=run.name,
-        dt=1.0,
-        session_time=np.full(len(run.time), run.session_time or 0.0),
-        temperature_rise=robot.temperature_rise(run, len(run.time)),
-        motor_position=np.asfortranarray(run.position),
-        motor_velocity=rest,
-        motor_acceleration=rest,
-        motor_direction=rest,
-        link_position=q,
-        link_velocity=rest,
-        link_acceleration=rest,
-        transmitted_torque=spring,
-        spring_torque=spring,
-        windup=robot.windup(spring),
-        drive_torque=spring,
-        drive_torque_rate=rest,
-        arm=LazyArmSignals(robot, q, rest, rest),
-        last_link=robot.n - 1,
-        link=robot.n - 1,
-        constants=constants or robot.constants,
-    )
+    motor = (np.asfortranarray(run.position), rest, rest)
+    links = LinkMotion(q, rest, rest, spring, spring)
+    signals = _nominal_signals(robot, run, constants, run.time, 1.0, motor, links)
+    signals = replace(signals, session_time=np.full(len(run.time), run.session_time or 0.0))
     link = np.full(shape, np.nan) if run.link_position is None else run.link_position
     return PreparedRun(
         name=run.name,
