@@ -55,8 +55,7 @@ def statements(diagnosis: Diagnosis) -> list[Statement]:
     """Return the findings in words, in the order of what they explain, the named ones first."""
     listed_findings = [f for f in diagnosis.findings if f.probability >= MIN_LISTED_PROBABILITY]
     order = sorted(
-        listed_findings,
-        key=lambda f: (f.certainty == "possible", -explained_squares(diagnosis, f)),
+        listed_findings, key=lambda f: (f.certainty == "possible", -explained_squares(diagnosis, f))
     )
     return [_state_finding(diagnosis, finding) for finding in order]
 

@@ -15,18 +15,13 @@ from stiffopt.discovery.catalogue import CATALOGUE, changes_in, effects_of_runs
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.conclusions import build_findings, decide_verdict, describe_next_experiment
-from stiffopt.discovery.diagnosis import (
-    Diagnosis,
-)
+from stiffopt.discovery.diagnosis import Diagnosis
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.experiment.design import leading_pair, plan_experiment
 from stiffopt.discovery.extended.left_open import rescale_to_rate
 from stiffopt.discovery.extended.model import ExtendedModel, load_extended
 from stiffopt.discovery.extended.schema import LeftOpenSection
-from stiffopt.discovery.identifiable import (
-    effect_checks,
-    restrict_to_identifiable,
-)
+from stiffopt.discovery.identifiable import effect_checks, restrict_to_identifiable
 from stiffopt.discovery.judging.added_uncertainty import (
     add_band_deviation,
     add_scale_deviation,
@@ -36,9 +31,7 @@ from stiffopt.discovery.judging.added_uncertainty import (
 from stiffopt.discovery.judging.bursts import find_bursts
 from stiffopt.discovery.judging.detection_limits import detection_limits
 from stiffopt.discovery.judging.ensemble import recurrence
-from stiffopt.discovery.judging.episodes import (
-    training_tracks,
-)
+from stiffopt.discovery.judging.episodes import training_tracks
 from stiffopt.discovery.judging.explained_shares import split_extension
 from stiffopt.discovery.judging.friction_refit import refit_friction
 from stiffopt.discovery.judging.held_out import HeldOutRuns
@@ -59,10 +52,7 @@ from stiffopt.discovery.search.candidates import Scorer
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import SearchResult
 from stiffopt.discovery.search.tournament import describe_tournament
-from stiffopt.discovery.search.uncertainty import (
-    Estimate,
-    estimate_parameters,
-)
+from stiffopt.discovery.search.uncertainty import Estimate, estimate_parameters
 from stiffopt.discovery.search_training import TrainingSearch
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.steps import (
@@ -259,8 +249,7 @@ def _run_diagnosis(
         lambda: build_findings(result.comparison, selected, parameters, training, again)
     )
     limits = steps.run(
-        LIMITS,
-        lambda: detection_limits(Scorer(result.comparison, located), sought, result.effects),
+        LIMITS, lambda: detection_limits(Scorer(result.comparison, located), sought, result.effects)
     )
     found = Extension(calibration=parameters.calibration(), effects=parameters.effects)
     if unexplained is None and not findings and not runs[0].at_rest:

@@ -92,13 +92,13 @@ class Predictor:
         # Drive torque and motor minus link angle (K, n).
         channels: list[tuple[np.ndarray, np.ndarray]] = []
         for extensions in several:
-            usual = extend_run(self.nominal, self.robot, *extensions)
+            usual = extend_run(self.nominal, *extensions)
             deflection = usual.signals.windup + usual.added_deflection
             channels.append((usual.signals.drive_torque.copy(), deflection))
         for band, joints in self._others.items():
             other = self._prepare_band(band)
             for (drive, _), extensions in zip(channels, several, strict=True):
-                along = extend_run(other, self.robot, *extensions).signals.drive_torque
+                along = extend_run(other, *extensions).signals.drive_torque
                 drive[:, joints] = along[:, joints]
         while channels:
             drive, deflection = channels.pop(0)
@@ -111,7 +111,7 @@ class Predictor:
     def torque(self, band: float, *extensions: Extension) -> np.ndarray:
         """Predict the drive torques (R, n) from the motion in one band [Hz]."""
         own = self.nominal if band == self.nominal.low_pass.cutoff else self._prepare_band(band)
-        drive = extend_run(own, self.robot, *extensions).signals.drive_torque
+        drive = extend_run(own, *extensions).signals.drive_torque
         return _interpolate_columns(own.time, drive, self.run.stamps)
 
 

@@ -78,22 +78,13 @@ class Training:
     @cached_property
     def _columns(self) -> DesignMatrix:
         """Design matrix that every search starts from."""
-        return DesignMatrix(
-            self.robot, self.runs, self.noise.channels, self.tolerance, self.start, Extension()
-        )
+        noise = self.noise.channels
+        return DesignMatrix(self.robot, self.runs, noise, self.tolerance, self.start)
 
     def comparison(self) -> Comparison:
         """Return the comparison that a search starts from."""
-        return Comparison(
-            self.robot,
-            self.runs,
-            self.noise.channels,
-            self.tolerance,
-            start=self.start,
-            least=self.least,
-            suspects=self.suspects,
-            columns=self._columns.with_bodies(None),
-        )
+        columns = self._columns.with_bodies(None)
+        return Comparison(columns, least=self.least, suspects=self.suspects)
 
 
 def open_training_runs(recordings: RecordingSet, say: Say = lambda _: None) -> list[RecordedRun]:

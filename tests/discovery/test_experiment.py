@@ -13,6 +13,7 @@ import pytest
 from benchmarks.simulator import CaseSpec, simulate, write_case
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.design_matrix import DesignMatrix
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.experiment.design import ExperimentPlan, leading_pair, plan_experiment
 from stiffopt.discovery.experiment.motion import (
@@ -103,7 +104,7 @@ def test_separation_is_residual_of_rival_refit() -> None:
     own = found()
     run = own.training.runs[0]
     base = own.comparison
-    single = Comparison(base.robot, [run], base.noise, base.tolerance)
+    single = Comparison(DesignMatrix(base.robot, (run,), base.noise, base.tolerance))
     left = []
     fits = [base.fit((e,)) for e in (COULOMB, STRIBECK)]
     columns = [single.stack_columns([e]) for e in (COULOMB, STRIBECK)]

@@ -93,7 +93,7 @@ def heavy(tmp_path_factory):
 def shown(training, run):
     """The run as links show it that begin in a swing of two modes, and their true signals."""
     state = 0.7 * run.initial_states()[:, 0] + 0.7 * run.initial_states()[:, 1]
-    true = with_initial_state(run, training.comparison(), state).signals
+    true = with_initial_state(run, state).signals
     read = replace(
         run,
         torque=run.torque + true.drive_torque - run.signals.drive_torque,

@@ -12,6 +12,7 @@ from shipped_set import SHIPPED
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.channel_rows import ChannelNoise
 from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.design_matrix import DesignMatrix
 from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.search.cross_validation import FoldPredictions
@@ -66,7 +67,7 @@ def test_noise_that_is_stated_too_small_leaves_nothing_open() -> None:
     """What the channels hold above the filter's band is noise, whatever the set states."""
     whole = prepare_training(load_recordings(SHIPPED), Settings()).comparison()
     noise = ChannelNoise(0.5 * whole.noise.torque, 0.5 * whole.noise.deflection)
-    optimistic = Comparison(whole.robot, whole.runs, noise, whole.tolerance)
+    optimistic = Comparison(DesignMatrix(whole.robot, whole.runs, noise, whole.tolerance))
     there = LocatedEffect(effect=effect("coulomb"), joint=1)
     (gain,) = left_out_gains(optimistic, [there])
     assert gain.open_share < 0.1

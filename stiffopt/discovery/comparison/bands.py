@@ -53,12 +53,7 @@ def candidate_bands(runs: Sequence[RecordedRun], usual: float) -> list[float]:
 
 
 def choose_fit_band(
-    robot: RobotModel,
-    runs: Sequence[RecordedRun],
-    *,
-    slow: float,
-    fit: float,
-    predict: float,
+    robot: RobotModel, runs: Sequence[RecordedRun], *, slow: float, fit: float, predict: float
 ) -> float:
     """Return the band of a fit that best predicts stretches left out [Hz].
 

@@ -82,9 +82,7 @@ class ChannelRows:
         )
 
     def flatten(
-        self,
-        torque: Sequence[np.ndarray | None],
-        deflection: Sequence[np.ndarray | None],
+        self, torque: Sequence[np.ndarray | None], deflection: Sequence[np.ndarray | None]
     ) -> np.ndarray:
         """Return one column of rows from additions (K, n) to the channels of every run."""
         out = np.zeros(self.size)

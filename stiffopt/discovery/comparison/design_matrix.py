@@ -38,6 +38,7 @@ _START_CACHE_BYTES, _RECENT_CACHE_SIZE = 2**27, 64
 _BATCH_BYTES = 2**21
 # Number of earlier linearisations in memory.
 _MAX_EARLIER = 4
+_NOTHING = Extension()
 # Largest linearisation error of the links before a new linearisation, rms over the residual noise.
 MAX_LINEARISATION_ERROR = 0.3
 
@@ -74,12 +75,12 @@ class DesignMatrix:
         runs: tuple[PreparedRun, ...],
         noise: ChannelNoise,
         tolerance: Tolerance,
-        start: Extension,
-        found: Extension,
+        start: Extension = _NOTHING,
+        found: Extension = _NOTHING,
     ) -> None:
         self.robot, self.noise, self.tolerance = robot, noise, tolerance
         self.start, self.found, self.nominal_runs = start, found, runs
-        about = [linearise_run(run, robot, start, found) for run in runs]
+        about = [linearise_run(run, start, found) for run in runs]
         self.runs = tuple(run for run, _, _ in about)
         self._own_share = [(torque, deflection) for _, torque, deflection in about]
         self.rows = ChannelRows(self.runs, noise, self._blocks_per_run())
@@ -199,13 +200,11 @@ class DesignMatrix:
         # A joint at rest, or links without a solution, have no column in a run. A few columns after
         # others: a long run has no memory for all of them before decimation.
         for number, run in enumerate(self.runs):
-            new = nuisance_columns(
-                run, self.robot, self.tolerance, self.bodies, lambda name: name not in known
-            )
+            new = nuisance_columns(run, self.tolerance, self.bodies, lambda name: name not in known)
             while together := list(islice(new, _batch_size(run))):
                 like = run.signals.spring_torque
                 added = [each.contribution(like) for each in together]
-                changes = channel_changes(added, run, self.robot)
+                changes = channel_changes(added, run)
                 for each, change in zip(together, changes, strict=True):
                     sd[each.name] = each.sd
                     rows = columns.setdefault(each.name, np.zeros(self.rows.size))
@@ -344,7 +343,7 @@ class DesignMatrix:
 
     def _robot_effect_pieces(self, located: LocatedEffect) -> PieceColumns:
         """Return the columns of an effect of the robot or a link."""
-        per_run = [located.columns(run, self.robot) for run in self.runs]
+        per_run = [located.columns(run) for run in self.runs]
         rows = [
             self.rows.flatten([c[0] for c in each], [c[1] for c in each])
             for each in zip(*per_run, strict=True)
@@ -358,7 +357,7 @@ class DesignMatrix:
         # Run by run: vibrating links respond in all channels, which takes memory.
         for number, run in enumerate(self.runs):
             for own, size, of_run in zip(
-                parts, sizes, effect_channel_changes(effects, run, self.robot), strict=True
+                parts, sizes, effect_channel_changes(effects, run), strict=True
             ):
                 stretches = self.rows.channel_columns(number, of_run, len(size))
                 own.extend((begin, part * size) for begin, part in stretches)

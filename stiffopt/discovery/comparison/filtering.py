@@ -158,11 +158,7 @@ def resample_uniform(run: RecordedRun) -> tuple[np.ndarray, np.ndarray, np.ndarr
     count = int(np.floor((run.time[-1] - run.time[0]) / step + 1e-6)) + 1
     time = run.time[0] + step * np.arange(count)
     empty = np.full_like(run.position, np.nan)
-    channels = (
-        run.position,
-        empty if run.link_position is None else run.link_position,
-        run.torque,
-    )
+    channels = (run.position, empty if run.link_position is None else run.link_position, run.torque)
     if count == len(run.time) and np.allclose(time, run.time, rtol=0.0, atol=1e-3 * step):
         return (time, *(np.array(c, dtype=float) for c in channels))
     motor, link, torque = channels

@@ -9,7 +9,6 @@ from typing import Literal
 
 import numpy as np
 
-from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.effect import Effect
@@ -45,13 +44,13 @@ class Contribution:
 
 
 def channel_changes(
-    contributions: Sequence[Contribution], run: PreparedRun, robot: RobotModel
+    contributions: Sequence[Contribution], run: PreparedRun
 ) -> list[tuple[np.ndarray | None, np.ndarray | None]]:
     """Return changes of drive torque and motor minus link angle, (K, n) each or None.
 
     Vibrating links respond to all contributions together.
     """
-    answers = run.respond(robot, [(each.link_torque, each.deflection) for each in contributions])
+    answers = run.respond([(each.link_torque, each.deflection) for each in contributions])
     return [
         (_add_optional(each.torque, torque), _add_optional(each.reading, deflection))
         for each, (torque, deflection) in zip(contributions, answers, strict=True)
@@ -183,9 +182,7 @@ class LocatedEffect:
             drive = _add_optional(drive, before)
         return Contribution(drive, *others)
 
-    def unit_changes(
-        self, run: PreparedRun, robot: RobotModel
-    ) -> tuple[list[ChannelChange], list[LinkLoad]]:
+    def unit_changes(self, run: PreparedRun) -> tuple[list[ChannelChange], list[LinkLoad]]:
         """Return changes per unit of each amplitude, and loads on vibrating links."""
         assert self.joint is not None
         if not self.acts_in(run.name):
@@ -204,7 +201,7 @@ class LocatedEffect:
             if run.vibration is None:
                 torque, deflection = torque + link, wound + deflection
                 if loaded:
-                    deflection = deflection + run.compliance(robot, self.joint) * link
+                    deflection = deflection + run.compliance(self.joint) * link
             elif loaded or wound.any():
                 loads.append((i, link, wound))
             added: tuple[tuple[Kind, int, np.ndarray], ...] = (
@@ -217,23 +214,21 @@ class LocatedEffect:
                     changes.append((kind, joint, i, np.broadcast_to(values, run.time.shape)))
         return changes, loads
 
-    def columns(
-        self, run: PreparedRun, robot: RobotModel
-    ) -> list[tuple[np.ndarray | None, np.ndarray | None]]:
+    def columns(self, run: PreparedRun) -> list[tuple[np.ndarray | None, np.ndarray | None]]:
         """Return the changes of torque and deflection per unit of each amplitude."""
         units = np.eye(len(self.effect.amplitudes)).tolist()
-        return channel_changes([self.contribution(run, unit) for unit in units], run, robot)
+        return channel_changes([self.contribution(run, unit) for unit in units], run)
 
 
 def effect_channel_changes(
-    effects: Sequence[LocatedEffect], run: PreparedRun, robot: RobotModel
+    effects: Sequence[LocatedEffect], run: PreparedRun
 ) -> list[list[ChannelChange]]:
     """Return changes of single channels per unit amplitude, for effects of joints.
 
     Several changes of one channel add up. Responses of vibrating links to all effects are computed
     together.
     """
-    both = [each.unit_changes(run, robot) for each in effects]
+    both = [each.unit_changes(run) for each in effects]
     found, vibration = [changes for changes, _ in both], run.vibration
     loaded_links = [(k, *load) for k, (_, loads) in enumerate(both) for load in loads]
     if vibration is None or not loaded_links:
@@ -245,7 +240,7 @@ def effect_channel_changes(
         *(np.stack([np.broadcast_to(x, run.time.shape) for x in each]) for each in (links, wounds)),
     )
     for k, i, torques, deflections in zip(owners, amplitudes, *answers, strict=True):
-        for joint in range(robot.n):
+        for joint in range(run.robot.n):
             found[k].append(("torque", joint, i, torques[:, joint]))
             found[k].append(("deflection", joint, i, deflections[:, joint]))
     return found

@@ -22,11 +22,7 @@ from stiffopt.discovery.signals import (
 )
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
-from stiffopt.robot.batched_kinematics import (
-    body_torque_regressor,
-    frame_positions,
-    tool_jacobians,
-)
+from stiffopt.robot.batched_kinematics import body_torque_regressor, frame_positions, tool_jacobians
 from stiffopt.robot.frames import first_link_of
 
 # Step of a centre of mass for the slopes of inertial parameters [m].

@@ -94,11 +94,7 @@ def select_outside(
 
 
 def nuisance_columns(
-    run: PreparedRun,
-    robot: RobotModel,
-    tolerance: Tolerance,
-    bodies: np.ndarray | None,
-    selected: NameFilter,
+    run: PreparedRun, tolerance: Tolerance, bodies: np.ndarray | None, selected: NameFilter
 ) -> Iterator[NuisanceColumn]:
     """Yield columns of nominal values along a run, in the same order for every run.
 
@@ -106,44 +102,44 @@ def nuisance_columns(
     mass. `selected`: selects values by name.
     """
     if bodies is None:
-        yield from _body_columns(run, robot, tolerance, selected)
+        yield from _body_columns(run, tolerance, selected)
     else:
-        names = all_body_parameter_names(robot)
+        names = all_body_parameter_names(run.robot)
         for k, (name, sd) in enumerate(zip(names, bodies.ravel(), strict=True)):
             if selected(name):
                 torque = run.signals.body_regressor[..., k]
                 yield NuisanceColumn(name, float(sd), "link_torque", torque)
-    law = robot.recordings.actuator
+    law = run.robot.recordings.actuator
     if law is not None and law.delay_deviation and selected(COMMAND_DELAY):
-        rate = command_rate(run, robot)
+        rate = command_rate(run)
         yield NuisanceColumn(COMMAND_DELAY, law.delay_deviation, "torque", rate)
-    yield from joint_columns(run, robot, tolerance, selected)
+    yield from joint_columns(run, tolerance, selected)
 
 
-def command_rate(run: PreparedRun, robot: RobotModel) -> np.ndarray:
+def command_rate(run: PreparedRun) -> np.ndarray:
     """Return the drive torque (K, n) per delay of commands [N m/s].
 
     A command that acts later gives less torque by its rate, which is that of the motion.
     """
-    law = robot.recordings.actuator
+    law = run.robot.recordings.actuator
     assert law is not None
     gains = np.where(np.isfinite(law.stiffness), law.stiffness, 0.0)
     return np.asarray(gains * run.signals.motor_velocity)
 
 
 def joint_columns(
-    run: PreparedRun, robot: RobotModel, tolerance: Tolerance, selected: NameFilter
+    run: PreparedRun, tolerance: Tolerance, selected: NameFilter
 ) -> Iterator[NuisanceColumn]:
     """Yield the columns of nominal values that act on one joint each, joint by joint."""
     signals = run.signals
-    for j in range(robot.n):
+    for j in range(run.robot.n):
         for kind in _DRIVE_VALUES:
             sd, name = getattr(tolerance, kind), ValueName(kind, j)
             if not sd or not selected(name):
                 continue
-            if np.any(values := _drive_torque_column(run, robot, kind, j)):
+            if np.any(values := _drive_torque_column(run, kind, j)):
                 yield NuisanceColumn(name, sd, "torque", values)
-        yield from _servo_columns(run, robot, j, selected)
+        yield from _servo_columns(run, j, selected)
         if tolerance.stiffness:
             yield from _spring_columns(run, j, tolerance.stiffness, selected)
         name = ValueName("joint_damping", j)
@@ -159,15 +155,13 @@ def joint_columns(
             yield NuisanceColumn(name, tolerance.encoder_zero, "reading", values)
 
 
-def _servo_columns(
-    run: PreparedRun, robot: RobotModel, j: int, selected: NameFilter
-) -> Iterator[NuisanceColumn]:
+def _servo_columns(run: PreparedRun, j: int, selected: NameFilter) -> Iterator[NuisanceColumn]:
     """Yield gain and damping of the servo of a joint that torques are derived from.
 
     They nearly cancel in motion: an error of either looks like viscous friction many times its
     share of the torque that they leave.
     """
-    law, signals = robot.recordings.actuator, run.signals
+    law, signals = run.robot.recordings.actuator, run.signals
     if law is None or not (law.scaled[j] and law.damping[j] > 0.0):
         return
     damping = law.damping[j] * signals.motor_velocity[:, j]
@@ -176,16 +170,16 @@ def _servo_columns(
             yield NuisanceColumn(name, float(law.tolerance[j]), "torque", values)
 
 
-def _drive_torque_column(run: PreparedRun, robot: RobotModel, kind: str, j: int) -> np.ndarray:
+def _drive_torque_column(run: PreparedRun, kind: str, j: int) -> np.ndarray:
     """Return the drive torque (K,) of one joint per unit of a relative value."""
     signals = run.signals
     if kind == "torque_constant":
         return np.asarray(signals.drive_torque[:, j])
     if kind == "rotor_inertia":
-        return np.asarray(robot.rotor_inertia[j] * signals.motor_acceleration[:, j])
+        return np.asarray(run.robot.rotor_inertia[j] * signals.motor_acceleration[:, j])
     if kind == "viscous":
-        return np.asarray(robot.viscous[j] * signals.motor_velocity[:, j])
-    return np.asarray(robot.coulomb[j] * signals.motor_direction[:, j])
+        return np.asarray(run.robot.viscous[j] * signals.motor_velocity[:, j])
+    return np.asarray(run.robot.coulomb[j] * signals.motor_direction[:, j])
 
 
 def _spring_columns(
@@ -262,10 +256,10 @@ def _knee_columns(
 
 
 def _body_columns(
-    run: PreparedRun, robot: RobotModel, tolerance: Tolerance, selected: NameFilter
+    run: PreparedRun, tolerance: Tolerance, selected: NameFilter
 ) -> Iterator[NuisanceColumn]:
     """Yield columns for mass and centre of mass of every body."""
-    for name, change in robot.body_value_slopes.items():
+    for name, change in run.robot.body_value_slopes.items():
         sd = getattr(tolerance, name.kind)
         if sd and selected(name):
             torque = run.signals.body_regressor.torque_of_body(name.place, change)

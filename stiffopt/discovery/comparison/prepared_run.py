@@ -85,6 +85,7 @@ def _sample_noise(samples: np.ndarray) -> np.ndarray:
 class PreparedRun:
     """Run with filtered signals and the nominal prediction."""
 
+    robot: RobotModel
     name: str
     role: str
     index: int  # index among the compared runs
@@ -138,11 +139,13 @@ class PreparedRun:
             self._joints[index] = self.signals.of_joint(index)
         return self._joints[index]
 
-    def compliance(self, robot: RobotModel, index: int) -> np.ndarray:
+    def compliance(self, index: int) -> np.ndarray:
         """Return the nominal tangent compliance of one joint (0-based) (K,) [rad/(N m)]."""
         if index not in self._compliance:
             torque = self.of_joint(index).spring_torque
-            self._compliance[index] = np.asarray(robot.constants.joints[index].compliance(torque))
+            self._compliance[index] = np.asarray(
+                self.robot.constants.joints[index].compliance(torque)
+            )
         return self._compliance[index]
 
     def initial_states(self, band: float | None = None) -> np.ndarray:
@@ -177,19 +180,14 @@ class PreparedRun:
         )
 
     def springs(
-        self,
-        robot: RobotModel,
-        damping: np.ndarray | None = None,
-        laws: Mapping[int, SpringLaw] | None = None,
+        self, damping: np.ndarray | None = None, laws: Mapping[int, SpringLaw] | None = None
     ) -> Springs:
         """Return the springs of this run, with other damping and laws if given."""
         s = self.signals
-        return Springs(robot, s.motor_position, s.motor_velocity, s.dt, damping, laws)
+        return Springs(self.robot, s.motor_position, s.motor_velocity, s.dt, damping, laws)
 
     def respond(
-        self,
-        robot: RobotModel,
-        loads: Sequence[tuple[np.ndarray | None, np.ndarray | None]],
+        self, loads: Sequence[tuple[np.ndarray | None, np.ndarray | None]]
     ) -> list[tuple[np.ndarray | None, np.ndarray | None]]:
         """Return changes of torque and deflection between motor and link (K, n), or None, by load.
 
@@ -200,7 +198,7 @@ class PreparedRun:
             return self.vibration.respond(loads)
         if all(link_torque is None for link_torque, _ in loads):
             return list(loads)
-        compliance = robot.compliance(self.signals.spring_torque)
+        compliance = self.robot.compliance(self.signals.spring_torque)
         found: list[tuple[np.ndarray | None, np.ndarray | None]] = []
         for link_torque, deflection in loads:
             wound = deflection
@@ -279,6 +277,7 @@ def prepare_run(
     torque_count = np.array([resolution(own) or 0.0 for own in run.torque.T])
     return PreparedRun(
         torque_count=torque_count,
+        robot=robot,
         name=run.name,
         role=run.role,
         index=index,
@@ -347,6 +346,7 @@ def _prepare_poses(
     signals = replace(signals, session_time=np.full(len(run.time), run.session_time or 0.0))
     link = np.full(shape, np.nan) if run.link_position is None else run.link_position
     return PreparedRun(
+        robot=robot,
         name=run.name,
         role=run.role,
         index=index,
@@ -364,7 +364,7 @@ def _prepare_poses(
     )
 
 
-def with_link_torque(prepared: PreparedRun, robot: RobotModel, added: np.ndarray) -> PreparedRun:
+def with_link_torque(prepared: PreparedRun, added: np.ndarray) -> PreparedRun:
     """Return the run with a link torque (K, n) added to its nominal spring torque."""
     signals = prepared.signals
     spring = signals.spring_torque + added
@@ -374,7 +374,7 @@ def with_link_torque(prepared: PreparedRun, robot: RobotModel, added: np.ndarray
             signals,
             transmitted_torque=signals.transmitted_torque + added,
             spring_torque=spring,
-            windup=robot.windup(spring),
+            windup=prepared.robot.windup(spring),
             drive_torque=signals.drive_torque + added,
         ),
     )

@@ -142,10 +142,7 @@ def plan_experiment(
 
 
 def _search_motions(
-    training: Training,
-    limits: MotionLimits,
-    duration: float,
-    rated: Callable[[Trajectory], float],
+    training: Training, limits: MotionLimits, duration: float, rated: Callable[[Trajectory], float]
 ) -> tuple[Trajectory | None, float]:
     """Return the best motion found, with its separation."""
     random = np.random.default_rng(1)

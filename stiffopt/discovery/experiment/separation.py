@@ -9,6 +9,7 @@ import numpy as np
 
 from stiffopt.discovery.comparison.channel_rows import ChannelNoise
 from stiffopt.discovery.comparison.comparison import Comparison, Fit
+from stiffopt.discovery.comparison.design_matrix import DesignMatrix
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.comparison.value_name import ValueName
@@ -68,14 +69,9 @@ class Separation:
         # More samples of the same motion lower the noise that passes the filter.
         finer = 1.0 if step is None else float(np.sqrt(step / run.signals.dt))
         noise = ChannelNoise(base.noise.torque * finer, base.noise.deflection * finer)
-        signals = replace(run.signals, constants=base.constants)
-        return Comparison(
-            base.robot,
-            [replace(run, signals=signals)],
-            noise,
-            base.tolerance,
-            inflation=base.inflation,
-        )
+        along = replace(run, signals=replace(run.signals, constants=base.constants))
+        columns = DesignMatrix(base.robot, (along,), noise, base.tolerance)
+        return Comparison(columns, inflation=base.inflation)
 
     def _parameter_columns(self, here: Comparison, each: _Explanation) -> np.ndarray:
         names, _ = here.priors

@@ -258,11 +258,7 @@ def solve_extended(
         carried = assess(changed, nominal.trajectory)
     solution = solve(changed, progress=progress, throw=False)
     loop = ClosedLoop(
-        problem=changed,
-        planner=planner,
-        nominal=nominal,
-        carried_over=carried,
-        solution=solution,
+        problem=changed, planner=planner, nominal=nominal, carried_over=carried, solution=solution
     )
     notes = (*solution.notes, *_describe_changes(planner, model), *_compare_motions(loop))
     return replace(loop, solution=replace(solution, notes=notes))

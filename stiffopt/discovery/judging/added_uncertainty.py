@@ -17,17 +17,14 @@ from stiffopt.discovery.comparison.prepared_run import prepare_run
 from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.uncertainty import Estimate, estimate_parameters
-from stiffopt.discovery.thresholds import (
-    FINDING_DEVIATIONS,
-)
+from stiffopt.discovery.thresholds import FINDING_DEVIATIONS
 from stiffopt.discovery.training import Training
 
 Found = tuple[tuple[Selected, ...], Estimate]
 
 
 def drop_insignificant(
-    selected: Sequence[Selected],
-    estimated: Callable[[Sequence[Selected]], Found],
+    selected: Sequence[Selected], estimated: Callable[[Sequence[Selected]], Found]
 ) -> Found:
     """Estimate findings, and drop insignificant ones one after another.
 

@@ -68,7 +68,7 @@ def find_bursts(training: Training, found: Extension) -> Unexplained | None:
     for recorded, run in zip(training.recorded, training.runs, strict=True):
         if run.vibration is None:
             return None
-        predicted = extend_run(run, training.robot, *training.before, found)
+        predicted = extend_run(run, *training.before, found)
         drive = predicted.signals.drive_torque
         kept_noise = noise * run.motion_filter.noise_gain
         left = (run.motion_filter(bridge_gaps(run.torque)) - drive) / kept_noise

@@ -38,8 +38,7 @@ class ExtensionPart:
             extension = replace(extension, calibration={})
         keys = {located.key for located in self.effects}
         return replace(
-            extension,
-            effects=tuple(e for e in extension.effects if e.located.key not in keys),
+            extension, effects=tuple(e for e in extension.effects if e.located.key not in keys)
         )
 
 

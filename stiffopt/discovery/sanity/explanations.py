@@ -303,21 +303,14 @@ class Explanations:
         if not np.abs(pulls).max() > 0.0:
             return None
         direction = self._fit_gravity_direction(moving, pulls)
-        if direction is None:
-            return self._explain_without_weight(moving)
+        if direction is None:  # no weight at all: a controller may add its compensation later
+            direction = np.zeros(3)
         spring = moving + pulls @ (9.81 * direction)
         left = self._residual_shares(replace(motion, spring=spring), self.samples.torque)
         # A spring at one joint may look similar, but not at all joints that carry weight.
         if not np.all((left <= self.left + 0.05) | np.isnan(left)):
             return None
         return self._accept_explanation(left, self.own, gravity=direction, against=self.strict)
-
-    def _explain_without_weight(self, moving: np.ndarray) -> Explanation | None:
-        """Explain by torques without weight, if a controller adds gravity compensation later."""
-        left = self._residual_shares(replace(self.motion, spring=moving), self.samples.torque)
-        if not np.all((left <= self.left + 0.05) | np.isnan(left)):
-            return None
-        return self._accept_explanation(left, self.own, gravity=np.zeros(3), against=self.strict)
 
     def _fit_gravity_direction(self, moving: np.ndarray, pulls: np.ndarray) -> np.ndarray | None:
         """Return the unit vector of gravity that fits the torques best, rounded to a near axis."""

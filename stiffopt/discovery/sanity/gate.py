@@ -10,12 +10,7 @@ import numpy as np
 
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.sanity.command_doubts import doubt_commands
-from stiffopt.discovery.sanity.doubt import (
-    Doubt,
-    DoubtfulRecordings,
-    format_joints,
-    limit_to_runs,
-)
+from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings, format_joints, limit_to_runs
 from stiffopt.discovery.sanity.explanation_doubts import describe_explanation, doubt_degrees
 from stiffopt.discovery.sanity.explanations import Explanation, Explanations
 from stiffopt.discovery.sanity.interpretations import Samples, sample_runs

@@ -168,8 +168,7 @@ class Reading:
     def with_offset(self, joint: int, offset: float) -> Reading:
         """Return the reading with another zero of one joint [rad]."""
         return replace(
-            self,
-            offset=tuple(offset if k == joint else own for k, own in enumerate(self.offset)),
+            self, offset=tuple(offset if k == joint else own for k, own in enumerate(self.offset))
         )
 
     def _turn_zero(self, joint: int) -> Iterator[Reading]:

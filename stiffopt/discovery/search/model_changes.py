@@ -10,11 +10,7 @@ from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.candidates import Candidate, Scorer, scan
-from stiffopt.discovery.search.joint_fit import (
-    STOPPED_MESSAGE,
-    fit_jointly,
-    passes_thresholds,
-)
+from stiffopt.discovery.search.joint_fit import STOPPED_MESSAGE, fit_jointly, passes_thresholds
 from stiffopt.discovery.search.left_out_gain import select_predictive
 from stiffopt.discovery.thresholds import (
     EQUIVALENT_EVIDENCE_SHARE,

@@ -13,9 +13,7 @@ from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.progress import RoundProgress
 from stiffopt.discovery.search.candidates import Candidate, Scorer, scan
-from stiffopt.discovery.search.joint_fit import (
-    fit_jointly,
-)
+from stiffopt.discovery.search.joint_fit import fit_jointly
 from stiffopt.discovery.signals import RobotConstants
 from stiffopt.discovery.thresholds import (
     ADDED_MASS_OFFSET,
