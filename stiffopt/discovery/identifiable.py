@@ -124,25 +124,18 @@ def effect_checks(
 
     still = any(one.at_rest for one in facts)
 
-    def check_at_rest(effect: Effect, wanted: Iterable[Need], joint: int | None) -> EffectCheck:
-        """Check an effect with poses at rest: it must act without motion."""
-        lacks = [MISSING_DATA[n] for n in wanted if n not in _MOTION_NEEDS and not met(n, joint)]
-        if not lacks and (effect.of_runs is not None or not acts_at_rest(effect)):
+    def check(effect: Effect, wanted: Iterable[Need], joint: int | None) -> EffectCheck:
+        """Check an effect; with poses at rest it must act without motion."""
+        missing = [need for need in wanted if not met(need, joint)]
+        if still:
+            missing = [need for need in missing if need not in _MOTION_NEEDS]
+        elif missing and missing[0] in _PREREQUISITE_NEEDS:
+            missing = missing[:1]
+        lacks = [MISSING_DATA[need] for need in missing]
+        if still and not lacks and (effect.of_runs is not None or not acts_at_rest(effect)):
             lacks = ["all poses are at rest"]
         place = None if joint is None else joint + 1
         return EffectCheck(effect=effect, joint=place, lacks=tuple(lacks))
-
-    def check(effect: Effect, wanted: Iterable[Need], joint: int | None) -> EffectCheck:
-        if still:
-            return check_at_rest(effect, wanted, joint)
-        missing = [need for need in wanted if not met(need, joint)]
-        if missing and missing[0] in _PREREQUISITE_NEEDS:
-            missing = missing[:1]
-        return EffectCheck(
-            effect=effect,
-            joint=None if joint is None else joint + 1,
-            lacks=tuple(MISSING_DATA[need] for need in missing),
-        )
 
     wanted = [(effect, required_signals(effect)) for effect in effects]
     robot = [pair for pair in wanted if pair[0].of_robot]

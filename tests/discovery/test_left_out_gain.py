@@ -45,9 +45,8 @@ def test_noise_above_the_stated_one_is_no_open_law(noise: float, wave: float, op
     time = time[:: low_pass.step]
     residual = samples + wave * np.sin(2.0 * np.pi * 0.5 * time)
     run = SimpleNamespace(time=time, index=0, low_pass=low_pass)
-    comparison: Any = SimpleNamespace(
-        runs=[run], rows=SimpleNamespace(sample_signal=lambda signal: signal(run))
-    )
+    rows = SimpleNamespace(run=np.zeros(len(time)), sample_signal=lambda signal: signal(run))
+    comparison: Any = SimpleNamespace(runs=[run], rows=rows)
     squares = _smooth_squares(comparison, residual, np.ones(len(time), dtype=bool))
     assert squares / len(time) == pytest.approx(open_, abs=0.12)
 

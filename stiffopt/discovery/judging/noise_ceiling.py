@@ -8,7 +8,6 @@ Recht 2007), whose ridge fit approximates a Gaussian process; length and ridge b
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +15,7 @@ import numpy as np
 from stiffopt.discovery.comparison.channel_rows import part_numbers
 from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.prediction import Prediction, Predictor, residuals
-from stiffopt.discovery.progress import RoundProgress, throttle_progress
+from stiffopt.discovery.progress import RoundProgress, Say, throttle_progress
 from stiffopt.discovery.settings import SIGN_SPEED
 from stiffopt.discovery.training import Training
 
@@ -130,9 +129,7 @@ class NoiseCeiling:
 class BlackBox:
     """Black boxes of all torques, fitted to what an extension leaves of the training runs."""
 
-    def __init__(
-        self, training: Training, found: Extension, say: Callable[[str], object] = lambda _: None
-    ) -> None:
+    def __init__(self, training: Training, found: Extension, say: Say = lambda _: None) -> None:
         n = training.robot.n
         samples = _ResidualSamples(n)
         tell = throttle_progress(say)

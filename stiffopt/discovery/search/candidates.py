@@ -20,7 +20,7 @@ from stiffopt.discovery.comparison.evidence import (
 )
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, effect_places
 from stiffopt.discovery.effect import Effect
-from stiffopt.discovery.progress import RoundProgress
+from stiffopt.discovery.progress import RoundProgress, Say
 from stiffopt.discovery.thresholds import MIN_ACTIVE_SHARE, NAMED_DEVIATIONS, NAMED_EVIDENCE
 
 # Nelder-Mead evaluations per shape.
@@ -341,7 +341,7 @@ def scan(
     refined: int = 6,
     worth: float = -math.inf,
     about: LocatedEffect | None = None,
-    tell: Callable[[str], object] = lambda _: None,
+    tell: Say = lambda _: None,
 ) -> list[Candidate]:
     """Score the whole catalogue; the best first, each place once.
 

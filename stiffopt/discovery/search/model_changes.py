@@ -9,6 +9,7 @@ import numpy as np
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.progress import Say
 from stiffopt.discovery.search.candidates import Candidate, Scorer, scan
 from stiffopt.discovery.search.joint_fit import STOPPED_MESSAGE, fit_jointly, passes_thresholds
 from stiffopt.discovery.search.left_out_gain import select_predictive
@@ -29,8 +30,8 @@ def find_changes(
     start: Sequence[LocatedEffect],
     catalogue: Sequence[Effect],
     most: int,
-    say: Callable[[str], object],
-    tell: Callable[[str], object],
+    say: Say,
+    tell: Say,
     *,
     keep: Callable[[Found], object],
 ) -> bool:

@@ -9,7 +9,7 @@ in recordings left out.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -19,6 +19,7 @@ from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.inertial_parameters import body_units, nominal_bodies
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, effect_places
 from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.progress import Say
 from stiffopt.discovery.search.candidates import Candidate, Scorer
 from stiffopt.discovery.search.cross_validation import predict_folds
 from stiffopt.discovery.signals import PARAMETERS_PER_BODY
@@ -84,7 +85,7 @@ def reidentify_rigid_model(
     comparison: Comparison,
     effects: Sequence[LocatedEffect],
     catalogue: Sequence[Effect],
-    tell: Callable[[str], object] = lambda _: None,
+    tell: Say = lambda _: None,
 ) -> RigidStage:
     """Choose between nominal bodies, a single change and all parameters by cross-validation.
 
@@ -118,7 +119,7 @@ def _gain_of_free_bodies(
     comparison: Comparison,
     effects: Sequence[LocatedEffect],
     without: np.ndarray,
-    tell: Callable[[str], object],
+    tell: Say,
 ) -> float:
     """Return the gain of one width for all bodies: the narrowest within one standard error."""
     rows = []
@@ -137,7 +138,7 @@ def _gain_of_free_bodies(
 
 
 def _choose_widths(
-    comparison: Comparison, effects: Sequence[LocatedEffect], tell: Callable[[str], object]
+    comparison: Comparison, effects: Sequence[LocatedEffect], tell: Say
 ) -> tuple[tuple[float, ...], Comparison, float]:
     """Choose the width of every body by cross-validation.
 
@@ -215,9 +216,7 @@ def _parameter_deviations(comparison: Comparison, widths: Sequence[float]) -> np
     return np.asarray(np.array(widths)[:, None] * body_units(comparison.robot))
 
 
-def _best_single_change(
-    scorer: Scorer, catalogue: Sequence[Effect], tell: Callable[[str], object]
-) -> Candidate | None:
+def _best_single_change(scorer: Scorer, catalogue: Sequence[Effect], tell: Say) -> Candidate | None:
     found = []
     for entry in catalogue:
         if not entry.shifts_weight:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +11,7 @@ from scipy.special import softmax
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.effect import Effect
-from stiffopt.discovery.progress import RoundProgress
+from stiffopt.discovery.progress import RoundProgress, Say
 from stiffopt.discovery.search.candidates import Candidate, Scorer, scan
 from stiffopt.discovery.search.joint_fit import fit_jointly
 from stiffopt.discovery.signals import RobotConstants
@@ -58,7 +58,7 @@ def rank_rivals(
     located: LocatedEffect,
     catalogue: Sequence[Effect],
     *,
-    tell: Callable[[str], object] = lambda _: None,
+    tell: Say = lambda _: None,
 ) -> RankedEffect | None:
     """Rank a found effect among all possible rivals.
 
@@ -158,7 +158,7 @@ def exchange_rivals(
     current: Comparison,
     effects: list[LocatedEffect],
     catalogue: Sequence[Effect],
-    tell: Callable[[str], object],
+    tell: Say,
     before: Sequence[RankedEffect] = (),
 ) -> tuple[Comparison, list[RankedEffect]]:
     """Replace effects by their likeliest rivals until nothing changes; return them ranked."""
@@ -184,7 +184,7 @@ def rank_effects(
     comparison: Comparison,
     effects: list[LocatedEffect],
     catalogue: Sequence[Effect],
-    say: Callable[[str], object],
+    say: Say,
     before: Sequence[RankedEffect] = (),
 ) -> list[RankedEffect]:
     """Rank effects among their rivals, without those that have become insignificant.
