@@ -36,8 +36,7 @@ WRIST_COUPLING = Effect(
     needs=("sensor", "moves", "before"),
     # By virtual work the previous joint carries a share of the torque.
     term=lambda signals, a, s: Term(
-        deflection=-a[0] * signals.previous_position,
-        previous_torque=a[0] * signals.spring_torque,
+        deflection=-a[0] * signals.previous_position, previous_torque=a[0] * signals.spring_torque
     ),
     amplitudes=(Amplitude("c", "", 0.01, -5.0, 5.0),),
     applies=lambda constants: constants.joint > 1,

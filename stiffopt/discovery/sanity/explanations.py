@@ -59,31 +59,16 @@ _MAX_SMALL_TILT = np.pi / 6.0
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """Another description of the files with its residual shares.
+    """Another description of the files with its residual shares."""
 
-    Parameters
-    ----------
-    left : array (n,)
-        Residual shares; nan if the motion cannot decide.
-    joints : tuple of int
-        Joints that it explains, from 0.
-    score : float
-        Sum of the log ratios of residual shares.
-    gains : array (n,) or None
-        Recorded over true torque.
-    gravity : array (3,) or None
-        Unit vector in the base frame; 0 if the torques contain no weight.
-    delay : float or None
-        Delay of the torque [s].
-    """
-
-    left: np.ndarray
-    joints: tuple[int, ...]
-    score: float
+    left: np.ndarray  # (n,) residual shares; nan if the motion cannot decide
+    joints: tuple[int, ...]  # joints that it explains, from 0
+    score: float  # sum of the log ratios of residual shares
     reading: Reading
-    gains: np.ndarray | None = None
+    gains: np.ndarray | None = None  # (n,) recorded over true torque
+    # (3,) unit vector in the base frame; 0 if the torques contain no weight.
     gravity: np.ndarray | None = None
-    delay: float | None = None
+    delay: float | None = None  # delay of the torque [s]
 
     @property
     def price(self) -> float:
@@ -318,21 +303,14 @@ class Explanations:
         if not np.abs(pulls).max() > 0.0:
             return None
         direction = self._fit_gravity_direction(moving, pulls)
-        if direction is None:
-            return self._explain_without_weight(moving)
+        if direction is None:  # no weight at all: a controller may add its compensation later
+            direction = np.zeros(3)
         spring = moving + pulls @ (9.81 * direction)
         left = self._residual_shares(replace(motion, spring=spring), self.samples.torque)
         # A spring at one joint may look similar, but not at all joints that carry weight.
         if not np.all((left <= self.left + 0.05) | np.isnan(left)):
             return None
         return self._accept_explanation(left, self.own, gravity=direction, against=self.strict)
-
-    def _explain_without_weight(self, moving: np.ndarray) -> Explanation | None:
-        """Explain by torques without weight, if a controller adds gravity compensation later."""
-        left = self._residual_shares(replace(self.motion, spring=moving), self.samples.torque)
-        if not np.all((left <= self.left + 0.05) | np.isnan(left)):
-            return None
-        return self._accept_explanation(left, self.own, gravity=np.zeros(3), against=self.strict)
 
     def _fit_gravity_direction(self, moving: np.ndarray, pulls: np.ndarray) -> np.ndarray | None:
         """Return the unit vector of gravity that fits the torques best, rounded to a near axis."""
