@@ -16,7 +16,7 @@ from stiffopt.files import read_document
 from stiffopt.problem.joint_lists import JointLists
 from stiffopt.problem.limit import LIMITS, Limits
 from stiffopt.problem.objective import Objective
-from stiffopt.problem.path_files import read_tool_path
+from stiffopt.problem.path_files import on_positioner, read_tool_path
 from stiffopt.problem.schema import (
     DutySection,
     ExpectedSection,
@@ -102,6 +102,9 @@ def _build_problem(
         if stated:
             raise InputFileError(path, key, "belongs to a cycle of [[move]]. Leave it out.")
     robot = read_robot(document.robot, document.payload, document.tool, path, robots)
+    if document.path is not None and document.path.frame.link is not None:
+        with locate_errors(path, "path.frame.link"):
+            robot = on_positioner(robot, document.path.frame.link, document.tool.process_force)
     motion = document.motion
     joints = JointLists(robot, path)
     poses = PoseReader(joints, document.pose)

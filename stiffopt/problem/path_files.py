@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 
-from stiffopt.errors import InputFileError
+from stiffopt.errors import InputFileError, ProblemError
 from stiffopt.files import read_table
 from stiffopt.problem.freedom_choice import choose_freedom
 from stiffopt.problem.freedom_task import FreedomTask
@@ -25,11 +26,18 @@ from stiffopt.problem.tool_path import (
 from stiffopt.result.joint_path import JointPath
 from stiffopt.robot.cell import Cell
 from stiffopt.robot.elements import locate_errors
-from stiffopt.robot.frames import rotation_from_rpy
+from stiffopt.robot.frames import (
+    link_frame,
+    link_names,
+    moving_link_names,
+    rotation_from_rpy,
+)
+from stiffopt.robot.joint_load import supporting_joints
 
 if TYPE_CHECKING:
     from stiffopt.problem.joint_lists import JointLists
     from stiffopt.problem.limit import Limits
+    from stiffopt.robot.robot import Robot
 
 _FORCE_COLUMNS = ("fx", "fy", "fz")
 _PLACE_COLUMNS, _ANGLE_COLUMNS, _QUATERNION_COLUMNS = (
@@ -47,6 +55,40 @@ class ReadPath:
     joints: JointPath
     force: PathForce | None
     remarks: tuple[str, ...]
+
+
+def on_positioner(robot: Robot, link: str, process_force: Sequence[float]) -> Robot:
+    """Return the robot with its tool relative to a link that carries the work.
+
+    Raises
+    ------
+    ProblemError
+        The link does not move, or the tool moves it; or what is given in axes of the base.
+    """
+    held = [each.name for each in robot.held if each.why == "not on the way to the tool"]
+    if link in link_names(robot.model) and link not in moving_link_names(robot.model):
+        raise ProblemError(
+            f"the link {link!r} does not move"
+            + (f": {', '.join(held)} are held. Name the joints that move it in [[joint]] sections "
+               "of the robot file." if held else ". Leave path.frame.link out.")
+        )  # fmt: skip
+    work = link_frame(robot.model, link)
+    if robot.tool.joint in supporting_joints(robot.model, work.joint):
+        raise ProblemError(
+            f"the link {link!r} moves with the tool. Name a link of another branch of the URDF, or "
+            "leave path.frame.link out."
+        )
+    if np.any(process_force):
+        raise ProblemError(
+            "tool.process_force has axes of the base, and the path those of the work: give the "
+            "force in [path.force]."
+        )
+    if robot.tilts:
+        raise ProblemError(
+            f"{robot.name} has elastic bearings or links, whose deflection is not taken relative "
+            "to moving work: leave `bearing` and `beam` of its joints out."
+        )
+    return replace(robot, tool=replace(robot.tool, seen_from=work))
 
 
 def read_tool_path(

@@ -288,9 +288,17 @@ class PathTableSection(Section):
 
 
 class WorkFrameSection(Section):
-    """Frame in which the poses of the path are given."""
+    """Frame in which the poses of the path are given, on the base or on a positioner."""
 
-    position: Annotated[Vector3, Doc("Origin, base frame.")] = (0.0, 0.0, 0.0)
+    link: Annotated[
+        str | None,
+        Doc(
+            "Link of a positioner that carries the work, such as a turntable: poses, placement, "
+            "speed, deflection and force are relative to it and in its axes. Its joints are a "
+            "branch of the URDF beside the arm, each named by a [[joint]] of the robot file."
+        ),
+    ] = None
+    position: Annotated[Vector3, Doc("Origin, base frame or that of `link`.")] = (0.0, 0.0, 0.0)
     rpy: Annotated[tuple[Angle, Angle, Angle], Doc("Fixed-axis roll, pitch, yaw.")] = (
         0.0,
         0.0,

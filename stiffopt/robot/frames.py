@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -50,12 +50,21 @@ class LinkFrame:
         Axes of the frame, as columns in the joint's frame.
     link : str
         Link in whose frame the offset was given.
+    seen_from : LinkFrame or None
+        Frame that carries the work: poses and Jacobians are relative to it and in its axes; None is
+        the base.
     """
 
     joint: int
     offset: np.ndarray
     rotation: np.ndarray
     link: str = ""
+    seen_from: LinkFrame | None = None
+
+    @property
+    def in_base(self) -> LinkFrame:
+        """The frame relative to the base."""
+        return replace(self, seen_from=None)
 
 
 def link_names(model: pin.Model) -> list[str]:
