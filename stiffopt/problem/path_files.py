@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy
@@ -50,11 +50,12 @@ _METRES_PER_UNIT = {"m": 1.0, "mm": 1e-3}
 
 @dataclass(frozen=True, eq=False)
 class ReadPath:
-    """Joint path of a file, the force along it, and remarks."""
+    """Joint path of a file, the force along it, remarks, and the document of its freedom."""
 
     joints: JointPath
     force: PathForce | None
     remarks: tuple[str, ...]
+    choice: dict[str, Any] | None
 
 
 def on_positioner(robot: Robot, link: str, process_force: Sequence[float]) -> Robot:
@@ -92,9 +93,12 @@ def on_positioner(robot: Robot, link: str, process_force: Sequence[float]) -> Ro
 
 
 def read_tool_path(
-    section: PathSection, joints: JointLists, limits: Limits, cell: Cell
+    section: PathSection, joints: JointLists, limits: Limits, cell: Cell, kept: object = None
 ) -> ReadPath:
-    """Return the joint path of a tool path, its freedom chosen, with its error as a remark."""
+    """Return the joint path of a tool path, its freedom chosen, with its error as a remark.
+
+    `kept` is the document of an earlier choice of the freedom.
+    """
     robot = joints.robot
     ranges = np.stack([robot.position_lower, robot.position_upper])
     near = np.where(np.isfinite(ranges).all(axis=0), ranges.mean(axis=0), 0.0)
@@ -108,14 +112,16 @@ def read_tool_path(
         else:
             path, forces, at = _segment_path(section, frame)
         chosen: tuple[str, ...] = ()
+        choice = None
         if section.freedom is None:
             fitted = fit_tool_path(robot, path, near, section.tolerance)
         else:
             stated = _force_along(path, section.force, forces, at)
             axes = "path" if section.force is None else section.force.frame
             task = FreedomTask(robot, section.freedom, limits, path, frame[1], stated, axes)
-            path, fitted, remark = choose_freedom(task, near, section.tolerance, cell)
-            chosen = (remark,)
+            found = choose_freedom(task, near, section.tolerance, cell, kept)
+            path, fitted, choice = found.path, found.fitted, found.document
+            chosen = (found.remark,)
         force, followed = _force_along(path, section.force, forces, at), fitted.joints
         if force is not None and section.force is not None:
             feeds = np.where(np.isfinite(path.speeds), path.speeds, 0.0)
@@ -134,7 +140,7 @@ def read_tool_path(
         f"The tool's path of {1e3 * path.length:.4g} mm{stops} is followed by a spline through "
         f"{len(fitted.joints.knots)} joint waypoints, within {1e6 * fitted.error:.2g} µm."
     )
-    return ReadPath(followed, force, (remark, *chosen))
+    return ReadPath(followed, force, (remark, *chosen), choice)
 
 
 def _force_along(
