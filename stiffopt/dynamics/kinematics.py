@@ -102,7 +102,13 @@ def point_jacobian(tree: BodyTree, joint: int, offset: ArrayLike, q: Quantity) -
     if isinstance(q, ca.MX):
         function: Any = point_kinematics(tree, joint, offset)
         return function(q)[1]
-    return _moved_with(tree, joint, point_position(tree, joint, offset, q), q)
+    joints = axis_joints(tree)
+    frames = axis_frames(joints, q, joint)
+    origin, turn = frames[joint]
+    point = origin + ca.mtimes(
+        turn, _as_casadi_vector(joints[joint - 1].from_joint_frame @ _as_point(offset))
+    )
+    return _columns_of_point(joints, frames, point)
 
 
 def frame_pose(tree: BodyTree, frame: LinkFrame, q: Quantity) -> tuple[Quantity, Quantity]:
@@ -120,14 +126,15 @@ def frame_jacobian(tree: BodyTree, frame: LinkFrame, q: Quantity) -> Quantity:
     if work is None:
         return moved
     point = point_position(tree, frame.joint, frame.offset, q)
-    axes = frame_pose(tree, work, q)[1]
-    return ca.mtimes(axes.T, moved - _moved_with(tree, work.joint, point, q))
+    axes, joints = frame_pose(tree, work, q)[1], axis_joints(tree)
+    carried = _columns_of_point(joints, axis_frames(joints, q, work.joint), point)
+    return ca.mtimes(axes.T, moved - carried)
 
 
-def _moved_with(tree: BodyTree, joint: int, point: Quantity, q: Quantity) -> Quantity:
-    """Jacobian (3, n) of a point (3,), base axes, that moves with a joint."""
-    joints = axis_joints(tree)
-    frames = axis_frames(joints, q, joint)
+def _columns_of_point(
+    joints: tuple[AxisJoint, ...], frames: dict[int, tuple[Quantity, Quantity]], point: Quantity
+) -> Quantity:
+    """Jacobian (3, n) of a point (3,), base axes, that moves with the last of the axis frames."""
     columns = [ca.SX.zeros(3) for _ in joints]
     for i, (center, rotation) in frames.items():
         if i:
