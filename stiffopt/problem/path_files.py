@@ -46,6 +46,9 @@ _PLACE_COLUMNS, _ANGLE_COLUMNS, _QUATERNION_COLUMNS = (
     ("qx", "qy", "qz", "qw"),
 )
 _METRES_PER_UNIT = {"m": 1.0, "mm": 1e-3}
+_SPEED_UNITS = {"m/s": 1.0, "mm/s": 1e-3, "mm/min": 1e-3 / 60.0, "cm/min": 1e-2 / 60.0}
+# Speed of a tool from which on a table's is in another unit [m/s]: no arm is that fast.
+_IMPLAUSIBLE_SPEED = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +193,11 @@ def _segment(
         points = np.vstack([start, via, end])
         none = np.zeros(len(points), dtype=bool)
         (spline,) = spline_segments(
-            points, None, np.full(len(points), speed), none, f"{where}, point "
+            points,
+            None,
+            np.full(len(points), speed),
+            none,
+            [f"{where}, point {k}" for k in range(1, len(points) + 1)],
         )
         curve = spline.curve
     return ToolSegment(
@@ -214,6 +221,7 @@ def _table_path(
         file,
         _PLACE_COLUMNS,
         (*_ANGLE_COLUMNS, *_QUATERNION_COLUMNS, *_FORCE_COLUMNS, "speed", "stop"),
+        ("label",),
     )
     turn, origin = frame
     count = len(read["x"])
@@ -222,20 +230,31 @@ def _table_path(
     )
     points = origin + places @ turn.T
     rotations = turn @ _table_rotations(table, read, file, count)
-    speeds = np.array(read.get("speed", [np.inf] * count))
-    for row in np.flatnonzero(~(speeds > 0.0)):
-        raise InputFileError(file, f"row {row + 1}, speed", f"{speeds[row]:g} m/s must be above 0.")
+    speeds = np.full(count, np.inf)
+    if "speed" in read:
+        unit = table.speed or f"{table.length}/s"
+        speeds = _SPEED_UNITS[unit] * np.array(read["speed"])
+        for row in np.flatnonzero(~((speeds > 0.0) & (speeds < _IMPLAUSIBLE_SPEED))):
+            raise InputFileError(
+                file, f"row {row + 1}, speed", f"{read['speed'][row]:g} {unit} must be above 0 and "
+                f"below {_IMPLAUSIBLE_SPEED:g} m/s. Give its unit as path.table.speed: "
+                f"{', '.join(_SPEED_UNITS)}."
+            )  # fmt: skip
     if section.speed is not None:
         speeds = np.minimum(speeds, section.speed)
     stops = np.array(read.get("stop", [0.0] * count)) != 0.0
-    where = f"{table.file}, row "
+    labels = read.get("label", [""] * count)
+    names = [
+        f"{table.file}, row {row}" + (f" ({label})" if label else "")
+        for row, label in enumerate(labels, start=1)
+    ]
     turning = bool(np.ptp(rotations, axis=0).max() > 1e-9)
     usual = (0.0, 0.0, 0.0) if section.force is None else section.force.value
     forces = np.repeat(np.array([usual]), count, axis=0)
     if all(name in read for name in _FORCE_COLUMNS):
         forces = np.stack([read[name] for name in _FORCE_COLUMNS], axis=1)
     if table.interpolation == "spline":
-        segments = spline_segments(points, rotations if turning else None, speeds, stops, where)
+        segments = spline_segments(points, rotations if turning else None, speeds, stops, names)
         path = ToolPath(points[0], rotations[0], segments)
         chords = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
         return path, forces, chords * (path.length / chords[-1])
@@ -249,7 +268,7 @@ def _table_path(
             blend=0.0 if stops[k] else float(min(table.blend, room[k - 1])),
             speed=float(speeds[k]),
             stop=bool(stops[k]) and k < count - 1,
-            where=f"{where}{k + 1}",
+            where=names[k],
         )
         for k in range(1, count)
     ]
@@ -258,7 +277,7 @@ def _table_path(
 
 
 def _table_rotations(
-    table: PathTableSection, read: dict[str, list[float]], file: Path, count: int
+    table: PathTableSection, read: dict[str, list[Any]], file: Path, count: int
 ) -> np.ndarray:
     """Return the orientations (m, 3, 3) of a table's rows, in the work frame."""
     if all(name in read for name in _QUATERNION_COLUMNS):

@@ -251,7 +251,7 @@ def spline_segments(
     rotations: np.ndarray | None,
     speeds: np.ndarray,
     stops: np.ndarray,
-    where: str,
+    names: Sequence[str],
 ) -> list[ToolSegment]:
     """Return segments of splines through points, from stop to stop.
 
@@ -265,8 +265,8 @@ def spline_segments(
         Largest tool speed on the way to each point [m/s].
     stops : array (m,) of bool
         The tool rests at the point.
-    where : str
-        Name of the points in messages: "points.csv, row ".
+    names : sequence of str (m,)
+        Of the points in messages: "points.csv, row 3".
 
     Raises
     ------
@@ -276,7 +276,7 @@ def spline_segments(
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     for k in np.flatnonzero(~(steps > _MIN_LENGTH)):
         raise ProblemError(
-            f"{where}{k + 2} repeats the point before, [{', '.join(f'{x:.6g}' for x in points[k])}]"
+            f"{names[k + 1]} repeats the point before, [{', '.join(f'{x:.6g}' for x in points[k])}]"
             " m. Delete it."
         )
     found = []
@@ -297,7 +297,7 @@ def spline_segments(
                     turns=None if turns is None else turns.between(along[a], along[b]),
                     speed=float(inner[b]),
                     stop=bool(first + b == last and last < len(points) - 1),
-                    where=f"{where}{first + b + 1}",
+                    where=names[first + b],
                 )
             )
     return found
