@@ -12,12 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from stiffopt.errors import InputFileError
-from stiffopt.problem.files import load_problem
 from stiffopt.recipe.stored_result import (
     check_inputs,
-    problem_file,
-    read_changes,
     read_guess,
+    read_problem,
     read_state,
 )
 from stiffopt.result.provenance import versions
@@ -53,9 +51,9 @@ def replay(folder: Path, *, progress: ProgressCallback | None = None) -> Replay:
         raise InputFileError(
             path, "model", "was solved with --model; run `stiffopt solve --model` again instead."
         )
-    named = problem_file(path, document)
-    stated = load_problem(named, read_changes(path, document)).problem
-    check_inputs(path, document, named, stated)
+    loaded = read_problem(path, document)
+    stated = loaded.problem
+    check_inputs(path, document, loaded.path, stated)
     guess = state = None
     if isinstance(document.get("guess"), str):
         begin = folder / str(document["guess"])

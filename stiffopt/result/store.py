@@ -145,6 +145,8 @@ def write_result(
         document["leg"] = {"number": leg, "duration": stated.duration}
     if stated is not None:
         document |= {"title": stated.title, **motion_facts(stated, directory)}
+        if stated.path_choice is not None:
+            document["path_choice"] = stated.path_choice
     named = {"problem": problem, "model": model, "effects": effects, "guess": guess}
     for key, file in named.items():
         if file is not None:
