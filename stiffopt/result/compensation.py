@@ -192,27 +192,23 @@ MIN_RIVAL_GAIN = 0.02
 
 
 def write_command(compensation: Compensation | None, directory: str | Path) -> Path | None:
-    """Write command.csv, and that of a rival that wins, into `directory`; return the first's path.
+    """Write command.csv into `directory` and return its path.
+
+    Without a command, the file of an earlier solve is removed, as it belongs to another motion.
+    """
+    command = None if compensation is None else compensation.command
+    return write_motors(command, Path(directory) / COMMAND_FILE)
+
+
+def write_motors(command: Assessment | None, path: Path) -> Path | None:
+    """Write a command of the motors and return its path; without one the file is removed.
 
     Columns are position, velocity and acceleration of the motors every 2 ms, the drive torque of
-    the links' motion, and the link positions. Without a command, the file of an earlier solve is
-    removed, as it belongs to another motion.
+    the links' motion, and the link positions.
     """
-    found = []
-    for name, command in (
-        (COMMAND_FILE, None if compensation is None else compensation.command),
-        (RIVAL_COMMAND_FILE, None if compensation is None else compensation.rival_command),
-    ):
-        path = Path(directory) / name
-        found.append(None if command is None else path)
-        if command is None:
-            path.unlink(missing_ok=True)
-        else:
-            _write_motors(command, path)
-    return found[0]
-
-
-def _write_motors(command: Assessment, path: Path) -> None:
+    if command is None:
+        path.unlink(missing_ok=True)
+        return None
     joints = range(1, command.position.shape[1] + 1)
     names = ["t", *(f"{quantity}{j}" for quantity in ("q", "qd", "qdd", "tau") for j in joints)]
     columns = [
@@ -226,6 +222,7 @@ def _write_motors(command: Assessment, path: Path) -> None:
         columns.append(command.link)
         names += [f"link{j}" for j in joints]
     write_csv(path, names, np.hstack(columns).tolist())
+    return path
 
 
 def compensation_document(compensation: Compensation | None) -> dict[str, Any] | None:
