@@ -7,6 +7,7 @@ the same inputs were seen to reach the same optimum in 35 and in 38 iterations.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -57,7 +58,7 @@ def replay(folder: Path, *, progress: ProgressCallback | None = None) -> Replay:
     guess = state = None
     if isinstance(document.get("guess"), str):
         begin = folder / str(document["guess"])
-        guess, state = read_guess(begin, stated), read_state(begin)
+        guess, state = functools.partial(read_guess, begin, stated), read_state(begin)
     solution, _ = ProblemFamily().solve(stated, state, guess=guess, progress=progress)
     return Replay(solution=solution, differences=tuple(_find_differences(document, solution)))
 
