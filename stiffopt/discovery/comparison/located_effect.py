@@ -206,10 +206,14 @@ class LocatedEffect:
         before = (
             _as_joint_column(term.previous_torque, like, self.joint - 1) if self.joint else None
         )
+        wound = _as_joint_column(term.deflection, like, self.joint)
+        link = _as_joint_column(term.link_torque, like, self.joint)
+        if wound is not None and run.shows_displacement(self.joint):
+            link = _add_optional(link, signals.arm.displaced_torque(wound, signals.dt))
         return Contribution(
             _add_optional(drive, before),
-            _as_joint_column(term.link_torque, like, self.joint),
-            _as_joint_column(term.deflection, like, self.joint),
+            link,
+            wound,
             _as_joint_column(term.reading, like, self.joint),
         )
 
@@ -231,6 +235,11 @@ class LocatedEffect:
                 for x in (term.drive_torque, term.reading, term.link_torque, term.deflection)
             )
             loaded = link.any()
+            if wound.any() and run.shows_displacement(self.joint):
+                every = np.zeros_like(run.signals.motor_position)
+                every[:, self.joint] = wound
+                moved = run.signals.arm.displaced_torque(every, run.signals.dt)
+                changes += [("torque", k, i, own) for k, own in enumerate(moved.T) if own.any()]
             if run.vibration is None:
                 torque, deflection = torque + link, wound + deflection
                 if loaded:
