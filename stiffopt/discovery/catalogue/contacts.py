@@ -63,13 +63,15 @@ WRIST_COUPLING = Effect(
     " correct it by {c}.",
     needs=("sensor", "moves", "before"),
     term=wrist_coupling_term,
-    amplitudes=(Amplitude(
+    amplitudes=(
+        Amplitude(
             "c",
             "",
             _TYPICAL_COUPLING,
             -_MAX_COUPLING / _TYPICAL_COUPLING,
             _MAX_COUPLING / _TYPICAL_COUPLING,
-        ),),
+        ),
+    ),
     shapes=(
         Shape("about", "", (0.0,), -_MAX_COUPLING, _MAX_COUPLING, 0.0, fit="secant"),
         Shape("at_link", "", (0.0, 1.0), 0.0, 1.0, 0.0, fit="held"),
