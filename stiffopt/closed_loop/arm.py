@@ -237,10 +237,12 @@ class CommandedArm:
         place, speed = ca.vertcat(reading, load), ca.vertcat(rate, other)
         mass, (force, slope) = model.mass(place, speed), model.force(place, speed)
         rates, slopes = model.rates(place), model.slopes(place)
+        symmetric = self.physics.torque is None  # others may depend on accelerations anyhow
         # Negative slopes, as of dry friction that a fit drives below zero, stay explicit.
         shift = _STAGE_WEIGHT * h
         implicit = _factorize(
-            mass + ca.diag(shift * ca.fmax(slope, 0)) + shift**2 * ca.mtimes(slopes, rates)
+            mass + ca.diag(shift * ca.fmax(slope, 0)) + shift**2 * ca.mtimes(slopes, rates),
+            symmetric=symmetric,
         )
 
         def stage(rate: ca.SX, right: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -251,7 +253,8 @@ class CommandedArm:
         first = stage(ca.mtimes(rates, speed), force)
         ahead, ahead_speed = place + h * first[0], speed + h * first[1]
         mass_ahead = model.mass(ahead, ahead_speed)
-        acceleration = _solve(_factorize(mass_ahead), model.force(ahead, ahead_speed)[0])
+        force_ahead = model.force(ahead, ahead_speed)[0]
+        acceleration = _solve(_factorize(mass_ahead, symmetric=symmetric), force_ahead)
         second = stage(
             ca.mtimes(model.rates(ahead), ahead_speed) - 2.0 * first[0],
             ca.mtimes(mass, acceleration - 2.0 * first[1]),
@@ -296,7 +299,7 @@ class _Balance:
         self.kd = ca.DM(law.damping) * (1.0 + own["damping"])
         count = loop.size // 2
         self._of_link, self._of_motor = (
-            ca.DM(np.eye(count)[:, each]) for each in (loop._link, loop._motor)
+            ca.sparsify(ca.DM(np.eye(count)[:, each])) for each in (loop._link, loop._motor)
         )
 
     def _links(self, place: ca.SX, speed: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
@@ -444,17 +447,24 @@ def _clip(value: ca.SX, largest: np.ndarray) -> ca.SX:
     )
 
 
-def _factorize(matrix: ca.SX) -> list[list[ca.SX]]:
-    """Return the factors L (unit diagonal) and U of a matrix (n, n), of which L U is made.
+def _factorize(matrix: ca.SX, *, symmetric: bool) -> list[list[ca.SX]]:
+    """Return triangular factors of a matrix (n, n) in one, which share their diagonal.
 
     Without pivots: masses outweigh what torques by accelerations add.
     """
     n = matrix.shape[0]
     factor: list[list[ca.SX]] = [[ca.SX(0)] * n for _ in range(n)]
     for i in range(n):
-        for j in range(n):
-            rest = matrix[i, j] - sum(factor[i][k] * factor[k][j] for k in range(min(i, j)))
-            factor[i][j] = rest if j >= i else rest / factor[j][j]
+        for j in range(i):
+            for row, column in ((i, j), (j, i)):
+                rest = matrix[row, column]
+                rest -= sum(factor[row][k] * factor[k][column] for k in range(j))
+                factor[row][column] = rest / factor[j][j]
+                if symmetric:
+                    factor[j][i] = factor[i][j]
+                    break
+        rest = matrix[i, i] - sum(factor[i][k] * factor[k][i] for k in range(i))
+        factor[i][i] = ca.sqrt(rest)
     return factor
 
 
@@ -463,7 +473,8 @@ def _solve(factor: list[list[ca.SX]], right: ca.SX) -> ca.SX:
     n = len(factor)
     forward: list[ca.SX] = []
     for i in range(n):
-        forward.append(right[i] - sum(factor[i][k] * forward[k] for k in range(i)))
+        rest = right[i] - sum(factor[i][k] * forward[k] for k in range(i))
+        forward.append(rest / factor[i][i])
     found: list[ca.SX] = [ca.SX(0)] * n
     for i in reversed(range(n)):
         rest = forward[i] - sum(factor[i][k] * found[k] for k in range(i + 1, n))

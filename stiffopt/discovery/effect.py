@@ -39,6 +39,7 @@ Need = Literal[
     "link",
     "sensor",
     "torque_sensor",
+    "commanded",
     "windup",
     "moves",
     "reverses",
@@ -371,7 +372,9 @@ class Effect:
 
     def at_instant(self, signals: Any, amplitudes: Values, shapes: Values) -> Term:
         """Return the term of a simulation, in which motor and link move by themselves."""
-        return (self.at_motor or self).term(signals, amplitudes, shapes)
+        entry = self.at_motor or self
+        own = shapes[len(shapes) - len(entry.shapes) :]
+        return entry.term(signals, amplitudes, own)
 
     def acts_in(self, run: str) -> bool:
         """Return True where the effect acts in a run of this name."""

@@ -15,7 +15,7 @@ from stiffopt.discovery.catalogue.clock_drift import CLOCK_DRIFT
 from stiffopt.discovery.catalogue.contacts import CONTACTS
 from stiffopt.discovery.catalogue.coupled_drive import COUPLED_DRIVE
 from stiffopt.discovery.catalogue.crosstalk import CROSSTALK
-from stiffopt.discovery.catalogue.elastic import BACKLASH, HYSTERESIS
+from stiffopt.discovery.catalogue.elastic import BACKLASH, HYSTERESIS, OUTPUT_BACKLASH
 from stiffopt.discovery.catalogue.friction import FRICTION
 from stiffopt.discovery.catalogue.friction_drift import FRICTION_DRIFT
 from stiffopt.discovery.catalogue.friction_warmup import FRICTION_WARMUP
@@ -47,6 +47,7 @@ CATALOGUE: tuple[Effect, ...] = (
     QUADRATIC_DRAG,
     COUPLED_DRIVE,
     BACKLASH,
+    OUTPUT_BACKLASH,
     HYSTERESIS,
     STIFFNESS_LINEAR,
     K1_SOFTENING,
