@@ -326,10 +326,10 @@ class _Balance:
         return torque_of_bodies(self.loop.tree, gravity, q, v, a, *self.bodies)
 
     def _inertia(self, angle: ca.SX, jacobian: ca.SX) -> ca.SX:
-        """Return the torques (n, n) of the links per acceleration of the link sides."""
+        """Return the torques (n, n) of the links per acceleration, both along their readings."""
         still, none = ca.SX.zeros(self.n), np.zeros(3)
         columns = [self._torque_of_links(none, angle, still, jacobian[:, i]) for i in range(self.n)]
-        return ca.horzcat(*columns)
+        return ca.mtimes(jacobian.T, ca.horzcat(*columns))
 
     def mass(self, place: ca.SX, speed: ca.SX) -> ca.SX:
         """Return the forces of all sides per acceleration."""
@@ -345,8 +345,11 @@ class _Balance:
     def force(self, place: ca.SX, speed: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Return the forces that accelerate, and the slope of all losses by the speed."""
         torque, losses, slope = self._drive(place, speed)
-        angle, rate, _, drift = self._links(place, speed)
-        bias = self._torque_of_links(self.loop.tree.gravity, angle, rate, drift)
+        angle, rate, jacobian, drift = self._links(place, speed)
+        # Displaced links work along their readings.
+        bias = ca.mtimes(
+            jacobian.T, self._torque_of_links(self.loop.tree.gravity, angle, rate, drift)
+        )
         if self.loop.physics.torque is not None:
             still = ca.SX.zeros(speed.shape[0])
             more, by_speed = self._added(place, speed, still)
@@ -389,7 +392,9 @@ class _Balance:
         angle, link_speed, jacobian, drift = self._links(place, speed)
         faster = ca.mtimes(self._of_motor.T, rate)
         along = ca.mtimes(jacobian, ca.mtimes(self._of_link.T, rate)) + drift
-        spring = self._torque_of_links(self.loop.tree.gravity, angle, link_speed, along)
+        spring = ca.mtimes(
+            jacobian.T, self._torque_of_links(self.loop.tree.gravity, angle, link_speed, along)
+        )
         for k, joint in enumerate(self.loop._elastic):
             spring[joint] = place[self.n + k]
         # Speed and direction are one: both give the slope by which stages are stable.

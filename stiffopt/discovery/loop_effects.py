@@ -97,6 +97,12 @@ class _Instant:
         if parts is None:
             return
         turns_other_side = each.effect.at_motor is not None
+        torque = parts.torque
+        if ca.depends_on(parts.deflection, s.position):
+            # What the bodies' torques do on displaced links follows from the displacement.
+            (torque,) = ca.substitute(
+                [torque], [s.spring, s.drive], [0.0 * s.spring, s.drive - s.spring]
+            )
         for j, place in enumerate(self.order.tolist()):
             wound = parts.deflection[j]
             if ca.depends_on(wound, s.spring):
@@ -106,7 +112,7 @@ class _Instant:
             elif ca.depends_on(wound, s.position):
                 self.displacement[place] += wound
             if not turns_other_side:  # otherwise by the motion of both sides
-                self._add_torque(place, parts.torque[j])
+                self._add_torque(place, torque[j])
 
     def _add_torque(self, place: int, torque: ca.SX) -> None:
         """Add a torque; one that bends with the load takes the actuator's torque for it.
