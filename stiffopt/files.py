@@ -288,22 +288,31 @@ def atomic_write(path: str | os.PathLike[str], content: str | bytes) -> None:
 
 
 def read_table(
-    path: str | os.PathLike[str], columns: Sequence[str], optional: Sequence[str] = ()
-) -> dict[str, list[float]]:
-    """Read the numbers of a CSV file with a header, by column; `optional` ones if present.
+    path: str | os.PathLike[str],
+    columns: Sequence[str],
+    optional: Sequence[str] = (),
+    texts: Sequence[str] = (),
+) -> dict[str, list[Any]]:
+    """Read the numbers of a CSV file with a header, by column; `optional` and `texts` if present.
 
+    Cells are separated by commas, or by semicolons or tabs, beside which decimals may have a comma.
     Raises `InputFileError` without at least two rows of finite numbers in every required column,
     with row (the first below the header is 1) and column.
     """
     path = Path(path)
-    text = read_text(path, MAX_TABLE_BYTES)
+    text = read_text(path, MAX_TABLE_BYTES).removeprefix("\ufeff")
+    first = text.partition("\n")[0]
+    mark = max(",;\t", key=first.count)
     try:
-        rows = list(csv.DictReader(io.StringIO(text, newline="")))
+        rows = list(csv.DictReader(io.StringIO(text, newline=""), delimiter=mark))
     except csv.Error as error:
         raise InputFileError(path, "", "is not a CSV text file. Save it as one.") from error
-    if len(rows) < 2 or any(column not in rows[0] for column in columns):
+    rows = [{key and key.strip(): cell for key, cell in row.items()} for row in rows]
+    lacking = [column for column in columns if rows and column not in rows[0]]
+    if len(rows) < 2 or lacking:
+        there = f" It has {', '.join(map(str, list(rows[0])[:20]))}." if lacking else ""
         raise InputFileError(
-            path, "", f"needs at least two rows and the columns {', '.join(columns)}."
+            path, "", f"needs at least two rows and the columns {', '.join(columns)}.{there}"
         )
     for number, row in enumerate(rows, start=1):
         # csv stores cells beyond the header under None.
@@ -315,20 +324,26 @@ def read_table(
                 " Name every column, or write decimals with a point.",
             )
     wanted = [*columns, *(name for name in optional if name in rows[0])]
-    return {
-        name: [_parse_number(path, k, name, row[name]) for k, row in enumerate(rows, start=1)]
+    decimal = "." if mark == "," else ","
+    found: dict[str, list[Any]] = {
+        name: [
+            _parse_number(path, k, name, (row[name] or "").replace(decimal, "."))
+            for k, row in enumerate(rows, start=1)
+        ]
         for name in wanted
     }
+    told = (name for name in texts if name in rows[0])
+    return found | {name: [(row[name] or "").strip() for row in rows] for name in told}
 
 
-def _parse_number(path: Path, row: int, column: str, text: str | None) -> float:
+def _parse_number(path: Path, row: int, column: str, text: str) -> float:
     try:
-        value = float(text or "")
+        value = float(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
         raise InputFileError(
-            path, f"row {row}, {column}", f"needs a finite number, got {shortened(text or '')}."
+            path, f"row {row}, {column}", f"needs a finite number, got {shortened(text)}."
         )
     return value
 

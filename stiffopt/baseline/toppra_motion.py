@@ -9,11 +9,14 @@ polynomial and followed exactly.
 from __future__ import annotations
 
 import logging
+import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib import import_module
 from itertools import pairwise
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -176,8 +179,7 @@ def _path_speed(
     outer: tuple[float, float] = (0.0, 0.0),
 ) -> np.ndarray | None:
     """Return toppra's path speed ds/dt on a part of the grid, `outer` at its ends; None if none."""
-    with _silence_logging():
-        # toppra loads matplotlib.
+    with _silence_logging(), _plots_on_demand():
         from toppra.algorithm import TOPPRA
         from toppra.constraint import DiscretizationType, LinearConstraint
         from toppra.constraint.linear_constraint import canlinear_colloc_to_interpolate
@@ -207,6 +209,33 @@ def _path_speed(
     if speed is None or not np.all(np.isfinite(speed)) or np.any(speed[:-1] + speed[1:] <= 0):
         return None
     return np.asarray(speed, dtype=float)
+
+
+class _PlotModule(ModuleType):
+    """Stands for matplotlib.pyplot until something is drawn."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(import_module(self.__name__), name)
+
+
+@contextmanager
+def _plots_on_demand() -> Iterator[None]:
+    """Let toppra import matplotlib when it plots: loading it takes longer than many a solve."""
+    if "matplotlib.pyplot" in sys.modules:
+        yield
+        return
+    plots, package = _PlotModule("matplotlib.pyplot"), ModuleType("matplotlib")
+    package.pyplot = plots  # type: ignore[attr-defined]
+    stand_ins = {"matplotlib": package, plots.__name__: plots}
+    replaced = {name: sys.modules[name] for name in stand_ins if name in sys.modules}
+    sys.modules |= stand_ins
+    try:
+        yield
+    finally:
+        for name, stand_in in stand_ins.items():
+            if sys.modules.get(name) is stand_in:
+                del sys.modules[name]
+        sys.modules |= replaced
 
 
 class _PathInterval:

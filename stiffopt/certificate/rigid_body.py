@@ -13,6 +13,7 @@ from stiffopt.robot.added_torque import MotionState, sum_added_torques
 from stiffopt.robot.rigid_body import inverse_dynamics_along, without_rotors
 
 if TYPE_CHECKING:
+    from stiffopt.robot.frames import LinkFrame
     from stiffopt.robot.robot import Robot
 
 
@@ -161,8 +162,8 @@ class RigidBodyHistory:
     # torques of the links.
     link_torque: np.ndarray
     gravity_torque: np.ndarray  # (K, n) [N m] at rest in the same pose
-    tool: np.ndarray  # (K, 3) [m]
-    jacobian: np.ndarray  # (K, 3, n) [m/rad] position Jacobian of the tool, base axes
+    tool: np.ndarray  # (K, 3) [m] in the base, or the frame that carries the work
+    jacobian: np.ndarray  # (K, 3, n) [m/rad] position Jacobian of the tool there
 
 
 def rigid_body_history(
@@ -176,9 +177,13 @@ def rigid_body_history(
     jacobian = np.empty((count, 3, n))
     for block, joints in _in_blocks(places, position):
         point = joints[tool.joint - 1].point(np.asarray(tool.offset))
-        along[block] = point.T
+        along[block] = _in_work(joints, tool.seen_from, point)
         gravity_torque[block] = holding_torques(joints, weight)
-        jacobian[block] = point_jacobian(joints, tool.joint, point)
+        moved = point_jacobian(joints, tool.joint, point)
+        if tool.seen_from is not None:
+            moved = moved - point_jacobian(joints, tool.seen_from.joint, point)
+            moved = np.einsum("jik,kin->kjn", _work_axes(joints, tool.seen_from), moved)
+        jacobian[block] = moved
     link_torque = inverse_dynamics_along(model, position, velocity, acceleration)
     if robot.added_torques:
         still = np.zeros_like(position)
@@ -225,8 +230,24 @@ def tool_positions(robot: Robot, position: np.ndarray) -> np.ndarray:
     places, tool = joint_geometries(robot.model), robot.tool
     found = np.empty((len(position), 3))
     for block, joints in _in_blocks(places, position):
-        found[block] = joints[tool.joint - 1].point(np.asarray(tool.offset)).T
+        point = joints[tool.joint - 1].point(np.asarray(tool.offset))
+        found[block] = _in_work(joints, tool.seen_from, point)
     return found
+
+
+def _work_axes(joints: list[MovingJoint], work: LinkFrame) -> np.ndarray:
+    """Axes of the frame that carries the work, as rows (3, 3, K) in the base."""
+    carrier = joints[work.joint - 1]
+    columns = np.asarray(work.rotation).T @ carrier.of.within
+    return np.stack([_rotate_vectors(carrier.frame, column) for column in columns])
+
+
+def _in_work(joints: list[MovingJoint], work: LinkFrame | None, point: np.ndarray) -> np.ndarray:
+    """Places (K, 3) of a point (3, K), base axes, in the frame that carries the work."""
+    if work is None:
+        return np.asarray(point.T)
+    away = point - joints[work.joint - 1].point(np.asarray(work.offset))
+    return np.asarray(np.einsum("jik,ik->kj", _work_axes(joints, work), away))
 
 
 def _in_blocks(

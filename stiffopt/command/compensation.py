@@ -61,25 +61,33 @@ def compensate(
     uncertainty takes a joint's damping above critical.
     """
     own = known or commands_on_arms(problem, arm, motions[:1], progress=progress)[0]
-    if rivals is None:
-        rivals = rival_commands(problem, arm, motions[1:], own.law, progress=progress)
-    found = [own, *rivals]
     refusal, command = _explain_refusal(problem, own.excess), None
     if not refusal:
         command = assess(problem, own.motors, times=export_times(own.motors.duration))
-    result = Compensation(
-        motions=tuple(each.for_reports() for each in found),
+    alone = Compensation(
+        motions=(own.for_reports(),),
         command=command,
         refusal=refusal,
         uncertainty=problem.uncertainty.statements(arm.robot.payload is not None, problem.servo),
         ahead=problem.servo.dead_time,
         draws=problem.uncertainty.draws,
     )
+    if rivals is None:
+        rivals = rival_commands(problem, arm, motions[1:], own.law, progress=progress)
+    return compare_commands(problem, alone, rivals)
+
+
+def compare_commands(
+    problem: TrajectoryProblem, alone: Compensation, rivals: Sequence[CommandOnArms]
+) -> Compensation:
+    """Return a compensation with rivals beside the optimised motion."""
+    motions = (*alone.motions, *(each.for_reports() for each in rivals))
+    result = replace(alone, motions=motions)
     best = result.best_rival
     if best is None or not result.rival_wins:
         return result
-    place = next(k for k, each in enumerate(result.motions) if each is best)
-    motors, plan = found[place].motors, found[place].motion
+    winner = next(each for each in rivals if each.motion.name == best.name)
+    motors, plan = winner.motors, winner.motion
     assert plan.rival is not None
     duration = float(plan.time[-1])
     return replace(

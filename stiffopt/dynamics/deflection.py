@@ -15,9 +15,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
 
-from stiffopt.dynamics.kinematics import point_jacobian
 from stiffopt.dynamics.newton_euler import newton_euler
 from stiffopt.robot.body_tree import BodyTree
 from stiffopt.symbolic import Quantity
@@ -50,25 +48,17 @@ class Deflection:
 
 
 def spring_torques(
-    tree: BodyTree,
-    joint: int,
-    offset: ArrayLike,
-    q: Quantity,
-    v: Quantity,
-    a: Quantity,
-    process_force: Quantity = None,
+    tree: BodyTree, q: Quantity, v: Quantity, a: Quantity, pushed: Quantity = None
 ) -> SpringTorques:
     """Return the spring torques of an arm in motion (q, v, a) under a process force on its tool.
 
-    The tool point has the place `offset` [m] in the frame of `joint`; the force [N] acts ON the
-    tool, in base axes.
+    `pushed` (n,): joint torques J^T F of the force F ON the tool [N m] or [N].
     """
     rest = np.zeros(tree.n)
     gravity = newton_euler(tree, q, rest, rest)
     motion = newton_euler(tree, q, v, a)
-    if process_force is None:
+    if pushed is None:
         return SpringTorques(gravity=gravity, motion=motion, spring=motion, held=gravity)
-    pushed = ca.mtimes(point_jacobian(tree, joint, offset, q).T, process_force)
     return SpringTorques(
         gravity=gravity, motion=motion, spring=motion - pushed, held=gravity - pushed
     )

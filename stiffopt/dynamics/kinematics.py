@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from stiffopt.dynamics.joint_axes import AxisJoint, axis_joints, clean
 from stiffopt.dynamics.newton_euler import joint_pose
 from stiffopt.robot.body_tree import BodyTree
+from stiffopt.robot.frames import LinkFrame
 from stiffopt.symbolic import Quantity
 
 
@@ -85,6 +86,33 @@ def point_jacobian(tree: BodyTree, joint: int, offset: ArrayLike, q: Quantity) -
     point = origin + ca.mtimes(
         turn, _as_casadi_vector(joints[joint - 1].from_joint_frame @ _as_point(offset))
     )
+    return _columns_of_point(joints, frames, point)
+
+
+def frame_pose(tree: BodyTree, frame: LinkFrame, q: Quantity) -> tuple[Quantity, Quantity]:
+    """Return position and rotation of a frame as of `tool_pose`, relative to its `seen_from`."""
+    position, rotation = tool_pose(tree, frame.joint, frame.offset, frame.rotation, q)
+    if frame.seen_from is None:
+        return position, rotation
+    origin, axes = frame_pose(tree, frame.seen_from, q)
+    return ca.mtimes(axes.T, position - origin), ca.mtimes(axes.T, rotation)
+
+
+def frame_jacobian(tree: BodyTree, frame: LinkFrame, q: Quantity) -> Quantity:
+    """Return the position Jacobian (3, n) of a frame, relative to its `seen_from`."""
+    moved, work = point_jacobian(tree, frame.joint, frame.offset, q), frame.seen_from
+    if work is None:
+        return moved
+    point = point_position(tree, frame.joint, frame.offset, q)
+    axes, joints = frame_pose(tree, work, q)[1], axis_joints(tree)
+    carried = _columns_of_point(joints, axis_frames(joints, q, work.joint), point)
+    return ca.mtimes(axes.T, moved - carried)
+
+
+def _columns_of_point(
+    joints: tuple[AxisJoint, ...], frames: dict[int, tuple[Quantity, Quantity]], point: Quantity
+) -> Quantity:
+    """Jacobian (3, n) of a point (3,), base axes, that moves with the last of the axis frames."""
     columns = [ca.SX.zeros(3) for _ in joints]
     for i, (center, rotation) in frames.items():
         if i:

@@ -21,8 +21,7 @@ from stiffopt.discovery.extended.planning import extended_problem, planner_model
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.files import read_table
 from stiffopt.problem.cycle_files import load_cycle
-from stiffopt.problem.files import load_problem
-from stiffopt.recipe.stored_result import check_inputs, problem_file, read_changes
+from stiffopt.recipe.stored_result import check_inputs, problem_file, read_changes, read_problem
 from stiffopt.result.cycle import leg_folder
 from stiffopt.result.store import RESULT_FILE, export_times, file_hash, motion_seal, read_document
 
@@ -92,7 +91,7 @@ def solved_problem(
     robot, payload, limits or problem have changed.
     """
     file = problem_file(path, document, given)
-    stated = known or load_problem(file, read_changes(path, document)).problem
+    stated = known or read_problem(path, document, file).problem
     named = [document.get(key) for key in ("model", "effects")]
     if isinstance(named[0], str):
         model, effects = (path.parent / each if isinstance(each, str) else None for each in named)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
-from stiffopt.dynamics.kinematics import tool_pose
+from stiffopt.dynamics.kinematics import frame_pose
 from stiffopt.problem.arrival_modes import ArrivalModes
 from stiffopt.problem.coordinates import Coordinates, coordinates_of
 from stiffopt.problem.motor_model import LAW_SMOOTHING_FACTOR, ApproximateMotorModel, MotorModel
@@ -411,10 +411,7 @@ def _tool_pose(problem: TrajectoryProblem, p: ca.SX) -> tuple[ca.SX, Quantity, Q
     if problem.plans_links:
         last = Smoothing(smoothing_stages(problem)[-1], Smoothing(*ca.vertsplit(p)).lead)
         joints = _motor_model_at(problem, x, last).position
-    tool = problem.robot.tool
-    position, rotation = tool_pose(
-        problem.robot.tree, tool.joint, tool.offset, tool.rotation, joints
-    )
+    position, rotation = frame_pose(problem.robot.tree, problem.robot.tool, joints)
     return x, joints, position, rotation
 
 

@@ -230,18 +230,18 @@ def spline_segments(
     rotations: np.ndarray | None,
     speeds: np.ndarray,
     stops: np.ndarray,
-    where: str,
+    names: Sequence[str],
 ) -> list[ToolSegment]:
     """Return segments of splines through points (m, 3) [m], the first the start, from stop to stop.
 
     At each point: orientation (m, 3, 3) or None for one that stays, largest tool speed on the way
-    to it (m,) [m/s], and whether the tool rests there; `where` names the points in messages. Raises
-    `ProblemError` for a point that repeats the one before.
+    to it (m,) [m/s], whether the tool rests there, and its name in messages ("points.csv, row 3").
+    Raises `ProblemError` for a point that repeats the one before.
     """
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     for k in np.flatnonzero(~(steps > _MIN_LENGTH)):
         raise ProblemError(
-            f"{where}{k + 2} repeats the point before, [{', '.join(f'{x:.6g}' for x in points[k])}]"
+            f"{names[k + 1]} repeats the point before, [{', '.join(f'{x:.6g}' for x in points[k])}]"
             " m. Delete it."
         )
     found = []
@@ -262,7 +262,7 @@ def spline_segments(
                     turns=None if turns is None else turns.between(along[a], along[b]),
                     speed=float(inner[b]),
                     stop=bool(first + b == last and last < len(points) - 1),
-                    where=f"{where}{first + b + 1}",
+                    where=names[first + b],
                 )
             )
     return found

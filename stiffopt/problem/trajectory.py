@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -195,6 +195,8 @@ class TrajectoryProblem:
         Force on the tool along the path, which the command compensates.
     process_force : array (3,) [N]
         Constant force on the tool, base frame, under which poses are calibrated.
+    path_choice : dict or None
+        Choice of the freedom of a tool path, kept with results.
     remarks : tuple of str
         Assumptions for incomplete input, repeated in results.
     uncertainty : Uncertainty
@@ -224,6 +226,8 @@ class TrajectoryProblem:
     uncertainty: Uncertainty = field(default_factory=AssumedUncertainty)
     servo: Servo = field(default_factory=lambda: Servo(kind="industrial"))
     cell: Cell | None = None
+    # Not compared: the path follows from it.
+    path_choice: dict[str, Any] | None = field(default=None, compare=False, repr=False)
     # Reason for default objectives. No field: it does not change the problem.
     chosen: ClassVar[str] = ""
 

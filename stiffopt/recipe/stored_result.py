@@ -18,7 +18,7 @@ from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import InputFileError, shortened
 from stiffopt.files import read_table
 from stiffopt.folders import check_result, is_regular
-from stiffopt.problem.files import load_problem
+from stiffopt.problem.files import LoadedProblem, load_problem
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
 from stiffopt.result.archive import ARCHIVE_FILE, read_archive
@@ -72,15 +72,13 @@ def read_result(
     """
     path = folder / RESULT_FILE
     document = read_document(path)
-    problem = problem_file(path, document, problem)
-    solved = read_changes(path, document)
-    loaded = load_problem(problem, solved)
-    stated = loaded.problem
+    loaded = read_problem(path, document, problem)
+    problem, stated = loaded.path, loaded.problem
     model, effects = (_named_file(path, document, key) for key in ("model", "effects"))
     if model is not None and extend is not None:
         stated = extend(stated, model, effects)
     check_inputs(path, document, problem, stated)
-    judged = load_problem(problem, (*solved, *changes)) if changes else loaded
+    judged = read_problem(path, document, problem, changes) if changes else loaded
     certificate = document.get("certificate")
     if not isinstance(certificate, dict):
         raise InputFileError(path, "certificate", "this solve found no motion to simulate.")
@@ -162,6 +160,20 @@ def read_changes(path: Path, document: dict[str, Any]) -> tuple[str, ...]:
     if not isinstance(changes, list) or not all(isinstance(each, str) for each in changes):
         raise InputFileError(path, "changes", "is no list of texts KEY=VALUE. Solve again.")
     return tuple(changes)
+
+
+def read_problem(
+    path: Path,
+    document: dict[str, Any],
+    given: Path | None = None,
+    changes: Sequence[str] = (),
+) -> LoadedProblem:
+    """Read the problem of a result.json at `path` as it was solved, and further changes.
+
+    The freedom of its path is as the solve chose it.
+    """
+    file, solved = problem_file(path, document, given), read_changes(path, document)
+    return load_problem(file, (*solved, *changes), choice=document.get("path_choice"))
 
 
 def check_inputs(
@@ -275,10 +287,9 @@ def read_stored_solution(folder: Path) -> tuple[TrajectoryProblem, Solution]:
             else "is missing: `stiffopt solve --no-report` stores what a page shows. Solve again.",
         )
     check_result(folder, ARCHIVE_FILE)
-    named = problem_file(path, document)
-    stated = load_problem(named, read_changes(path, document)).problem
-    check_inputs(path, document, named, stated)
-    return stated, read_archive(folder)
+    loaded = read_problem(path, document)
+    check_inputs(path, document, loaded.path, loaded.problem)
+    return loaded.problem, read_archive(folder)
 
 
 class _TableMotion:

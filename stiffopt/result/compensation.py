@@ -44,9 +44,11 @@ class Spread:
     @property
     def bound(self) -> float:
         """Bound of 95 % of the arms, with 99 % confidence: an order statistic (Wilks 1941) [m]."""
-        from scipy.stats import binom
+        # Of scipy.special: loading scipy.stats takes longer than many a solve.
+        from scipy.special import bdtr
 
-        rank = int(binom.ppf(0.99, len(self.draws), 0.95))
+        count = len(self.draws)
+        rank = int(np.searchsorted(bdtr(np.arange(count), count, 0.95), 0.99))
         return float(np.sort(self.draws)[min(rank, len(self.draws) - 1)])
 
 
@@ -139,27 +141,23 @@ MIN_RIVAL_GAIN = 0.02
 
 
 def write_command(compensation: Compensation | None, directory: str | Path) -> Path | None:
-    """Write command.csv, and that of a rival that wins, into `directory`; return the first's path.
+    """Write command.csv into `directory` and return its path.
+
+    Without a command, the file of an earlier solve is removed, as it belongs to another motion.
+    """
+    command = None if compensation is None else compensation.command
+    return write_motors(command, Path(directory) / COMMAND_FILE)
+
+
+def write_motors(command: Assessment | None, path: Path) -> Path | None:
+    """Write a command of the motors and return its path; without one the file is removed.
 
     Columns are position, velocity and acceleration of the motors every 2 ms, the drive torque of
-    the links' motion, and the link positions. Without a command, the file of an earlier solve is
-    removed, as it belongs to another motion.
+    the links' motion, and the link positions.
     """
-    found = []
-    for name, command in (
-        (COMMAND_FILE, None if compensation is None else compensation.command),
-        (RIVAL_COMMAND_FILE, None if compensation is None else compensation.rival_command),
-    ):
-        path = Path(directory) / name
-        found.append(None if command is None else path)
-        if command is None:
-            path.unlink(missing_ok=True)
-        else:
-            _write_motors(command, path)
-    return found[0]
-
-
-def _write_motors(command: Assessment, path: Path) -> None:
+    if command is None:
+        path.unlink(missing_ok=True)
+        return None
     joints = range(1, command.position.shape[1] + 1)
     names = ["t", *(f"{quantity}{j}" for quantity in ("q", "qd", "qdd", "tau") for j in joints)]
     columns = [
@@ -173,6 +171,7 @@ def _write_motors(command: Assessment, path: Path) -> None:
         columns.append(command.link)
         names += [f"link{j}" for j in joints]
     write_csv(path, names, np.hstack(columns).tolist())
+    return path
 
 
 def compensation_document(compensation: Compensation | None) -> dict[str, Any] | None:

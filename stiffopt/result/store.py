@@ -19,7 +19,13 @@ from stiffopt.errors import InputError, InputFileError
 from stiffopt.files import load_json, to_json_types, write_csv, write_json
 from stiffopt.folders import check_result
 from stiffopt.result.assessment import Assessment, Violation
-from stiffopt.result.compensation import COMMAND_FILE, compensation_document
+from stiffopt.result.compensation import (
+    COMMAND_FILE,
+    RIVAL_COMMAND_FILE,
+    RIVAL_TRAJECTORY_FILE,
+    compensation_document,
+    write_motors,
+)
 from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.simulation import Simulation, simulation_document
 from stiffopt.result.solution import Baseline, Solution
@@ -145,6 +151,8 @@ def write_result(
         document["leg"] = {"number": leg, "duration": stated.duration}
     if stated is not None:
         document |= {"title": stated.title, **motion_facts(stated, directory)}
+        if stated.path_choice is not None:
+            document["path_choice"] = stated.path_choice
     named = {"problem": problem, "model": model, "effects": effects, "guess": guess}
     for key, file in named.items():
         if file is not None:
@@ -278,6 +286,14 @@ def write_trajectory(
         names += FORCE_COLUMNS
     write_csv(path, names, np.hstack(columns).tolist())
     return path
+
+
+def write_rival(compensation: Compensation | None, directory: Path) -> None:
+    """Write motion and command of the best rival, where it wins."""
+    if compensation is not None and compensation.rival_plan is not None:
+        write_trajectory(compensation.rival_plan, directory, RIVAL_TRAJECTORY_FILE)
+    command = None if compensation is None else compensation.rival_command
+    write_motors(command, directory / RIVAL_COMMAND_FILE)
 
 
 def write_simulation(

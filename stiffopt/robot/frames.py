@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -44,6 +44,14 @@ class LinkFrame:
     offset: np.ndarray  # (3,) origin in that joint's frame [m]
     rotation: np.ndarray  # (3, 3) axes of the frame, as columns in the joint's frame
     link: str = ""  # link in whose frame the offset was given
+    # Frame that carries the work: poses and Jacobians are relative to it and in its axes; None is
+    # the base.
+    seen_from: LinkFrame | None = None
+
+    @property
+    def in_base(self) -> LinkFrame:
+        """The frame relative to the base."""
+        return replace(self, seen_from=None)
 
 
 def link_names(model: pin.Model) -> list[str]:

@@ -239,10 +239,12 @@ def embedded_scene(
     """
     first = next(iter(motions.values()))
     shown = part if part in first.bend else next(iter(first.bend), "")
-    tool = frame_positions(robot.tree, robot.tool, first.position)
+    tool = frame_positions(robot.tree, robot.tool.in_base, first.position)
     extent = max(float(np.ptp(tool, axis=0).max()), 1e-3)
     factor = exaggeration(extent, float(first.deflection[shown].max())) if shown else 1.0
-    still = still_figure(robot.tree, robot.tool, list(motions.values()), shown, factor, cell)
+    still = still_figure(
+        robot.tree, robot.tool.in_base, list(motions.values()), shown, factor, cell
+    )
     here = resources.files("stiffopt.report.scene")
     texts = {
         "document": scene_json(scene_document(robot, motions, shown, factor, cell)),
