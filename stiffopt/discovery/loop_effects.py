@@ -258,7 +258,7 @@ class _Instant:
         def column(whole: np.ndarray, j: int) -> Any:
             return whole[0, j] if whole.dtype == object else whole[:, j]
 
-        before = {
+        before: dict[str, Any] = {
             f"previous_{name}": column(values[f"motor_{name}"], joint - 1) if joint else 0.0
             for name in ("position", "velocity", "acceleration")
         }

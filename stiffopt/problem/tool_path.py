@@ -241,7 +241,7 @@ def spline_segments(
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     for k in np.flatnonzero(~(steps > _MIN_LENGTH)):
         raise ProblemError(
-            f"{names[k + 1]} repeats the point before, [{', '.join(f'{x:.6g}' for x in points[k])}]"
+            f"{names[int(k) + 1]} repeats the point before, [{', '.join(f'{x:.6g}' for x in points[k])}]"
             " m. Delete it."
         )
     found = []

@@ -198,7 +198,15 @@ class Explanations:
         for j in range(self.n):
             if not before[j] > _MIN_FAILURE_SHARE:
                 continue
-            usual = (-1.0, 1e3, 1e-3, -1e3, -1e-3, 1.0 / ratio[j], -1.0 / ratio[j])
+            usual: tuple[float, ...] = (
+                -1.0,
+                1e3,
+                1e-3,
+                -1e3,
+                -1e-3,
+                1.0 / ratio[j],
+                -1.0 / ratio[j],
+            )
             if j in self.robot.recordings.signals.current_joints:
                 usual = ()
             gain, share = self.torque_fit.gain(motion, torque[:, j], j, usual)
