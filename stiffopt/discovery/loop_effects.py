@@ -63,7 +63,7 @@ def robot_in_loop(
 
 @dataclass(frozen=True, eq=False)
 class _Parts:
-    """What a term adds at an instant, by joints in the order of the set: torques, deflections."""
+    """Torques and deflections that a term adds at an instant, by joints in the order of the set."""
 
     torque: ca.SX
     deflection: ca.SX
