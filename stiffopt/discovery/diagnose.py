@@ -67,7 +67,7 @@ from stiffopt.discovery.steps import (
     NOISE_CEILING,
     SIMULATION,
     SUSPECTS,
-    LaterSteps,
+    Steps,
 )
 from stiffopt.discovery.training import Training, open_training_runs, prepare_training
 from stiffopt.discovery.user_effects import load_effects
@@ -223,7 +223,7 @@ def _run_diagnosis(
         recordings=recordings, asked=sought, settings=settings, base=base, say=say
     )
     training, result, touched = searches.run(training)
-    steps = LaterSteps(result, say)
+    steps = Steps(result, say)
     if settings.cutoff is None:  # bands that were asked for hold
         training = _with_prediction_bands(training, result, steps)
     laws = steps.run(LAWS, lambda: find_laws(result, say)) or LawSearch(result=result)
@@ -339,7 +339,7 @@ def _estimate_parameters(
     comparison: Comparison,
     selected: tuple[Selected, ...],
     half_band: Callable[[], Comparison | None],
-    steps: LaterSteps,
+    steps: Steps,
 ) -> tuple[tuple[Selected, ...], Estimate]:
     """Estimate parameters; drop insignificant findings. Ctrl-C leaves out refinements."""
     comparison.columns.release_memory()
@@ -358,7 +358,7 @@ def _estimate_parameters(
     return drop_insignificant(selected, fitted if plain else refined)
 
 
-def _with_prediction_bands(training: Training, result: SearchResult, steps: LaterSteps) -> Training:
+def _with_prediction_bands(training: Training, result: SearchResult, steps: Steps) -> Training:
     """Return the training runs with the bands of predictions, unless these are fixed.
 
     Those of a model hold, poses at rest have none, and vibration follows the band of the fit.
@@ -394,7 +394,7 @@ def _perturb_findings(
     return recurrence(result.comparison, selected, other, free_bodies=training.free_bodies)
 
 
-def _predict_held_out(opened: HeldOutRuns, recordings: RecordingSet, steps: LaterSteps) -> None:
+def _predict_held_out(opened: HeldOutRuns, recordings: RecordingSet, steps: Steps) -> None:
     """Predict the held-out runs; Ctrl-C ends it."""
     if opened.needs_noise_ceiling:
         steps.run(NOISE_CEILING, lambda: opened.fit_noise_ceiling(steps.say))
@@ -409,7 +409,7 @@ def _assess_left_open(
     whole: Extension,
     asked: Sequence[Effect],
     base: ExtendedModel | None,
-    steps: LaterSteps,
+    steps: Steps,
 ) -> LeftOpenSection:
     """Describe the open residual; without suspects, which take long, after Ctrl-C."""
     before, found = None if base is None else base.left_open, None
