@@ -40,43 +40,21 @@ _DIFFERENCE_STEP = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class Form:
-    """Form of a law in one signal.
-
-    Parameters
-    ----------
-    name : str
-    formulas : tuple of str
-        NumPy expressions in x, dt and the shapes, one for each amplitude.
-    words : str
-        "{x}" is the signal.
-    symmetry : {"odd", "even", "none"}
-        In the signal.
-    shapes : tuple of FormShape
-    in_signal : bool
-        True where the value has the unit of the signal.
-    analytic : bool
-        False for formulas with comparisons, which have no complex derivative.
-    unscreened : bool
-        True where no smooth function of the signal resembles it: with memory, or periodic.
-    has_memory : bool
-        True where the value depends on earlier values of the signal.
-    general : str
-        Name of a form of which this one is a special case; fitted where this one holds.
-    resembles : str
-        Known physics of such a form, for sentences; "" where there is none.
-    """
+    """Form of a law in one signal."""
 
     name: str
-    formulas: tuple[str, ...]
-    words: str
-    symmetry: Symmetry = "none"
+    formulas: tuple[str, ...]  # NumPy expressions in x, dt and the shapes, one for each amplitude
+    words: str  # "{x}" is the signal
+    symmetry: Symmetry = "none"  # in the signal
     shapes: tuple[FormShape, ...] = ()
-    in_signal: bool = False
-    analytic: bool = True
+    in_signal: bool = False  # True where the value has the unit of the signal
+    analytic: bool = True  # False for formulas with comparisons, which have no complex derivative
+    # True where no smooth function of the signal resembles it: with memory, or periodic.
     unscreened: bool = False
-    has_memory: bool = False
+    has_memory: bool = False  # True where the value depends on earlier values of the signal
+    # Name of a form of which this one is a special case; fitted where this one holds.
     general: str = ""
-    resembles: str = ""
+    resembles: str = ""  # known physics of such a form, for sentences; "" where there is none
 
     @cached_property
     def _functions(self) -> tuple[Callable[..., Any], ...]:

@@ -13,24 +13,14 @@ ShapeUnit = Literal["signal", "per signal", "s", "Hz", ""]
 
 @dataclass(frozen=True, kw_only=True)
 class SignalRange:
-    """Range of a signal in the recordings.
-
-    Parameters
-    ----------
-    low, high : float
-    duration : float
-        Of the longest recording [s], or the whole range of a clock.
-    rate : float
-        Rate up to which recordings resolve a motion [Hz].
-    peaks : tuple of float
-        Likeliest frequencies of the residual over a clock [Hz], or orders over an angle beyond
-        those of the grid [1/rad].
-    """
+    """Range of a signal in the recordings."""
 
     low: float
     high: float
-    duration: float
-    rate: float
+    duration: float  # of the longest recording [s], or the whole range of a clock
+    rate: float  # rate up to which recordings resolve a motion [Hz]
+    # Likeliest frequencies of the residual over a clock [Hz], or orders over an angle beyond those
+    # of the grid [1/rad].
     peaks: tuple[float, ...] = ()
 
     @property
@@ -50,22 +40,12 @@ class SignalRange:
 
 @dataclass(frozen=True, kw_only=True)
 class FormShape:
-    """Shape of a form.
-
-    Parameters
-    ----------
-    name : str
-    unit : str
-        "signal" and "per signal" stand for the unit of the signal.
-    starts : callable
-        Range of the signal -> initial values.
-    bounds : callable
-        Range of the signal -> lowest and highest value.
-    """
+    """Shape of a form."""
 
     name: str
-    unit: ShapeUnit
-    starts: Callable[[SignalRange], Sequence[float]]
+    unit: ShapeUnit  # "signal" and "per signal" stand for the unit of the signal
+    starts: Callable[[SignalRange], Sequence[float]]  # range of the signal -> initial values
+    # Range of the signal -> lowest and highest value.
     bounds: Callable[[SignalRange], tuple[float, float]]
 
     def unit_of(self, signal: str) -> str:

@@ -13,29 +13,17 @@ from stiffopt.symbolic import Quantity
 
 @dataclass(frozen=True, kw_only=True)
 class SourceKind:
-    """Kind of signal.
+    """Kind of signal."""
 
-    Parameters
-    ----------
-    attribute : str
-        Field of `RobotSignals`, or an expression in `signals` for the robot as a whole.
-    symbol, unit, words : str
-        For equations, values and sentences; "{}" is the joint.
-    forms : tuple of str
-        Names of the forms that a law may take in it.
-    per_joint : bool
-        False for a signal of the robot as a whole.
-    of_own_joint : bool
-        True where only laws of that joint may depend on it.
-    """
-
+    # Field of `RobotSignals`, or an expression in `signals` for the robot as a whole.
     attribute: str
+    # symbol, unit, words: for equations, values and sentences; "{}" is the joint.
     symbol: str
     unit: str
     words: str
-    forms: tuple[str, ...]
-    per_joint: bool = True
-    of_own_joint: bool = False
+    forms: tuple[str, ...]  # names of the forms that a law may take in it
+    per_joint: bool = True  # False for a signal of the robot as a whole
+    of_own_joint: bool = False  # True where only laws of that joint may depend on it
 
 
 _PLACE_FORMS = (
@@ -172,18 +160,10 @@ SOURCE_KINDS = {
 
 @dataclass(frozen=True)
 class LawSource:
-    """A signal.
+    """A signal."""
 
-    Parameters
-    ----------
-    kind : str
-        Key of `SOURCE_KINDS`.
-    joint : int or None
-        From 0; None for a signal of the robot as a whole.
-    """
-
-    kind: str
-    joint: int | None = None
+    kind: str  # key of `SOURCE_KINDS`
+    joint: int | None = None  # from 0; None for a signal of the robot as a whole
 
     @property
     def own(self) -> SourceKind:
