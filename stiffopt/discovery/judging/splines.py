@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.interpolate import BSpline
 
-_DEGREE = 3
+_SPLINE_DEGREE = 3
 
 
 def inner_knots(values: np.ndarray, count: int) -> np.ndarray:
@@ -15,9 +15,9 @@ def splines_at(inner: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return cubic B-splines (K, k) at values of a signal; constant beyond the knots."""
     if len(inner) < 2 or not inner[-1] > inner[0]:
         return np.ones((len(values), 1))
-    knots = np.concatenate([[inner[0]] * _DEGREE, inner, [inner[-1]] * _DEGREE])
+    knots = np.concatenate([[inner[0]] * _SPLINE_DEGREE, inner, [inner[-1]] * _SPLINE_DEGREE])
     inside = np.clip(values, inner[0], np.nextafter(inner[-1], inner[0]))
-    return np.asarray(BSpline.design_matrix(inside, knots, _DEGREE).toarray())
+    return np.asarray(BSpline.design_matrix(inside, knots, _SPLINE_DEGREE).toarray())
 
 
 def predict_blocks(
