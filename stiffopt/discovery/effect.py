@@ -39,6 +39,7 @@ Need = Literal[
     "link",
     "sensor",
     "torque_sensor",
+    "commanded",
     "windup",
     "moves",
     "reverses",
@@ -283,6 +284,9 @@ class Effect:
         Name of an effect that is nearly equivalent, with an amplitude where the other has a shape.
         The evidence penalises amplitudes but not shapes, so the two are compared by fit and by how
         well the data determine each; declared on one side.
+    at_motor : Effect, optional
+        The same law where the encoder reads the motor: this effect is its torque on a motor that
+        moves unseen, and a simulation of both sides takes the law from there.
     beside : Effect, optional
         Competing effect with so many amplitudes that unlisted laws are among its forms. It is
         fitted only to test this effect against it and is never reported.
@@ -338,6 +342,7 @@ class Effect:
     only_without: tuple[Need, ...] = ()
     confused_with: tuple[str, ...] = ()
     twin: str = ""
+    at_motor: Effect | None = None
     beside: Effect | None = None
     likelier_than: Effect | None = None
     reference: str = ""
@@ -367,6 +372,12 @@ class Effect:
     def identity(self) -> tuple[str, tuple[str, ...]]:
         """Name and runs: a value common to all runs is another one than its change in some."""
         return (self.name, self.only_in)
+
+    def at_instant(self, signals: Any, amplitudes: Values, shapes: Values) -> Term:
+        """Return the term of a simulation, in which motor and link move by themselves."""
+        entry = self.at_motor or self
+        own = shapes[len(shapes) - len(entry.shapes) :]
+        return entry.term(signals, amplitudes, own)
 
     def acts_in(self, run: str) -> bool:
         """Return True where the effect acts in a run of this name."""

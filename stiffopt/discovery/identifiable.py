@@ -22,6 +22,7 @@ _PREREQUISITE_NEEDS: tuple[Need, ...] = (
     "link",
     "sensor",
     "torque_sensor",
+    "commanded",
     "windup",
     "moves",
     "gear_ratio",
@@ -41,6 +42,7 @@ MISSING_DATA: dict[Need, str] = {
     "link": "it has no link encoder",
     "sensor": "neither its torque nor its link angle is recorded",
     "torque_sensor": "torques are derived from commands, by their clock and scale",
+    "commanded": "its torque is measured, or its actuator is not known",
     "windup": "it has no link encoder, and not every joint has stiffness and damping",
     "moves": "it does not move",
     "reverses": "it moves in one direction only",
@@ -107,6 +109,7 @@ def effect_checks(
     nominal = recordings.nominal
     of_set: dict[Need, bool] = {
         "torque_sensor": not recordings.signals.commanded,
+        "commanded": recordings.signals.commanded,
         "gear_ratio": nominal.gear_ratio is not None,
         "pole_pairs": nominal.pole_pairs is not None,
         "tool_frame": recordings.tool_frame is not None,

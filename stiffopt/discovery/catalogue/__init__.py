@@ -14,7 +14,7 @@ from stiffopt.discovery.catalogue.belt_creep import BELT_CREEP
 from stiffopt.discovery.catalogue.contacts import CONTACTS
 from stiffopt.discovery.catalogue.coupled_drive import COUPLED_DRIVE
 from stiffopt.discovery.catalogue.crosstalk import CROSSTALK
-from stiffopt.discovery.catalogue.elastic import BACKLASH, HYSTERESIS
+from stiffopt.discovery.catalogue.elastic import BACKLASH, HYSTERESIS, OUTPUT_BACKLASH
 from stiffopt.discovery.catalogue.friction import FRICTION
 from stiffopt.discovery.catalogue.friction_drift import FRICTION_DRIFT
 from stiffopt.discovery.catalogue.gain_drift import GAIN_DRIFTS
@@ -44,6 +44,7 @@ CATALOGUE: tuple[Effect, ...] = (
     QUADRATIC_DRAG,
     COUPLED_DRIVE,
     BACKLASH,
+    OUTPUT_BACKLASH,
     HYSTERESIS,
     STIFFNESS_LINEAR,
     K1_SOFTENING,

@@ -176,11 +176,13 @@ class LocatedEffect:
         assert self.joint is not None
         term = self.effect.term(run.of_joint(self.joint), amplitudes, self.shapes)
         parts = (term.drive_torque, term.link_torque, term.deflection, term.reading)
-        drive, *others = (_as_joint_column(part, like, self.joint) for part in parts)
+        drive, link, wound, reading = (_as_joint_column(part, like, self.joint) for part in parts)
         if self.joint:
             before = _as_joint_column(term.previous_torque, like, self.joint - 1)
             drive = _add_optional(drive, before)
-        return Contribution(drive, *others)
+        if wound is not None and run.shows_displacement(self.joint):
+            link = _add_optional(link, signals.arm.displaced_torque(wound, signals.dt))
+        return Contribution(drive, link, wound, reading)
 
     def unit_changes(self, run: PreparedRun) -> tuple[list[ChannelChange], list[LinkLoad]]:
         """Return changes per unit of each amplitude, and loads on vibrating links."""
@@ -198,6 +200,11 @@ class LocatedEffect:
                 for x in (term.drive_torque, term.reading, term.link_torque, term.deflection)
             )
             loaded = link.any()
+            if wound.any() and run.shows_displacement(self.joint):
+                every = np.zeros_like(run.signals.motor_position)
+                every[:, self.joint] = wound
+                moved = run.signals.arm.displaced_torque(every, run.signals.dt)
+                changes += [("torque", k, i, own) for k, own in enumerate(moved.T) if own.any()]
             if run.vibration is None:
                 torque, deflection = torque + link, wound + deflection
                 if loaded:

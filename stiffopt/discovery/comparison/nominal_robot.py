@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from stiffopt.discovery.comparison.filtering import derivative
 from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.settings import fill_missing
 from stiffopt.discovery.signals import (
@@ -27,6 +28,8 @@ from stiffopt.robot.frames import first_link_of
 
 # Step of a centre of mass for the slopes of inertial parameters [m].
 _CENTRE_STEP = 1e-5
+# Displacement of links for the slopes of their torques [rad].
+_DISPLACEMENT_STEP = 1e-4
 
 
 class RobotModel:
@@ -367,6 +370,25 @@ class LazyArmSignals:
     def weight(self) -> np.ndarray:
         """Torques per gravity along the axes of the base (K, n, 3) [N m per m/s^2]."""
         return self._robot.weight(self._motion[0])
+
+    def displaced_torque(self, wound: np.ndarray, dt: float) -> np.ndarray:
+        """Return the change (k, n) of the torques of links displaced by -wound, to first order.
+
+        Parameters
+        ----------
+        wound : array (k, n)
+            Motor less link angle beyond the nominal one, of the first samples [rad].
+        """
+        rate = derivative(wound, dt)
+        change = (wound, rate, derivative(rate, dt))
+        step = _DISPLACEMENT_STEP / max(float(np.abs(wound).max()), _DISPLACEMENT_STEP)
+        ahead, behind = (
+            self._robot.spring_torque(
+                *(x[: len(wound)] + s * d for x, d in zip(self._motion, change, strict=True))
+            )
+            for s in (-step, step)
+        )
+        return np.asarray((ahead - behind) / (2.0 * step))
 
     def head(self, count: int) -> _FirstSamples:
         """Return the first samples, as views of the evaluation of all."""

@@ -148,6 +148,13 @@ class PreparedRun:
             )
         return self._compliance[index]
 
+    def shows_displacement(self, joint: int) -> bool:
+        """Return True where a displaced link shows by its torque alone: no encoder measures it.
+
+        Links that vibrate respond to a displacement themselves.
+        """
+        return self.vibration is None and not self.deflection_used[:, joint].any()
+
     def initial_states(self, band: float | None = None) -> np.ndarray:
         """Return initial states (2 n, m) of likely vibrations up to a band [Hz].
 

@@ -53,6 +53,8 @@ _ZERO_REACH, _CONVENTION_TOLERANCE = np.pi / 6.0, 0.03
 # Residual share of coupled drives over that of a sum of positions from which the sum is told.
 _EQUIVALENT_RATIO = 2.0
 _DERIVATIVE_NAMES = ("velocity", "acceleration")
+# Difference of residual shares within which two descriptions fit alike.
+_EQUAL_SHARES = 0.05
 # Largest tilt of the base that is left to a diagnosis [rad].
 _MAX_SMALL_TILT = np.pi / 6.0
 
@@ -99,13 +101,17 @@ class Explanations:
 
         Not for currents, which such additions could turn into torques.
         """
-        shares = self.strict.copy()
+        return self._shares_with_additions(self.motion, self.strict)
+
+    def _shares_with_additions(self, motion: Motion, strict: np.ndarray) -> np.ndarray:
+        """Return the shares of a motion where those without additions (n,) fail."""
+        shares = strict.copy()
         if self.robot.recordings.signals.currents:
             return shares
         for j in np.flatnonzero(shares > _MIN_FAILURE_SHARE).tolist():
             torque = self.samples.torque[:, j]
-            additions = allowed_additions(self.robot, self.motion, j)
-            shares[j] = self.torque_fit.residual_share(self.motion, torque, j, additions)
+            additions = allowed_additions(self.robot, motion, j)
+            shares[j] = self.torque_fit.residual_share(motion, torque, j, additions)
         return shares
 
     @cached_property
@@ -192,7 +198,17 @@ class Explanations:
         for j in range(self.n):
             if not before[j] > _MIN_FAILURE_SHARE:
                 continue
-            usual = (-1.0, 1e3, 1e-3, -1e3, -1e-3, 1.0 / ratio[j], -1.0 / ratio[j])
+            usual: tuple[float, ...] = (
+                -1.0,
+                1e3,
+                1e-3,
+                -1e3,
+                -1e-3,
+                1.0 / ratio[j],
+                -1.0 / ratio[j],
+            )
+            if j in self.robot.recordings.signals.current_joints:
+                usual = ()
             gain, share = self.torque_fit.gain(motion, torque[:, j], j, usual)
             if not _USUAL_GAIN_RANGE[0] < gain < _USUAL_GAIN_RANGE[1] and _is_explained(
                 before[j], share
@@ -306,11 +322,19 @@ class Explanations:
         if direction is None:  # no weight at all: a controller may add its compensation later
             direction = np.zeros(3)
         spring = moving + pulls @ (9.81 * direction)
-        left = self._residual_shares(replace(motion, spring=spring), self.samples.torque)
-        # A spring at one joint may look similar, but not at all joints that carry weight.
-        if not np.all((left <= self.left + 0.05) | np.isnan(left)):
+        return self._accept_weight(replace(motion, spring=spring), direction)
+
+    def _accept_weight(self, motion: Motion, gravity: np.ndarray) -> Explanation | None:
+        """Return the explanation by another weight unless the stated one fits a joint better.
+
+        A spring at one joint may look similar, but not at all joints that carry weight. A joint may
+        have one beside another direction of gravity; in place of all weight it stands for it.
+        """
+        left = self._residual_shares(motion, self.samples.torque)
+        own = self._shares_with_additions(motion, left) if gravity.any() else left
+        if not np.all((own <= self.left + _EQUAL_SHARES) | np.isnan(own)):
             return None
-        return self._accept_explanation(left, self.own, gravity=direction, against=self.strict)
+        return self._accept_explanation(left, self.own, gravity=gravity, against=self.strict)
 
     def _fit_gravity_direction(self, moving: np.ndarray, pulls: np.ndarray) -> np.ndarray | None:
         """Return the unit vector of gravity that fits the torques best, rounded to a near axis."""

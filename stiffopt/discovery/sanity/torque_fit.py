@@ -78,7 +78,9 @@ class TorqueFit:
     ) -> tuple[float, float]:
         """Return the gain, of either sign, that fits a torque best, and its residual share.
 
-        A usual gain is preferred if it fits nearly as well.
+        A usual gain is preferred if it fits nearly as well. Without usual ones, as for a current,
+        both are nan where half or twice of it leaves less than twice the share: friction may be
+        of any size, and a joint that carries no weight fits every gain.
         """
         reduced = self._reduce_table(motion, torque, joint, None)
         if reduced is None:
@@ -94,6 +96,10 @@ class TorqueFit:
             method="bounded",
             options={"xatol": 1e-3},
         )
+        gain = float(sign * np.exp(found.x))
+        if not usual:
+            beside = min(reduced.share(0.5 * gain), reduced.share(2.0 * gain))
+            return (gain, float(found.fun)) if beside > 2.0 * found.fun else (np.nan, np.nan)
         good = {
             g: share
             for g in usual
@@ -101,7 +107,7 @@ class TorqueFit:
         }
         if good:
             return min(good.items(), key=lambda one: one[1])
-        return float(sign * np.exp(found.x)), float(found.fun)
+        return gain, float(found.fun)
 
     def _reduce_table(
         self, motion: Motion, torque: np.ndarray, joint: int, extra: Additions | None
