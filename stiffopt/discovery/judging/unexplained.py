@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from stiffopt.discovery.channel import channel_name
 from stiffopt.discovery.comparison.channel_rows import noise_above_cutoff
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
@@ -198,12 +199,6 @@ def _noise_excess(result: SearchResult) -> float:
     worst = int(np.nanargmax(result.after))
     held = noise_above_cutoff(comparison.nominal_runs) / comparison.noise.stacked
     return float(np.nanmax([1.0, held[worst]]))
-
-
-def channel_name(channel: int, joints: int) -> str:
-    """Return the name of a channel, such as "torque_3"."""
-    kind = "torque" if channel < joints else "link_position"
-    return f"{kind}_{channel % joints + 1}"
 
 
 def _find_dominant_run(comparison: Comparison, rows: np.ndarray) -> tuple[str, float] | None:

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import softmax
 
+from stiffopt.discovery.channel import channel_name
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, LocatedEffect
-from stiffopt.discovery.judging.unexplained import assess_findings, channel_name
+from stiffopt.discovery.judging.unexplained import assess_findings
 from stiffopt.discovery.law_search.fit_law import FittedLaw
 from stiffopt.discovery.law_search.free_function import residual_tables
 from stiffopt.discovery.law_search.open_channel import OpenChannel
