@@ -18,7 +18,7 @@ from stiffopt.baseline.baselines import baselines
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.command.simulation import check_simulation
 from stiffopt.problem.bounds import shortest_duration
-from stiffopt.problem.formulation import Scales, formulate
+from stiffopt.problem.formulation import Scales
 from stiffopt.problem.input_checks import check_clear_poses
 from stiffopt.problem.limits.travel import with_bounded_travel
 from stiffopt.problem.resolve import resolve
@@ -27,7 +27,7 @@ from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.solution import Solution
 from stiffopt.solver.active_set import ActiveSetSolver
-from stiffopt.solver.exchange import interrupted_outcome, until_interrupted
+from stiffopt.solver.exchange import exchange, interrupted_outcome, until_interrupted
 from stiffopt.solver.programme import (
     Outcome,
     Programme,
@@ -37,8 +37,14 @@ from stiffopt.solver.programme import (
     solve_stage,
 )
 from stiffopt.solver.refinement import refine
+from stiffopt.solver.ringing import RingingBesideRivals
 from stiffopt.solver.simulated_solution import with_simulation
-from stiffopt.solver.solve import preliminary_notes, solution_of, solve_with_state
+from stiffopt.solver.solve import (
+    choose_for_arms,
+    interrupted_solution,
+    preliminary_notes,
+    solve_with_state,
+)
 from stiffopt.solver.solve_run import ProgressCallback, SolveRun
 from stiffopt.solver.stage_plan import SolveStage, solver_options
 from stiffopt.solver.stationary_joints import fix_creeping_joints
@@ -66,6 +72,8 @@ class WarmStart:
     block_scales : BlockScales
         Scales of its variables and rows. A solve from here keeps all scales, so that the last
         digits of its answer do not depend on other solves.
+    back_off : array (2, rows)
+        By which lower and upper bounds of rows were moved, unscaled.
     method : str
         Transcription and intervals of its problem.
     """
@@ -77,12 +85,14 @@ class WarmStart:
     smoothing: Smoothing
     scales: Mapping[str, float]
     block_scales: BlockScales
+    back_off: np.ndarray
     method: str
 
     def to_bytes(self) -> bytes:
         """Return a line of JSON, then all arrays as little-endian doubles."""
         of_x, of_g = self.block_scales.variables, self.block_scales.rows
-        groups = [[self.x], [self.multipliers_x], [self.multipliers_g], self.mesh, of_x, of_g]
+        solved = [self.x, self.multipliers_x, self.multipliers_g, self.back_off.ravel()]
+        groups = [*([each] for each in solved), self.mesh, of_x, of_g]
         head = {
             "sizes": [[len(each) for each in group] for group in groups],
             "smoothing": self.smoothing.parameters.tolist(),
@@ -110,7 +120,7 @@ class WarmStart:
             raise ValueError("cut off")
         arrays = iter(np.split(numbers, np.cumsum(sizes)[:-1]))
         groups = [[next(arrays) for _ in group] for group in head["sizes"]]
-        (x,), (multipliers_x,), (multipliers_g,), mesh, of_x, of_g = groups
+        (x,), (multipliers_x,), (multipliers_g,), (back_off,), mesh, of_x, of_g = groups
         return cls(
             x,
             multipliers_x,
@@ -119,6 +129,7 @@ class WarmStart:
             Smoothing(*head["smoothing"]),
             head["scales"],
             BlockScales(tuple(of_x), tuple(of_g)),
+            back_off.reshape(2, -1),
             head["method"],
         )
 
@@ -179,7 +190,7 @@ class ProblemFamily:
         if warm is not None and warm.method == _method_key(problem) and not start:
             motion = resolve(problem)
             bounded = with_bounded_travel(problem, motion)
-            run = SolveRun(bounded, motion, Scales(warm.scales), progress)
+            run = SolveRun(bounded, motion, Scales(warm.scales), progress, at_rest=True)
             outcome = until_interrupted(
                 functools.partial(self._solve_warm, run, warm),
                 functools.partial(interrupted_outcome, run),
@@ -188,10 +199,21 @@ class ProblemFamily:
                 compare = compare and beside_rivals
                 compared = baselines(problem, run.motion) if compare else {}
                 notes = preliminary_notes(problem, run.motion)
-                solution = solution_of(run, outcome, compared, notes, compare=compare)
+                solution = until_interrupted(
+                    functools.partial(
+                        choose_for_arms, run, outcome, compared, notes, compare=compare
+                    ),
+                    functools.partial(interrupted_solution, run, compared, notes),
+                )
                 if simulate:
                     solution = with_simulation(
-                        problem, solution, progress, run.motion, compare=beside_rivals
+                        problem,
+                        solution,
+                        progress,
+                        run.motion,
+                        run.command,
+                        run.rivals,
+                        compare=beside_rivals,
                     )
                 return solution, _warm_start_of(run, outcome)
         solution, kept = solve_with_state(
@@ -203,7 +225,7 @@ class ProblemFamily:
             compare=compare,
             beside_rivals=beside_rivals,
         )
-        if kept is None or problem.plans_links or start or not solution.status.usable:
+        if kept is None or kept[0].end_modes or start or not solution.status.usable:
             return solution, None
         run, outcome = kept
         self._store_programme(Programme(outcome.transcription, outcome.solver))
@@ -234,17 +256,21 @@ class ProblemFamily:
             if standing is not None:
                 made = replace(made, transcription=standing)
                 made.solver.set_bounds(standing.nlp)
+        plain, made = made.transcription, _backed_off(made, warm.back_off / of_g)
         raw = solve_by_active_set(run, made, stage, begin.x, begin)
         if raw is None:
             raw = solve_stage(run, made, stage, begin.x, begin, "warm", "adaptive")
         if not raw.converged:
             return None
         outcome = certify_outcome(run, made, raw, warm.smoothing)
-        if not _is_certified_optimum(outcome):
+        outcome = replace(outcome, transcription=plain)
+        if problem.plans_links or not _is_certified_optimum(outcome):
             # A mesh that is fine enough for one problem may not be for another.
             outcome = refine(run, outcome)
             self._store_programme(Programme(outcome.transcription, outcome.solver))
         sound = _is_certified_optimum(outcome)
+        if sound:
+            outcome = exchange(run, RingingBesideRivals(run, outcome), outcome)
         if problem.avoids_collisions and outcome.collisions:
             # Collision avoidance needs a solve without the warm start.
             sound = False
@@ -252,7 +278,7 @@ class ProblemFamily:
 
     def _programme_for(self, run: SolveRun, warm: WarmStart) -> Programme:
         """Return the programme on the mesh of a warm start, with a problem's bounds and numbers."""
-        ocp = formulate(run.problem, run.motion, run.scales)
+        ocp = run.formulate()
         options = solver_options(run.problem)
         wanted = warm.block_scales.tobytes()
         for made in reversed(self._programmes.values()):
@@ -297,8 +323,25 @@ def _warm_start_of(run: SolveRun, outcome: Outcome) -> WarmStart:
         smoothing=outcome.smoothing,
         scales=run.scales.values,
         block_scales=BlockScales.of(outcome.transcription.nlp),
+        back_off=_moved_bounds(outcome.nlp, outcome.transcription.nlp) * of_g,
         method=_method_key(run.problem),
     )
+
+
+def _moved_bounds(nlp: Nlp, before: Nlp) -> np.ndarray:
+    """Return by how much the lower and the upper bounds of rows differ (2, rows)."""
+    bounds, old = (np.stack([each.lower_g, each.upper_g]) for each in (nlp, before))
+    return np.subtract(bounds, old, out=np.zeros_like(old), where=bounds != old)
+
+
+def _backed_off(made: Programme, back_off: np.ndarray) -> Programme:
+    """Return a programme with its bounds of rows moved, where a motion can keep them then."""
+    nlp = made.transcription.nlp
+    closer = replace(nlp, lower_g=nlp.lower_g + back_off[0], upper_g=nlp.upper_g + back_off[1])
+    if not back_off.any() or np.any(closer.lower_g > closer.upper_g):
+        return made
+    made.solver.set_bounds(closer)
+    return replace(made, transcription=replace(made.transcription, nlp=closer))
 
 
 def _nlp_scales(nlp: Nlp) -> tuple[np.ndarray, np.ndarray]:

@@ -211,7 +211,7 @@ class BlockScales:
     Parameters
     ----------
     variables : tuple of array
-        Of states, controls, static variables and durations.
+        Of states and controls, or spline coefficients, of static variables and durations.
     rows : tuple of array
     """
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from small_arms import ROOT
+from small_arms import ROOT, load
 
 from stiffopt import native, solve
 from stiffopt.problem.files import load_problem
@@ -59,6 +59,22 @@ def test_similar_problem_reuses_the_programme(first, change):
         "scale" in change or "offset" in change
     )
     assert warm.baselines == {}
+
+
+@pytest.mark.parametrize("goal", ["tool_deviation", "dynamic_deflection"])
+def test_planned_links_start_from_the_solved_state(tmp_path, goal):
+    stated = load(tmp_path, "planar", minimise=f'objective = "{goal}"', duration="0.6")
+    longer = replace(stated, duration=(0.62, 0.62))
+    family = ProblemFamily()
+    _, end = family.solve(stated)
+    again = WarmStart.from_bytes(end.to_bytes())
+    assert again.back_off.tolist() == end.back_off.tolist()
+    warm, _ = family.solve(longer, again)
+    cold = solve(longer)
+    assert warm.status is cold.status
+    assert warm.solver.iterations < 0.6 * cold.solver.iterations
+    # The mesh of the first motion remains, and with it its error.
+    assert warm.objective.value <= cold.objective.value * 1.01
 
 
 def test_another_programme_is_built(first):
