@@ -17,6 +17,7 @@ import numpy as np
 
 from stiffopt.certificate.assess import assess
 from stiffopt.command.command_search import (
+    CommandChoice,
     CommandOnArms,
     CommandSearch,
     ExistingCommand,
@@ -52,6 +53,7 @@ def compensate(
     *,
     known: CommandOnArms | None = None,
     rivals: Sequence[CommandOnArms] | None = None,
+    choice: CommandChoice | None = None,
     progress: Progress | None = None,
 ) -> Compensation:
     """Return the command of the first motion, and the effect of compensation on all motions.
@@ -67,6 +69,8 @@ def compensate(
         Of the first motion, where it is known already.
     rivals : sequence of CommandOnArms, optional
         Of the others, as of `rival_commands`.
+    choice : CommandChoice, optional
+        Of the first motion's command, where limits allow it.
     progress : callable, optional
         Called with the name of each motion before it is compensated.
 
@@ -77,7 +81,9 @@ def compensate(
     RobotError
         An uncertainty takes a joint's damping above critical.
     """
-    own = known or commands_on_arms(problem, arm, motions[:1], progress=progress)[0]
+    own = known
+    if own is None:
+        (own,) = commands_on_arms(problem, arm, motions[:1], choice=choice, progress=progress)
     refusal, command = _explain_refusal(problem, own.excess), None
     if not refusal:
         command = assess(problem, own.motors, times=export_times(own.motors.duration))
@@ -218,6 +224,7 @@ def commands_on_arms(
     motions: Sequence[PlannedMotion],
     law: MotorLaw | None = None,
     *,
+    choice: CommandChoice | None = None,
     progress: Progress | None = None,
 ) -> list[CommandOnArms]:
     """Return the commands of motions with their results on all arms.
@@ -226,7 +233,7 @@ def commands_on_arms(
     """
     law = law or MotorLaw(problem.robot, problem.process_force)
     return answer_together(
-        CommandSearch(problem, arm, each, law).evaluate_command()
+        CommandSearch(problem, arm, each, law, choice=choice).evaluate_command()
         for each in _tell_each(motions, progress)
     )
 

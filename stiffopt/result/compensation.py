@@ -100,6 +100,8 @@ class CompensatedMotion:
         Knot spacing of the spline through the plan [s]; None for plans that are smooth enough.
     share : float
         Lead as a share of the nominal wind-up, chosen for the worst case.
+    servo_share : float
+        Lead as a share of the servo's known lag.
     excess : tuple of Violation
         Motor limits that the command exceeds; such a motion is not compared.
     """
@@ -112,6 +114,7 @@ class CompensatedMotion:
     spacing: float | None
     share: float
     excess: tuple[Violation, ...]
+    servo_share: float = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)

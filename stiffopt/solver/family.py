@@ -16,6 +16,7 @@ import numpy as np
 
 from stiffopt.baseline.baselines import baselines
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
+from stiffopt.command.command_search import CommandChoice
 from stiffopt.command.simulation import check_simulation
 from stiffopt.problem.bounds import shortest_duration
 from stiffopt.problem.formulation import Scales
@@ -76,6 +77,8 @@ class WarmStart:
         By which lower and upper bounds of rows were moved, unscaled.
     method : str
         Transcription and intervals of its problem.
+    command : CommandChoice, optional
+        Of its command.
     """
 
     x: np.ndarray
@@ -87,6 +90,7 @@ class WarmStart:
     block_scales: BlockScales
     back_off: np.ndarray
     method: str
+    command: CommandChoice | None = None
 
     def to_bytes(self) -> bytes:
         """Return a line of JSON, then all arrays as little-endian doubles."""
@@ -98,6 +102,7 @@ class WarmStart:
             "smoothing": self.smoothing.parameters.tolist(),
             "scales": {name: float(value) for name, value in self.scales.items()},
             "method": self.method,
+            "command": self.command,
         }
         numbers = np.concatenate([np.zeros(0), *(each for group in groups for each in group)])
         return json.dumps(head).encode() + b"\n" + numbers.astype("<f8").tobytes()
@@ -131,6 +136,7 @@ class WarmStart:
             BlockScales(tuple(of_x), tuple(of_g)),
             back_off.reshape(2, -1),
             head["method"],
+            head["command"] and tuple(head["command"]),
         )
 
 
@@ -213,9 +219,10 @@ class ProblemFamily:
                         run.motion,
                         run.command,
                         run.rivals,
+                        choice=warm.command,
                         compare=beside_rivals,
                     )
-                return solution, _warm_start_of(run, outcome)
+                return solution, _warm_start_of(run, outcome, solution)
         solution, kept = solve_with_state(
             problem,
             progress=progress,
@@ -229,7 +236,7 @@ class ProblemFamily:
             return solution, None
         run, outcome = kept
         self._store_programme(Programme(outcome.transcription, outcome.solver))
-        return solution, _warm_start_of(run, outcome)
+        return solution, _warm_start_of(run, outcome, solution)
 
     def _solve_warm(self, run: SolveRun, warm: WarmStart) -> Outcome | None:
         """Return the outcome from a warm start, None where it is not a certified optimum."""
@@ -313,7 +320,8 @@ def _is_certified_optimum(outcome: Outcome) -> bool:
     )
 
 
-def _warm_start_of(run: SolveRun, outcome: Outcome) -> WarmStart:
+def _warm_start_of(run: SolveRun, outcome: Outcome, solution: Solution) -> WarmStart:
+    led = None if solution.compensation is None else solution.compensation.optimised
     of_x, of_g = _nlp_scales(outcome.transcription.nlp)
     return WarmStart(
         x=outcome.raw.x * of_x,
@@ -325,6 +333,7 @@ def _warm_start_of(run: SolveRun, outcome: Outcome) -> WarmStart:
         block_scales=BlockScales.of(outcome.transcription.nlp),
         back_off=_moved_bounds(outcome.nlp, outcome.transcription.nlp) * of_g,
         method=_method_key(run.problem),
+        command=None if led is None else (led.spacing, led.share, led.servo_share),
     )
 
 
