@@ -36,27 +36,14 @@ _DURATION_TOLERANCE = 1e-5
 
 @dataclass(frozen=True, kw_only=True)
 class BaselineMotion:
-    """Baseline motion, or the reason why there is none.
+    """Baseline motion, or the reason why there is none."""
 
-    Parameters
-    ----------
-    name : str
-        "toppra" or "quintic".
-    motion : Trajectory or None
-        None where the baseline does not exist; `reason` then says why.
-    reason : str
-        A sentence, empty where there is a motion.
-    fastest : float or None
-        Shortest duration on the path under the limits, where it is known. [s]
-    law : Trajectory or None
-        Its time law, where it is known.
-    """
-
-    name: str
-    motion: Trajectory | None
-    reason: str = ""
+    name: str  # "toppra" or "quintic"
+    motion: Trajectory | None  # None where the baseline does not exist; `reason` then says why
+    reason: str = ""  # a sentence, empty where there is a motion
+    # Shortest duration on the path under the limits, where it is known [s].
     fastest: float | None = None
-    law: Trajectory | None = None
+    law: Trajectory | None = None  # its time law, where it is known
 
 
 def toppra_baseline(
@@ -71,30 +58,15 @@ def toppra_baseline(
 ) -> BaselineMotion:
     """Return the time-optimal rest-to-rest motion along `path`, slowed uniformly to `duration`.
 
-    Limits on joint velocity (with its map over position), acceleration, drive torque and tool
-    speed are kept. Rotor inertia and dry friction are exact; viscous friction is bounded on the
-    safe side, which costs a little speed where it helps to brake. Jerk, deflection and stiffness
-    limits are beyond the method: the assessment of the motion shows them.
-
-    Parameters
-    ----------
-    path : JointPath
-        The straight line, or the spline through the via points.
-    duration : float, optional
-        Wanted duration; the shortest one if left out. [s]
-    process_force : array_like (3,)
-        Acts on the tool, base axes. [N]
-    intervals : int
-        Of the path grid.
-    eased : bool
-        Let the acceleration rise from zero at the start and fall to zero at the end, each within
-        the first and the last interval of the grid.
-
-    Returns
-    -------
-    BaselineMotion
-        Without a motion, and with the reason, where the path cannot be followed within the limits
-        or not within `duration`.
+    Limits on joint velocity (with its map over position), acceleration, drive torque and tool speed
+    are kept. Rotor inertia and dry friction are exact; viscous friction is bounded on the safe
+    side, which costs a little speed where it helps to brake. Jerk, deflection and stiffness limits
+    are beyond the method: the assessment of the motion shows them. `path`: the straight line, or
+    the spline through the via points. `duration`: wanted duration; the shortest one if left out
+    [s]. `process_force` (3,): acts on the tool, base axes [N]. `intervals`: of the path grid.
+    `eased`: let the acceleration rise from zero at the start and fall to zero at the end, each
+    within the first and the last interval of the grid. There is no motion, with the reason, where
+    the path cannot be followed within the limits or not within `duration`.
     """
     force = np.asarray(process_force, dtype=float)
     grid = _path_grid(path.knots, intervals)

@@ -58,28 +58,10 @@ def compensate(
 ) -> Compensation:
     """Return the command of the first motion, and the effect of compensation on all motions.
 
-    Parameters
-    ----------
-    problem : TrajectoryProblem
-        At rest at both ends.
-    arm : ElasticArm
-    motions : sequence of PlannedMotion
-        The optimised one first.
-    known : CommandOnArms, optional
-        Of the first motion, where it is known already.
-    rivals : sequence of CommandOnArms, optional
-        Of the others, as of `rival_commands`.
-    choice : CommandChoice, optional
-        Of the first motion's command, where limits allow it.
-    progress : callable, optional
-        Called with the name of each motion before it is compensated.
-
-    Raises
-    ------
-    NotSimulatedError
-        The arm cannot be simulated.
-    RobotError
-        An uncertainty takes a joint's damping above critical.
+    `motions` begin with the optimised one and are at rest at both ends; commands that exist already
+    are given as `known` and `rivals`, and the `choice` of the first one is kept where limits allow
+    it. Raises `NotSimulatedError`, and `RobotError` where an
+    uncertainty takes a joint's damping above critical.
     """
     own = known
     if own is None:
@@ -176,20 +158,9 @@ def judge_existing_command(
     """Judge an existing command of the first motion beside new commands of the others.
 
     Commands of the others are chosen for the problem's uncertainties and the arm as modelled. All
-    are judged by the uncertainty, damping and servo given here.
-
-    Parameters
-    ----------
-    problem, arm, motions : as of `compensate`
-    made : ExistingCommand
-    uncertainty : Uncertainty, optional
-        Replaces the problem's.
-    damping : float, optional
-        Of all elastic joints, as a share of critical.
-    servo : Servo, optional
-        Servo of every arm; stated uncertainties of the servo are ignored then.
-    file : str
-        Name of the command's file, for reports.
+    are judged by the `uncertainty` (default the problem's), the `damping` of all elastic joints
+    [share of critical] and the `servo` given here. `file` is the name of the command's file, for
+    reports.
     """
     law = MotorLaw(problem.robot, problem.process_force)
     own, *others = motions

@@ -41,6 +41,8 @@ if TYPE_CHECKING:
 _SMALL_SHARE = 1e-3
 # Two-sided p-value of one standard deviation: a value beyond it is zero within its deviation.
 _ONE_DEVIATION = float(2.0 * special.ndtr(-1.0))
+# Odds that a joint has no friction or no rotor worth measuring, before the recordings.
+_ABSENCE_ODDS = 0.1
 # P-value of an effect without a determined value: as likely as not.
 _UNDETERMINED_P_VALUE = 0.5
 
@@ -94,7 +96,8 @@ def build_findings(
         alike = sum(each.family == effect.family for each in CATALOGUE)
         places = n * alike if effect.only_in and located.joint is not None else 1
         sure = gain.support * float(again[index])
-        misfit = 1.0 - (1.0 - max(unknown, _null_share(chance, places))) * sure
+        zero = null_probability(chance, _ABSENCE_ODDS) if exists else _null_share(chance, places)
+        misfit = 1.0 - (1.0 - max(unknown, zero)) * sure
         findings.append(
             Finding(
                 estimated=parameters.effects[index],

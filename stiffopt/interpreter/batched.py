@@ -91,15 +91,10 @@ def read_batch(
 ) -> Batch:
     """Read a function for `POINTS` points at once.
 
-    Parameters
-    ----------
-    function : casadi.Function
-        Of SX. Inputs and outputs of the points stand side by side: (m, n) becomes (m, POINTS n).
-    shared : tuple of int
-        Inputs that are the same at all points.
-    recalled : bool
-        Keep the outputs of the last calls, for functions of one output that are called with the
-        same inputs again and again.
+    `function`: of SX. Inputs and outputs of the points stand side by side: (m, n) becomes
+    (m, POINTS n). `shared`: inputs that are the same at all points. `recalled`: keep the outputs of
+    the last calls, for functions of one output that are called with the same inputs again and
+    again.
     """
     inputs, outputs = range(function.n_in()), range(function.n_out())
     widths = [function.nnz_in(i) * (i not in shared) for i in inputs]

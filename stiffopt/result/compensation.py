@@ -26,31 +26,16 @@ class PartPeaks:
 
 @dataclass(frozen=True, kw_only=True)
 class Spread:
-    """Peaks of the tool's position error over uncertain arms, in flight or after arrival [m].
+    """Peaks of the tool's position error over uncertain arms, in flight or after arrival [m]."""
 
-    Parameters
-    ----------
-    nominal : float
-        Peak on the nominal arm.
-    worst : float
-        Worst case.
-    worst_case : str
-        Description of the worst arm.
-    worst_arm : dict
-        Worst arm as factors on nominal values: stiffness (a list), damping, payload; and servo,
-        the share of the worst servo's lag.
-    draws : array (D,)
-        Peaks on arms sampled from the uncertainties.
-    parts : dict of PartPeaks
-        "along" and "across" the path [m], and "orientation" [rad].
-    """
-
-    nominal: float
-    worst: float
-    worst_case: str
+    nominal: float  # peak on the nominal arm
+    worst: float  # worst case
+    worst_case: str  # description of the worst arm
+    # Worst arm as factors on nominal values: stiffness (a list), damping, payload; and servo, the
+    # share of the worst servo's lag.
     worst_arm: dict[str, Any]
-    draws: np.ndarray
-    parts: dict[str, PartPeaks]
+    draws: np.ndarray  # (D,) peaks on arms sampled from the uncertainties
+    parts: dict[str, PartPeaks]  # "along" and "across" the path [m], and "orientation" [rad]
 
     def quantile(self, share: float) -> float:
         """Quantile of the sampled peaks."""
@@ -82,73 +67,35 @@ class Spreads:
 
 @dataclass(frozen=True, kw_only=True)
 class CompensatedMotion:
-    """Motion as planned and with compensation, the motors leading by the wind-up.
+    """Motion as planned and with compensation, the motors leading by the wind-up."""
 
-    Parameters
-    ----------
-    name : str
-        "optimised" or the name of a baseline.
-    planned : Spreads
-        Peaks with motors that follow the plan.
-    compensated : Spreads
-        Peaks with motors that follow the compensating command.
-    simulated : SimulatedMotion
-        Elastic simulation of the compensated motion on the nominal arm.
-    worst : SimulatedMotion or None
-        The same on the worst arm, for the optimised motion.
-    spacing : float or None
-        Knot spacing of the spline through the plan [s]; None for plans that are smooth enough.
-    share : float
-        Lead as a share of the nominal wind-up, chosen for the worst case.
-    servo_share : float
-        Lead as a share of the servo's known lag.
-    excess : tuple of Violation
-        Motor limits that the command exceeds; such a motion is not compared.
-    """
-
-    name: str
-    planned: Spreads
-    compensated: Spreads
-    simulated: SimulatedMotion
-    worst: SimulatedMotion | None
+    name: str  # "optimised" or the name of a baseline
+    planned: Spreads  # peaks with motors that follow the plan
+    compensated: Spreads  # peaks with motors that follow the compensating command
+    simulated: SimulatedMotion  # elastic simulation of the compensated motion on the nominal arm
+    worst: SimulatedMotion | None  # the same on the worst arm, for the optimised motion
+    # Knot spacing of the spline through the plan [s]; None for plans that are smooth enough.
     spacing: float | None
-    share: float
+    share: float  # lead as a share of the nominal wind-up, chosen for the worst case
+    # Motor limits that the command exceeds; such a motion is not compared.
     excess: tuple[Violation, ...]
-    servo_share: float = 1.0
+    servo_share: float = 1.0  # lead as a share of the servo's known lag
 
 
 @dataclass(frozen=True, kw_only=True)
 class Compensation:
-    """Compensation of the optimised motion and the baselines, with the command.
+    """Compensation of the optimised motion and the baselines, with the command."""
 
-    Parameters
-    ----------
-    motions : tuple of CompensatedMotion
-        The optimised motion first.
-    command : Assessment or None
-        Motor motion every 2 ms; None where it exceeds a limit.
-    refusal : str
-        Reason for a missing command; else "".
-    uncertainty : tuple of str
-        Description of the uncertain quantities.
-    loop : str
-        Description of the position loops of all arms; "" where servos are uncertain.
-    file : str
-        File of the assessed command; "" for one computed with the motion.
-    ahead : float
-        Known dead time of the servo, by which the command is sent ahead of the plan [s].
-    rival_plan, rival_command : Assessment or None
-        Motion and command of the best rival, where it wins.
-    """
-
-    motions: tuple[CompensatedMotion, ...]
-    command: Assessment | None
-    refusal: str
-    uncertainty: tuple[str, ...]
+    motions: tuple[CompensatedMotion, ...]  # the optimised motion first
+    command: Assessment | None  # motor motion every 2 ms; None where it exceeds a limit
+    refusal: str  # reason for a missing command; else ""
+    uncertainty: tuple[str, ...]  # description of the uncertain quantities
     draws: int
-    loop: str = ""
-    file: str = ""
+    loop: str = ""  # description of the position loops of all arms; "" where servos are uncertain
+    file: str = ""  # file of the assessed command; "" for one computed with the motion
+    # Known dead time of the servo, by which the command is sent ahead of the plan [s].
     ahead: float = 0.0
+    # Motion and command of the best rival, where it wins.
     rival_plan: Assessment | None = None
     rival_command: Assessment | None = None
 

@@ -62,34 +62,20 @@ _MAX_KEPT_PROGRAMMES = 4
 class WarmStart:
     """End of a solve, from which the solve of a similar problem starts.
 
-    Parameters
-    ----------
-    x, multipliers_x, multipliers_g : array
-        Of the last programme, unscaled.
-    mesh : list of array
-    smoothing : Smoothing
-    scales : mapping of objective name to float
-        Scales of its objectives.
-    block_scales : BlockScales
-        Scales of its variables and rows. A solve from here keeps all scales, so that the last
-        digits of its answer do not depend on other solves.
-    back_off : array (2, rows)
-        By which lower and upper bounds of rows were moved, unscaled.
-    method : str
-        Transcription and intervals of its problem.
-    command : CommandChoice, optional
-        Of its command.
+    A solve from here keeps all scales, so that the last digits of its answer do not depend on other
+    solves.
     """
 
+    # Of the last programme, unscaled.
     x: np.ndarray
     multipliers_x: np.ndarray
     multipliers_g: np.ndarray
     mesh: Mesh
     smoothing: Smoothing
-    scales: Mapping[str, float]
+    scales: Mapping[str, float]  # of its objectives, by name
     block_scales: BlockScales
-    back_off: np.ndarray
-    method: str
+    back_off: np.ndarray  # by which lower and upper bounds of rows were moved, unscaled (2, rows)
+    method: str  # transcription and intervals of its problem
     command: CommandChoice | None = None
 
     def to_bytes(self) -> bytes:
