@@ -169,7 +169,7 @@ def solve_with_state(
     else:
         solution = until_interrupted(
             lambda: _optimise(run, compared, notes, guess, start=start, compare=compare),
-            lambda: _interrupted_solution(run, compared, notes),
+            lambda: interrupted_solution(run, compared, notes),
         )
     solution = _name_steps_left_out(run, solution)
     if simulate:
@@ -204,13 +204,26 @@ def _optimise(
         # Clearance rows hold for this motion only: no warm start from there.
         run.optimum = None if run.avoidance else outcome
         compared |= {} if run.detour is None else {run.detour.name: run.detour}
+    return choose_for_arms(run, outcome, compared, notes, guess, compare=compare)
+
+
+def choose_for_arms(
+    run: SolveRun,
+    outcome: Outcome,
+    compared: dict[str, Baseline],
+    notes: tuple[str, ...],
+    guess: Guess | Assessment | None = None,
+    *,
+    compare: bool,
+) -> Solution:
+    """Return the solution of an optimum, or of a motion near it for uncertain arms."""
     robust = robust_plan(run, outcome)
     run.solution = solution_of(run, robust, compared, notes, compare=compare)
     shaped = functools.partial(_solve_shaped_in_remaining_time, run, compared, notes, guess)
     return choose_shaped_motion(run, run.solution, outcome, shaped)
 
 
-def _interrupted_solution(
+def interrupted_solution(
     run: SolveRun, compared: dict[str, Baseline], notes: tuple[str, ...]
 ) -> Solution:
     """Return the best motion so far after Ctrl-C, a baseline where there is none."""
