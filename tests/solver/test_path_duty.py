@@ -54,12 +54,14 @@ def test_path_is_slowed_until_its_duty_is_just_kept(load):
 
 
 def test_duty_that_no_speed_keeps_is_named_with_its_value(load):
-    fastest = timed_motion(load()).objective
+    free = load()
+    fastest = timed_motion(free)
+    energy = 0.7 * motion_duty(free.robot, fastest.assessment).energy
     limits = "[duty]\nrms_torque = [300, 20, 150, 56, 56, 56]"
     with pytest.raises(InputError, match=r"rms torque of j2, .* duty\.rms_torque 20 N m however"):
         timed_motion(load(limits))
     with pytest.raises(InputError, match=r"duty\.energy .* J at motion\.duration"):
-        timed_motion(load('[duty]\nenergy = "20 J"', upper=f"{1.02 * fastest} s"))
+        timed_motion(load(f'[duty]\nenergy = "{energy} J"', f"{1.02 * fastest.objective} s"))
 
 
 def test_duty_belongs_to_a_path_that_is_timed(load):
