@@ -25,6 +25,7 @@ from stiffopt.command.simulation import check_simulation
 from stiffopt.elastic.arm import questionable_springs
 from stiffopt.errors import NoSolutionFound, ProblemError
 from stiffopt.interrupts import end_deferral
+from stiffopt.path.path_duty import describe_duty
 from stiffopt.path.timed_path import FASTEST_REASON, timed_motion
 from stiffopt.problem.bounds import check_bounds, shortest_duration
 from stiffopt.problem.files import LoadedProblem
@@ -238,6 +239,8 @@ def _timed_motion(run: SolveRun) -> Baseline | None:
     """Return the fastest motion on the path; its time counts as that of the solve."""
     begin = time.perf_counter()
     found = timed_motion(run.problem)
+    if found is not None and found.assessment is not None:
+        run.notes.append(describe_duty(run.problem.robot, found.assessment))
     run.solve_s += time.perf_counter() - begin
     return found
 
