@@ -26,7 +26,11 @@ from stiffopt.discovery.judging.episodes import (
 )
 from stiffopt.discovery.search.search import SearchResult, search
 from stiffopt.discovery.settings import Settings
-from stiffopt.discovery.thresholds import MAX_CONTACT_ROUNDS, MAX_VIBRATION_MISFIT
+from stiffopt.discovery.thresholds import (
+    MAX_CONTACT_ROUNDS,
+    MAX_EFFECTS_PER_ROUND,
+    MAX_VIBRATION_MISFIT,
+)
 from stiffopt.discovery.training import Training, prepare_training
 from stiffopt.interrupts import complete_step
 from stiffopt.recording.recording_set import RecordingSet
@@ -199,7 +203,7 @@ def _search_once(
         remove_bounds(widen_for_changes(asked) if comparison.after_model else asked, recordings),
         start=unstated,
         most=training.most,
-        strict=training.free_bodies,
+        together=MAX_EFFECTS_PER_ROUND if training.free_bodies else 1,
         reidentify=training.reidentified,
         about=about,
         report=say,

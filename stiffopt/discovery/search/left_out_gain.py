@@ -7,7 +7,7 @@ the recordings that neither was fitted to.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -159,9 +159,7 @@ class _GainJudge:
 
 
 def select_predictive(
-    comparison: Comparison,
-    effects: Sequence[LocatedEffect],
-    spared: Callable[[list[LocatedEffect], LocatedEffect], bool] = lambda *_: False,
+    comparison: Comparison, effects: Sequence[LocatedEffect]
 ) -> list[LocatedEffect]:
     """Select effects without which folds left out are predicted worse.
 
@@ -171,8 +169,6 @@ def select_predictive(
         With the noise estimated beside the effects.
     effects : sequence of LocatedEffect
         With shapes as found, which are not refitted.
-    spared : callable
-        -> True for an effect, among those kept, that stays without a gain.
 
     Notes
     -----
@@ -185,7 +181,7 @@ def select_predictive(
             0.0 if each.calibrated else _excess_share(comparison, each, gain)
             for each, gain in zip(kept, left_out_gains(comparison, kept), strict=True)
         ]
-        poor = [k for k in np.argsort(excess) if excess[k] < 0.0 and not spared(kept, kept[k])]
+        poor = [k for k in np.argsort(excess) if excess[k] < 0.0]
         if not poor:
             return kept
         kept.pop(poor[0])

@@ -17,8 +17,8 @@ from stiffopt.discovery.search.joint_fit import (
     fit_jointly,
     passes_thresholds,
     prune_effects,
-    select_supported,
 )
+from stiffopt.discovery.search.left_out_gain import select_predictive
 from stiffopt.discovery.search.model_changes import find_changes
 from stiffopt.discovery.search.nominal_values import claim_outside_values
 from stiffopt.discovery.search.rigid_model import RigidStage, reidentify_rigid_model
@@ -33,7 +33,6 @@ from stiffopt.discovery.search.tournament import CATALOGUE_MODEL, Contender, hol
 from stiffopt.discovery.thresholds import (
     LINEARISATION_DEVIATIONS,
     LINEARISATION_TOLERANCE,
-    MAX_EFFECTS_PER_ROUND,
     MAX_EXCHANGES,
     MAX_LINEARISATIONS,
     NAMED_EVIDENCE,
@@ -94,7 +93,7 @@ def search(
     *,
     start: Sequence[LocatedEffect] = (),
     most: int = 3,
-    strict: bool = False,
+    together: int = 1,
     reidentify: bool = False,
     about: Extension | None = None,
     report: Callable[[str], object] | None = None,
@@ -110,8 +109,8 @@ def search(
         Values that the nominal model does not state: fitted together before any other effect.
     most : int
         Maximum number of effects beside those.
-    strict : bool
-        Without stated tolerances: only effects that recordings left out support are kept.
+    together : int
+        Effects that are added per round before all are compared again.
     reidentify : bool
         Re-identify the rigid model first.
     about : Extension, optional
@@ -125,7 +124,7 @@ def search(
     calibrated = comparison.channel_ratio(comparison.fit().residual)
     so_far = _SearchState(comparison, comparison)
     try:
-        _run_stages(so_far, catalogue, start, most, strict, reidentify, about, say)
+        _run_stages(so_far, catalogue, start, most, together, reidentify, about, say)
     except KeyboardInterrupt:
         if not so_far.effects:  # there is no result
             raise
@@ -205,7 +204,7 @@ def _run_stages(
     catalogue: Sequence[Effect],
     start: Sequence[LocatedEffect],
     most: int,
-    strict: bool,
+    together: int,
     reidentify: bool,
     about: Extension | None,
     say: Callable[[str], object],
@@ -237,16 +236,16 @@ def _run_stages(
             keep=so_far.fitted,
         )
     else:
-        _add_forward(so_far, catalogue, most, MAX_EFFECTS_PER_ROUND if strict else 1, say, tell)
+        _add_forward(so_far, catalogue, most, together, say, tell)
     if so_far.effects:
         say(f"confirm {len(so_far.effects)} findings on stretches left out")
-    sure = select_supported(so_far.current, so_far.effects, strict=strict)
+    sure = select_predictive(so_far.current, so_far.effects)
     if len(sure) < len(so_far.effects):
         so_far.fitted(fit_jointly(so_far.start, sure))
     so_far.weighed(exchange_rivals(so_far.start, so_far.current, so_far.effects, catalogue, tell))
     for _ in range(MAX_EXCHANGES):
         effects = so_far.effects
-        kept = select_supported(so_far.current, effects, strict=strict)
+        kept = select_predictive(so_far.current, effects)
         if len(kept) == len(effects):
             break
         so_far.fitted(fit_jointly(so_far.start, kept))
