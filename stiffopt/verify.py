@@ -32,26 +32,17 @@ StudyCallback = Callable[[Progress | SolveProgress], object]
 
 @dataclass(frozen=True)
 class Check:
-    """Comparison of one solved value of a problem or study file with its expected value.
-
-    Parameters
-    ----------
-    name : str
-        Name of a study's value; "" is the objective of a trajectory problem.
-    value, expected : float or None
-        In `unit`.
-    source : str
-        Source of the expected value.
-    """
+    """Comparison of one solved value of a problem or study file with its expected value."""
 
     path: Path
-    name: str
+    name: str  # name of a study's value; "" is the objective of a trajectory problem
     status: SolveStatus
+    # In `unit`.
     value: float | None
     expected: float | None
     unit: str
     rtol: float
-    source: str
+    source: str  # source of the expected value
     seconds: float
     message: str
 
@@ -77,10 +68,7 @@ class Check:
 def problem_files(path: Path) -> list[Path]:
     """Return the trajectory problem and preload study files at a path, sorted by name.
 
-    Raises
-    ------
-    InputFileError
-        The folder has none.
+    Raises `InputFileError`: the folder has none.
     """
     if not path.is_dir():
         check_file(path)

@@ -99,9 +99,7 @@ def _dropped(found: Any, selected: Any, *_: Any) -> bool:
     return len(found[0]) != len(selected)
 
 
-def _estimate_only(
-    _: Any, training: Any, settings: Any, start: Any, comparison: Any, found: Any
-) -> Any:
+def _estimate_only(_: Any, training: Any, comparison: Any, found: Any) -> Any:
     from stiffopt.discovery.search.uncertainty import estimate_parameters
 
     return tuple(found), estimate_parameters(comparison, [each.located for each in found])
@@ -155,8 +153,8 @@ GATES = tuple(
         ("spread", "odds: spread of the gain", (f"{_CONCLUSIONS}:left_out_gains",), _gains_with(support=1.0), None),
         ("null", "odds: p-value", (f"{_CONCLUSIONS}:_null_share",), _always(0.0), None),
         ("ensemble", "odds: perturbation ensemble", (f"{_DIAGNOSE}:recurrence",), lambda _, comparison, selected, *__, **___: (np.ones(len(selected)), tuple(selected)), None),
-        ("quasi_static", "quasi-static retry", (f"{_TRAINING}:_retry_quasi_static",), lambda _, recordings, training, asked, base, say, result: (training, result), None),
-        ("contacts", "contact intervals excluded", (f"{_TRAINING}:_exclude_contacts",), lambda _, r, training, a, s, b, say, result: (training, result, ()), None),
+        ("quasi_static", "quasi-static retry", (f"{_TRAINING}:TrainingSearch._retry_quasi_static",), lambda _, searches, training, result: (training, result), None),
+        ("contacts", "contact intervals excluded", (f"{_TRAINING}:TrainingSearch._exclude_contacts",), lambda _, searches, training, result: (training, result, ()), None),
     )
 )  # fmt: skip
 

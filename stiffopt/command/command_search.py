@@ -50,55 +50,31 @@ _TRIAL_SAMPLES = 1001
 
 @dataclass(frozen=True, eq=False)
 class ExistingCommand:
-    """Command of the motors, made or of an earlier solve.
+    """Command of the motors, made or of an earlier solve."""
 
-    Parameters
-    ----------
-    motors : JointMotion
-        Motion of the motors, with that of the links as its `link`.
-    spacing : float or None
-        As of `CompensatedMotion`.
-    share : float
-    """
-
-    motors: JointMotion
-    spacing: float | None
+    motors: JointMotion  # motion of the motors, with that of the links as its `link`
+    spacing: float | None  # as of `CompensatedMotion`
     share: float
 
 
 @dataclass(frozen=True, eq=False)
 class CommandOnArms:
-    """Command with its results on the arm as modelled, at its bounds and as drawn.
-
-    Parameters
-    ----------
-    motion : PlannedMotion
-    motors : JointMotion
-        The command.
-    planned, compensated : Spreads
-        Of the motion as it is planned, and of the command.
-    nominal, worst : Departure
-        The arm as modelled, and the one on which the command deviates most in flight.
-    spacing, share : as of `CompensatedMotion`
-    excess : tuple of Violation
-        Limits of the motors that the command exceeds.
-    simulated : callable
-        Full elastic simulation of the command on an arm.
-    law : MotorLaw
-        By which the command was made.
-    """
+    """Command with its results on the arm as modelled, at its bounds and as drawn."""
 
     motion: PlannedMotion
-    motors: JointMotion
+    motors: JointMotion  # the command
+    # Of the motion as it is planned, and of the command.
     planned: Spreads
     compensated: Spreads
+    # The arm as modelled, and the one on which the command deviates most in flight.
     nominal: Departure
     worst: Departure
     spacing: float | None
     share: float
-    excess: tuple[Violation, ...]
+    excess: tuple[Violation, ...]  # limits of the motors that the command exceeds
+    # Full elastic simulation of the command on an arm.
     simulated: Callable[[Departure], SimulatedMotion]
-    law: MotorLaw
+    law: MotorLaw  # by which the command was made
 
     @property
     def worst_case_peaks(self) -> float:
@@ -123,22 +99,12 @@ class CommandOnArms:
 
 @dataclass(frozen=True, eq=False)
 class _Lead:
-    """Smooth motion of the links and the motors that lead it.
-
-    Parameters
-    ----------
-    link : Trajectory
-    motors : Trajectory
-        With all of the nominal wind-up.
-    spacing : float or None
-    servo : Servo
-        Whose known lag the command leads.
-    """
+    """Smooth motion of the links and the motors that lead it."""
 
     link: Trajectory
-    motors: Trajectory
+    motors: Trajectory  # with all of the nominal wind-up
     spacing: float | None
-    servo: Servo
+    servo: Servo  # whose known lag the command leads
 
     def commands(self, share: float) -> Iterator[Trajectory]:
         """Commands with a share of the wind-up, and with less and less of the servo's lag."""

@@ -31,32 +31,16 @@ _VALUE_PLACEHOLDER = re.compile(r"\{([^{}:]+)(:%)?\}")
 
 @dataclass(frozen=True, eq=False)
 class Statement:
-    """A finding in words.
-
-    Parameters
-    ----------
-    sentence : str
-        Place and missing physics with values and standard deviations.
-    certainty : str
-        "found", "likely", "one of these" or "possible".
-    probability : str
-        In percent.
-    action : str
-        What to do about it.
-    values : tuple of str
-        Reported parameters with standard deviations.
-    rivals : tuple of str
-        Other causes that the data do not tell apart, with probabilities.
-    """
+    """A finding in words."""
 
     finding: Finding
     place: str
-    sentence: str
-    certainty: Certainty
-    probability: str
-    action: str
-    values: tuple[str, ...]
-    rivals: tuple[str, ...]
+    sentence: str  # place and missing physics with values and standard deviations
+    certainty: Certainty  # "found", "likely", "one of these" or "possible"
+    probability: str  # in percent
+    action: str  # what to do about it
+    values: tuple[str, ...]  # reported parameters with standard deviations
+    rivals: tuple[str, ...]  # other causes that the data do not tell apart, with probabilities
 
 
 @dataclass(frozen=True)
@@ -71,8 +55,7 @@ def statements(diagnosis: Diagnosis) -> list[Statement]:
     """Return the findings in words, in the order of what they explain, the named ones first."""
     listed_findings = [f for f in diagnosis.findings if f.probability >= MIN_LISTED_PROBABILITY]
     order = sorted(
-        listed_findings,
-        key=lambda f: (f.certainty == "possible", -explained_squares(diagnosis, f)),
+        listed_findings, key=lambda f: (f.certainty == "possible", -explained_squares(diagnosis, f))
     )
     return [_state_finding(diagnosis, finding) for finding in order]
 
@@ -266,12 +249,8 @@ def fill(
 ) -> str:
     """Fill the placeholders of a phrase or remedy with values.
 
-    Parameters
-    ----------
-    words : mapping of str to str, optional
-        Further placeholders.
-    signed : bool
-        False: single values without sign, which the phrase states.
+    `words`: further placeholders. `signed`: False: single values without sign, which the phrase
+    states.
     """
 
     def value(match: re.Match[str]) -> str:

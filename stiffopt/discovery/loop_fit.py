@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from stiffopt.closed_loop.arm import CommandedArm, LoopTorque
+from stiffopt.closed_loop.arm import CommandedArm, LoopPhysics
 from stiffopt.closed_loop.parameters import (
     BODY_PARAMETERS,
     Parameters,
@@ -49,14 +49,14 @@ def build_loop(
     recordings: RecordingSet,
     runs: Sequence[CommandedRun],
     tree: BodyTree,
-    added: LoopTorque | None = None,
+    physics: LoopPhysics | None = None,
 ) -> CommandedArm:
     """Return the closed loop of some bodies with a set's actuators and further torques."""
     law, back = recordings.actuator, np.argsort(recordings.order)
     assert law is not None
     low = np.nanmin([np.nanmin(run.position, axis=0) for run in runs], axis=0)
     high = np.nanmax([np.nanmax(run.position, axis=0) for run in runs], axis=0)
-    return CommandedArm(tree, law.reordered(back), 0.5 * (low + high), added)
+    return CommandedArm(tree, law.reordered(back), 0.5 * (low + high), physics)
 
 
 def is_commanded(run: RecordedRun) -> bool:
@@ -165,7 +165,7 @@ def fit_loop(
     *,
     leading: bool = False,
     tree: BodyTree | None = None,
-    added: LoopTorque | None = None,
+    physics: LoopPhysics | None = None,
 ) -> tuple[CommandedArm, Polished] | None:
     """Fit a closed loop to training runs, beginning with a prior; or the leading parameters alone.
 
@@ -178,7 +178,7 @@ def fit_loop(
     commanded = [commanded_run(recordings, run) for run in runs if is_commanded(run)]
     if not commanded:
         return None
-    loop = build_loop(recordings, commanded, tree or recordings.robot.tree, added)
+    loop = build_loop(recordings, commanded, tree or recordings.robot.tree, physics)
     deviations = expected_deviations(recordings, commanded, loop, prior)
     fit = polish_leading if leading else polish
     try:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stiffopt.actuator.law import ActuatorLaw
-from stiffopt.closed_loop.arm import CommandedArm, LoopTorque
+from stiffopt.closed_loop.arm import CommandedArm, LoopPhysics
 from stiffopt.closed_loop.parameters import (
     BODY_PARAMETERS,
     DELAY,
@@ -97,7 +97,9 @@ def fit_positions(
     Findings with which the loop is unstable, or fits the training runs worse than without them,
     are left out of it. None where a joint has no gain, which would not be held, or no command.
     """
-    robots: list[tuple[Robot, LoopTorque | None, dict[int, float]]] = [(recordings.robot, None, {})]
+    robots: list[tuple[Robot, LoopPhysics | None, dict[int, float]]] = [
+        (recordings.robot, None, {})
+    ]
     if model is not None:
         robots.append(robot_in_loop(recordings, model))
     tried = [_fit_robot(recordings, runs, estimated, say, *each) for each in robots]
@@ -121,7 +123,7 @@ def _fit_robot(
     estimated: Parameters | None,
     say: Callable[[str], object],
     robot: Robot,
-    added: LoopTorque | None,
+    physics: LoopPhysics | None,
     zeros: Mapping[int, float],
 ) -> tuple[CommandedArm, Polished] | None:
     """Fit the closed loop of a robot with further torques and joint zeros [rad]."""
@@ -133,7 +135,7 @@ def _fit_robot(
         for name in DRIVE_PARAMETERS.values():
             place = prior.place(name)
             prior.values[place] = np.where(unscaled, estimated.of(name), prior.of(name))
-    return fit_loop(recordings, runs, prior, say, tree=robot.tree, added=added)
+    return fit_loop(recordings, runs, prior, say, tree=robot.tree, physics=physics)
 
 
 def _ratios_to_gain(law: ActuatorLaw, fitted: Polished) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -232,9 +234,9 @@ def read_model(recordings: RecordingSet, model: ExtendedModel) -> ClosedLoopMode
         delay=section.delay,
         tolerance=tolerance,
     )
-    robot, added, _ = robot_in_loop(recordings, model)
+    robot, physics, _ = robot_in_loop(recordings, model)
     inside = law.reordered(back)
-    loop = CommandedArm(robot.tree, inside, middle[back], added)
+    loop = CommandedArm(robot.tree, inside, middle[back], physics)
     known = recordings.with_actuator(law)
     fitted, spread = zero_parameters(recordings.robot.joint_names), None
     for table in (section.deviations, section.values):

@@ -42,22 +42,10 @@ def batched(
 ) -> ca.Function | None:
     """The function at `POINTS` points at once.
 
-    Parameters
-    ----------
-    library : Path
-        That interpreter.c is part of.
-    function : casadi.Function
-        Of SX. Inputs and outputs of the points stand side by side: (m, n) becomes (m, POINTS n).
-    shared : tuple of int
-        Inputs that are the same at all points.
-    recalled : bool
-        Keep the outputs of the last calls, for functions of one output that are called with the
-        same inputs again and again.
-
-    Returns
-    -------
-    casadi.Function or None
-        None where too many are in use.
+    `library`: that interpreter.c is part of. `function`: of SX. Inputs and outputs of the points
+    stand side by side: (m, n) becomes (m, POINTS n). `shared`: inputs that are the same at all
+    points. `recalled`: keep the outputs of the last calls, for functions of one output that are
+    called with the same inputs again and again. None where too many are in use.
     """
     loaded, kinds = _load_library(library)
     inputs, outputs = range(function.n_in()), range(function.n_out())

@@ -269,13 +269,18 @@ class SegmentSection(Section):
 class PathTableSection(Section):
     """Poses of a tool path in a CSV file, in place of start and segments.
 
-    Columns x, y, z; optionally rx, ry, rz (roll, pitch, yaw) or qw, qx, qy, qz; speed [m/s] on the
-    way to the pose; stop (1: the tool rests there). Others, such as labels, are not read.
+    Columns x, y, z; optionally rx, ry, rz (roll, pitch, yaw) or qw, qx, qy, qz; speed on the way to
+    the pose; stop (1: the tool rests there); label, which messages name. Others are not read.
+    Cells are separated by commas, or by semicolons or tabs with commas in decimals.
     """
 
     file: Annotated[str, Doc("CSV file beside this file.")]
     length: Annotated[Literal["m", "mm"], Doc("Unit of x, y and z.")] = "m"
     angle: Annotated[Literal["rad", "deg"], Doc("Unit of rx, ry and rz.")] = "rad"
+    speed: Annotated[
+        Literal["m/s", "mm/s", "mm/min", "cm/min"] | None,
+        Doc("Unit of speed; default that of the length in a second."),
+    ] = None
     rpy: Annotated[
         tuple[Angle, Angle, Angle] | None,
         Doc("Orientation of the tool, where the file has none."),
@@ -288,9 +293,17 @@ class PathTableSection(Section):
 
 
 class WorkFrameSection(Section):
-    """Frame in which the poses of the path are given."""
+    """Frame in which the poses of the path are given, on the base or on a positioner."""
 
-    position: Annotated[Vector3, Doc("Origin, base frame.")] = (0.0, 0.0, 0.0)
+    link: Annotated[
+        str | None,
+        Doc(
+            "Link of a positioner that carries the work, such as a turntable: poses, placement, "
+            "speed, deflection and force are relative to it and in its axes. Its joints are a "
+            "branch of the URDF beside the arm, each named by a [[joint]] of the robot file."
+        ),
+    ] = None
+    position: Annotated[Vector3, Doc("Origin, base frame or that of `link`.")] = (0.0, 0.0, 0.0)
     rpy: Annotated[tuple[Angle, Angle, Angle], Doc("Fixed-axis roll, pitch, yaw.")] = (
         0.0,
         0.0,

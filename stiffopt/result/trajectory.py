@@ -30,17 +30,10 @@ class JointMotion(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ForceHistory:
-    """Force on the tool over time, linear in between and constant outside.
+    """Force on the tool over time, linear in between and constant outside."""
 
-    Parameters
-    ----------
-    time : array (K,) [s]
-    force : array (K, 3) [N]
-        Base axes.
-    """
-
-    time: np.ndarray
-    force: np.ndarray
+    time: np.ndarray  # (K,) [s]
+    force: np.ndarray  # (K, 3) [N] base axes
 
     def __call__(self, t: np.ndarray) -> np.ndarray:
         """Return the force (K, 3) at times (K,)."""

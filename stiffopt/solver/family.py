@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import json
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -144,8 +144,9 @@ class ProblemFamily:
         compare: bool = True,
         start: int = 0,
         progress: ProgressCallback | None = None,
-        guess: Assessment | None = None,
+        guess: Callable[[], Assessment] | None = None,
         simulate: bool = False,
+        beside_rivals: bool = True,
     ) -> tuple[Solution, WarmStart | None]:
         """Solve and certify a problem; without the warm start where that fails.
 
@@ -159,8 +160,12 @@ class ProblemFamily:
         start : int
             As of `solve`.
         progress : callable, optional
-        guess, simulate : optional
-            As of `solve`; the guess is for a solve without the warm start.
+        guess : callable, optional
+            Initial guess of a solve without the warm start.
+        simulate : bool
+            As of `solve`.
+        beside_rivals : bool
+            Simulate rivals too, and compare with baselines after a warm start.
 
         Returns
         -------
@@ -180,19 +185,23 @@ class ProblemFamily:
                 functools.partial(interrupted_outcome, run),
             )
             if outcome is not None:
+                compare = compare and beside_rivals
                 compared = baselines(problem, run.motion) if compare else {}
                 notes = preliminary_notes(problem, run.motion)
                 solution = solution_of(run, outcome, compared, notes, compare=compare)
                 if simulate:
-                    solution = with_simulation(problem, solution, progress, run.motion)
+                    solution = with_simulation(
+                        problem, solution, progress, run.motion, compare=beside_rivals
+                    )
                 return solution, _warm_start_of(run, outcome)
         solution, kept = solve_with_state(
             problem,
             progress=progress,
-            guess=guess,
+            guess=None if guess is None else guess(),
             simulate=simulate,
             start=start,
             compare=compare,
+            beside_rivals=beside_rivals,
         )
         if kept is None or problem.plans_links or start or not solution.status.usable:
             return solution, None

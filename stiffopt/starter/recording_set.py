@@ -44,15 +44,9 @@ _MIN_PART_ROWS = 100
 
 @dataclass(frozen=True, kw_only=True)
 class StartedSet:
-    """Written recording set with the guesses in it.
+    """Written recording set with the guesses in it."""
 
-    Parameters
-    ----------
-    path : Path
-        recordings.toml.
-    """
-
-    path: Path
+    path: Path  # recordings.toml
     guess: GuessedColumns
     notes: tuple[str, ...]
 
@@ -66,23 +60,10 @@ def start_recording_set(
 ) -> StartedSet:
     """Write a recording set: recordings.toml, a copy of the robot, runs as NPZ.
 
-    Parameters
-    ----------
-    data : sequence of Path
-        Files, or folders of them. Values are stored as recorded, units in `[signals.scale]`.
-    urdf : Path
-        URDF of the arm, or its robot file.
-    folder : Path
-        Folder of the set, without a recordings.toml.
-    rate : float, optional
-        Sampling rate [Hz], if no column is a time.
-    tip : str, optional
-        Last link of the recorded arm; default the whole URDF.
-
-    Raises
-    ------
-    InputError
-        No table, or unrecognised columns.
+    `data` are files, or folders of them; values are stored as recorded, units in `[signals.scale]`.
+    `rate` [Hz] is needed if no column is a time. `tip` is the last link of the recorded arm;
+    default the whole URDF. Raises `InputError` without a table, and for columns that are not
+    recognised.
     """
     if (folder / "recordings.toml").exists():
         raise InputFileError(folder / "recordings.toml", "", "exists and is kept.")

@@ -56,16 +56,10 @@ _NO_REDUCER_COMMENT = "# No packaged reducer carries"
 
 @dataclass(frozen=True, kw_only=True)
 class StartedRobot:
-    """Text of a robot file, with notes for the user.
-
-    Parameters
-    ----------
-    notes : tuple of str
-        Guesses and omissions, a sentence each.
-    """
+    """Text of a robot file, with notes for the user."""
 
     text: str
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # guesses and omissions, a sentence each
 
 
 def robot_text(

@@ -54,17 +54,8 @@ def _holds_position_and_cause(names: list[str], robot: Robot) -> bool:
 def name_blocks(table: Table, robot: Robot) -> tuple[Table, str]:
     """Name the columns of a table without names: a time, then blocks of one column a joint.
 
-    Returns
-    -------
-    table : Table
-        Under names such as "t", "position[0]"; as it is where its file has names.
-    reason : str
-        Why, with a question where the values leave it open; "" where the file has names.
-
-    Raises
-    ------
-    InputError
-        The number of columns is that of no layout.
+    Also return why, with a question where the values leave it open; "" for a file with names, whose
+    table stays as it is. Raises `InputError` where no layout has so many columns.
     """
     if not is_unnamed(table):
         return table, ""
@@ -132,12 +123,8 @@ STAMP_COLUMN = "stamp"
 def read_message_table(path: Path, joints: Sequence[str]) -> dict[str, np.ndarray]:
     """Read the columns of the joint topic, under names such as "/js.position[elbow]".
 
-    The stamps [s] are under `TIME`.
-
-    Raises
-    ------
-    InputFileError
-        No topic has a number for each joint; lists the topics found.
+    The stamps [s] are under `TIME`. Raises `InputFileError`: no topic has a number for each joint;
+    lists the topics found.
     """
     found: dict[str, list[str]] = {}
     # Number of messages searched for topics.

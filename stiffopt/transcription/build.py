@@ -32,18 +32,10 @@ def transcribe(
     """Turn an optimal-control problem into an NLP.
 
     The stage is evaluated through one `casadi.Function.map` over all points and the graph is not
-    expanded, so the time to build hardly grows with the mesh.
-
-    Parameters
-    ----------
-    method : str
-        "piecewise_linear" (also "piecewise_linear_acceleration"), "hermite_simpson" or "radau".
-    mesh : sequence of array
-        Interval fractions of each phase; see `uniform_mesh`.
-    degree : int
-        Points in each interval of "radau".
-    scales : BlockScales, optional
-        Of another programme of the same blocks, in place of the problem's own.
+    expanded, so the time to build hardly grows with the mesh. `method`: "piecewise_linear" (also
+    "piecewise_linear_acceleration"), "hermite_simpson" or "radau". `mesh`: interval fractions of
+    each phase; see `uniform_mesh`. `degree`: points in each interval of "radau". `scales`: of
+    another programme of the same blocks, in place of the problem's own.
     """
     integrators = len(ocp.chains[0]) - 1 if ocp.chains else 2
     scheme = scheme_of(method, degree, integrators)

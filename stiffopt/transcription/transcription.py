@@ -23,69 +23,44 @@ from stiffopt.transcription.scheme import Intervals, Scheme
 
 @dataclass(frozen=True, kw_only=True)
 class Unpacked:
-    """A motion read from an NLP vector, in the problem's units.
+    """A motion read from an NLP vector, in the problem's units."""
 
-    Attributes
-    ----------
-    times : array (NX,)
-        Times of the states [s].
-    states : array (NX, nx)
-    control_times : array (NU,)
-        Times of the controls [s]; those of `times` unless the scheme has no control at the start.
-    controls : array (NU, nu)
-    statics : array (nz,)
-    duration : float
-        [s]
-    phase_durations : array (phases,)
-        [s]
-    breaks : array (K + 1,)
-        Borders of the intervals [s].
-    integrals : array (k,)
-    """
-
-    times: np.ndarray
-    states: np.ndarray
+    times: np.ndarray  # (NX,) times of the states [s]
+    states: np.ndarray  # (NX, nx)
+    # (NU,) times of the controls [s]; those of `times` unless the scheme has no control at the
+    # start.
     control_times: np.ndarray
-    controls: np.ndarray
-    statics: np.ndarray
-    duration: float
-    phase_durations: np.ndarray
-    breaks: np.ndarray
-    integrals: np.ndarray
+    controls: np.ndarray  # (NU, nu)
+    statics: np.ndarray  # (nz,)
+    duration: float  # [s]
+    phase_durations: np.ndarray  # (phases,) [s]
+    breaks: np.ndarray  # (K + 1,) borders of the intervals [s]
+    integrals: np.ndarray  # (k,)
     objective: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class Transcription:
-    """NLP of an optimal-control problem on a mesh; made by `transcribe`.
-
-    Attributes
-    ----------
-    mesh : list of array
-        Interval fractions of each phase.
-    states, controls, statics, durations : Block or None
-        Blocks of these variables in the NLP vector; `durations` is None when fixed.
-    splines, coefficients : ChainSplines, Block or None
-        Splines whose coefficients are the variables, and the block of these. The blocks of states
-        and controls then hold their bounds and scales only.
-    path_blocks : tuple of (Block, array)
-        Blocks of the path rows among the NLP's rows, and their indices in the stage's path rows.
-    structure : str
-        Hash, equal for problems whose programmes differ in bounds and `Nlp.numbers` only.
-    """
+    """NLP of an optimal-control problem on a mesh; made by `transcribe`."""
 
     ocp: OptimalControlProblem
     scheme: Scheme
-    mesh: Mesh
+    mesh: Mesh  # interval fractions of each phase
     nlp: Nlp
+    # Blocks of these variables in the NLP vector; `durations` is None when fixed.
     states: Block
     controls: Block
     statics: Block
     durations: Block | None
+    # Splines whose coefficients are the variables, and the block of these. The blocks of states and
+    # controls then hold their bounds and scales only.
     splines: ChainSplines | None = None
     coefficients: Block | None = None
+    # (Block, array) blocks of the path rows among the NLP's rows, and their indices in the stage's
+    # path rows.
     path_blocks: tuple[tuple[Block, np.ndarray], ...]
     outputs: ca.Function
+    # Hash, equal for problems whose programmes differ in bounds and `Nlp.numbers` only.
     structure: str
 
     @property
@@ -174,17 +149,10 @@ class Transcription:
     def acceleration_polynomials(
         self, x: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return the second-order states as piecewise-polynomial accelerations.
+        """Return the second-order states as piecewise-polynomial accelerations, from their start.
 
-        Returns
-        -------
-        breaks : array (K + 1,)
-            [s]
-        coefficients : array (K, degree + 1, n)
-            Power basis in the time since the interval's start [s], lowest power first; n runs
-            over `ocp.chains`.
-        position, velocity : array (n,)
-            At the start.
+        Breaks (K + 1,) [s], coefficients (K, degree + 1, n) in the time since the interval's start,
+        lowest power first, for n `ocp.chains`; position and velocity (n,) at the start.
         """
         if not self.ocp.chains:
             raise ProblemError(

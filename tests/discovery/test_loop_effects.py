@@ -42,9 +42,9 @@ def simulated(recordings: RecordingSet, *found: EstimatedEffect) -> np.ndarray:
     own = resolve_actuator(recordings, open_training_runs(recordings))
     training = prepare_training(own.recordings, Settings(), None, lambda _: None, own.runs)
     model = extended_model(own.recordings, training.constants, Extension(effects=found))
-    robot, added, zeros = robot_in_loop(own.recordings, model)
+    robot, physics, zeros = robot_in_loop(own.recordings, model)
     run = commanded_run(own.recordings, own.runs[0])
-    loop = build_loop(own.recordings, [run], robot.tree, added)
+    loop = build_loop(own.recordings, [run], robot.tree, physics)
     values = nominal_parameters(own.recordings, robot)
     for name, value in (("armature", ARMATURE), ("viscous", VISCOUS), ("coulomb", COULOMB)):
         values.values[values.place(name)] = value

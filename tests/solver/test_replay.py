@@ -1,12 +1,14 @@
 """Replays: the recipe of a result, solved again and compared."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from small_arms import write_problem
 
 from stiffopt.cli import run
+from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import InputFileError
 from stiffopt.folders import MANIFEST
 from stiffopt.problem.files import load_problem
@@ -15,8 +17,8 @@ from stiffopt.recipe.stored_result import STATE_FILE, read_state
 from stiffopt.report.solve.page import write_solve_report
 from stiffopt.result.archive import ARCHIVE_FILE, read_archive, write_archive
 from stiffopt.result.store import RESULT_FILE
-from stiffopt.solver.family import WarmStart
-from stiffopt.solver.solve import solve
+from stiffopt.solver.family import ProblemFamily, WarmStart
+from stiffopt.solver.solve import complete_comparison, solve
 
 PIECES = {"method": "intervals = 20"}
 
@@ -92,6 +94,27 @@ def test_an_archived_solution_is_the_same(tmp_path):
         write_solve_report(problem, each, folder)
     assert (one / "report.html").read_bytes() == (other / "report.html").read_bytes()
     assert again.trajectory(0.1).tolist() == solution.trajectory(0.1).tolist()
+
+
+def test_rivals_are_simulated_when_the_page_is_drawn(tmp_path):
+    problem = load_problem(write_problem(tmp_path, "planar", **PIECES)).problem
+    problem = replace(problem, uncertainty=Uncertainty(draws=50))
+    whole, family = solve(problem, simulate=True), ProblemFamily()
+    alone, state = family.solve(problem, simulate=True, beside_rivals=False)
+    again, _ = family.solve(problem, state, simulate=True, beside_rivals=False)
+    assert [each.name for each in alone.simulation.motions] == ["optimised"]
+    assert not again.baselines
+    assert "not compared with baselines" in again.message
+    for each in (alone, again):
+        found = complete_comparison(problem, each)
+        assert [each.name for each in found.simulation.motions] == [
+            each.name for each in whole.simulation.motions
+        ]
+        rival, other = (each.compensation.best_rival for each in (found, whole))
+        assert rival.compensated.worst_case == pytest.approx(other.compensated.worst_case)
+        assert found.ratio_to_better_baseline == pytest.approx(
+            whole.ratio_to_better_baseline, rel=1e-6
+        )
 
 
 def test_a_damaged_archive_is_refused(stored, tmp_path):

@@ -43,40 +43,22 @@ _DOMINANT_RUN_RATIO = 5.0
 
 @dataclass(frozen=True)
 class Unexplained:
-    """Residual beyond the catalogue.
+    """Residual beyond the catalogue."""
 
-    Parameters
-    ----------
-    channels : tuple of str
-        "torque_3", "link_position_3"; the worst first.
-    regressors : tuple of str
-        Signals that the residual of the worst channel depends on: "q_5", "sign(qd_3)", "time".
-    period : float or None
-        Of a residual that is periodic in time, independent of the motion [s].
-    gain : float
-        Share of the residual's excess that a spline model of these explains in blocks left out.
-    ratio : float
-        Normalised residual of the worst channel.
-    left : float
-        Root mean square in that channel over that of the nominal model.
-    brief : bool
-        True for bursts above the filter's band: `ratio` is that of the bursts, `gain` their share.
-    alone : tuple of (str, float) or None
-        Training run with nearly all of the nominal residual in the worst channel, and the ratio to
-        any other run.
-    tool_force : ToolForce or None
-        Forces at the tool that explain it.
-    """
-
-    channels: tuple[str, ...]
+    channels: tuple[str, ...]  # "torque_3", "link_position_3"; the worst first
+    # Signals that the residual of the worst channel depends on: "q_5", "sign(qd_3)", "time".
     regressors: tuple[str, ...]
-    period: float | None
+    period: float | None  # of a residual that is periodic in time, independent of the motion [s]
+    # Share of the residual's excess that a spline model of these explains in blocks left out.
     gain: float
-    ratio: float
-    left: float = 1.0
+    ratio: float  # normalised residual of the worst channel
+    left: float = 1.0  # root mean square in that channel over that of the nominal model
+    # True for bursts above the filter's band: `ratio` is that of the bursts, `gain` their share.
     brief: bool = False
+    # Training run with nearly all of the nominal residual in the worst channel, and the ratio to
+    # any other run.
     alone: tuple[str, float] | None = None
-    tool_force: ToolForce | None = None
+    tool_force: ToolForce | None = None  # forces at the tool that explain it
 
 
 ChannelOutcome = Literal["named", "nothing", "outside"]
@@ -84,26 +66,17 @@ ChannelOutcome = Literal["named", "nothing", "outside"]
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelVerdict:
-    """Verdict on one channel, whatever is found in others.
+    """Verdict on one channel, whatever is found in others."""
 
-    Parameters
-    ----------
-    channel : str
-        Such as "torque_3".
-    verdict : str
-        "named": findings explain its residual; "nothing": nominal values within tolerance do;
-        "outside": a residual remains that findings do not explain.
-    before, after : float
-        Residual over noise with nominal values within tolerance, and with the findings.
-    acted_on : bool
-        A finding contributes to the channel.
-    """
-
-    channel: str
+    channel: str  # such as "torque_3"
+    # "named": findings explain its residual; "nothing": nominal values within tolerance do;
+    # "outside": a residual remains that findings do not explain.
     verdict: ChannelOutcome
+    # before, after: residual over noise with nominal values within tolerance, and with the
+    # findings.
     before: float
     after: float
-    acted_on: bool
+    acted_on: bool  # a finding contributes to the channel
 
 
 def judge_channels(
@@ -111,12 +84,7 @@ def judge_channels(
 ) -> tuple[ChannelVerdict, ...]:
     """Return the verdict on every recorded channel.
 
-    Parameters
-    ----------
-    result : SearchResult
-    findings : sequence of LocatedEffect
-    unexplained : Unexplained or None
-        Of all channels, beside the findings.
+    `unexplained`: of all channels, beside the findings.
     """
     comparison, n = result.comparison, result.comparison.robot.n
     acted = _mark_affected_channels(comparison, findings)
@@ -166,15 +134,7 @@ def _mark_affected_channels(
 def assess_findings(result: SearchResult) -> tuple[tuple[Selected, ...], Unexplained | None]:
     """Select findings that explain their channels, and describe the unexplained residual.
 
-    Parameters
-    ----------
-    result : SearchResult
-
-    Returns
-    -------
-    findings : tuple of Selected
-    unexplained : Unexplained or None
-        None without a significant residual.
+    Returns `unexplained`: None without a significant residual.
     """
     after = np.nan_to_num(result.after, nan=0.0)
     before = np.nan_to_num(result.calibrated, nan=0.0)
@@ -236,9 +196,8 @@ def _noise_excess(result: SearchResult) -> float:
     """Return the noise of the worst channel above the cutoff over the stated noise; at least 1."""
     comparison = result.comparison
     worst = int(np.nanargmax(result.after))
-    stated = np.concatenate([comparison.noise.torque, comparison.noise.deflection])
-    held = noise_above_cutoff(comparison.nominal_runs)
-    return float(np.nanmax([1.0, held[worst] / stated[worst]]))
+    held = noise_above_cutoff(comparison.nominal_runs) / comparison.noise.stacked
+    return float(np.nanmax([1.0, held[worst]]))
 
 
 def channel_name(channel: int, joints: int) -> str:
@@ -249,13 +208,11 @@ def channel_name(channel: int, joints: int) -> str:
 
 def _find_dominant_run(comparison: Comparison, rows: np.ndarray) -> tuple[str, float] | None:
     """Return the run with by far the largest nominal residual in these rows, and the ratio."""
-    number = comparison.rows.sample_signal(lambda run: np.full(len(run.time), float(run.index)))[
-        rows
-    ]
+    number, target = comparison.rows.run[rows], comparison.target[rows]
     left = {
-        run.name: float(np.sqrt(np.mean(comparison.target[rows][number == run.index] ** 2)))
-        for run in comparison.runs
-        if (number == run.index).any()
+        run.name: float(np.sqrt(np.mean(target[number == k] ** 2)))
+        for k, run in enumerate(comparison.runs)
+        if (number == k).any()
     }
     if len(left) < 2:
         return None

@@ -61,31 +61,16 @@ _MAX_SMALL_TILT = np.pi / 6.0
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """Another description of the files with its residual shares.
+    """Another description of the files with its residual shares."""
 
-    Parameters
-    ----------
-    left : array (n,)
-        Residual shares; nan if the motion cannot decide.
-    joints : tuple of int
-        Joints that it explains, from 0.
-    score : float
-        Sum of the log ratios of residual shares.
-    gains : array (n,) or None
-        Recorded over true torque.
-    gravity : array (3,) or None
-        Unit vector in the base frame; 0 if the torques contain no weight.
-    delay : float or None
-        Delay of the torque [s].
-    """
-
-    left: np.ndarray
-    joints: tuple[int, ...]
-    score: float
+    left: np.ndarray  # (n,) residual shares; nan if the motion cannot decide
+    joints: tuple[int, ...]  # joints that it explains, from 0
+    score: float  # sum of the log ratios of residual shares
     reading: Reading
-    gains: np.ndarray | None = None
+    gains: np.ndarray | None = None  # (n,) recorded over true torque
+    # (3,) unit vector in the base frame; 0 if the torques contain no weight.
     gravity: np.ndarray | None = None
-    delay: float | None = None
+    delay: float | None = None  # delay of the torque [s]
 
     @property
     def price(self) -> float:
@@ -213,7 +198,15 @@ class Explanations:
         for j in range(self.n):
             if not before[j] > _MIN_FAILURE_SHARE:
                 continue
-            usual = (-1.0, 1e3, 1e-3, -1e3, -1e-3, 1.0 / ratio[j], -1.0 / ratio[j])
+            usual: tuple[float, ...] = (
+                -1.0,
+                1e3,
+                1e-3,
+                -1e3,
+                -1e-3,
+                1.0 / ratio[j],
+                -1.0 / ratio[j],
+            )
             if j in self.robot.recordings.signals.current_joints:
                 usual = ()
             gain, share = self.torque_fit.gain(motion, torque[:, j], j, usual)
@@ -326,14 +319,10 @@ class Explanations:
         if not np.abs(pulls).max() > 0.0:
             return None
         direction = self._fit_gravity_direction(moving, pulls)
-        if direction is None:
-            return self._explain_without_weight(moving)
+        if direction is None:  # no weight at all: a controller may add its compensation later
+            direction = np.zeros(3)
         spring = moving + pulls @ (9.81 * direction)
         return self._accept_weight(replace(motion, spring=spring), direction)
-
-    def _explain_without_weight(self, moving: np.ndarray) -> Explanation | None:
-        """Explain by torques without weight, if a controller adds gravity compensation later."""
-        return self._accept_weight(replace(self.motion, spring=moving), np.zeros(3))
 
     def _accept_weight(self, motion: Motion, gravity: np.ndarray) -> Explanation | None:
         """Return the explanation by another weight unless the stated one fits a joint better.

@@ -34,19 +34,13 @@ _GAIN_GRID = np.logspace(-4.5, 4.5, 61)
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A motion, in some interpretation of the files, with its nominal torques.
+    """A motion, in some interpretation of the files, with its nominal torques."""
 
-    Parameters
-    ----------
-    position, velocity, acceleration : array (m, n)
-    spring : array (m, n)
-        Nominal torque of bodies and counterbalances [N m].
-    """
-
+    # position, velocity, acceleration (m, n)
     position: np.ndarray
     velocity: np.ndarray
     acceleration: np.ndarray
-    spring: np.ndarray
+    spring: np.ndarray  # (m, n) nominal torque of bodies and counterbalances [N m]
 
     @staticmethod
     def of(robot: RobotModel, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> Motion:
@@ -74,12 +68,7 @@ class TorqueFit:
     ) -> float:
         """Return the residual share of a torque's variance; nan if the motion cannot decide.
 
-        Parameters
-        ----------
-        torque : array (m,)
-            Measured [N m].
-        extra : Additions, optional
-            Further columns, such as springs and payloads.
+        `torque` (m,): measured [N m]. `extra`: further columns, such as springs and payloads.
         """
         reduced = self._reduce_table(motion, torque, joint, extra)
         return float("nan") if reduced is None else reduced.share(1.0)

@@ -8,7 +8,7 @@ shapes, which they are not: place and form are known before.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.nuisance import OutsideValue, select_outside
 from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.progress import Say
 from stiffopt.discovery.search.joint_fit import fit_jointly
 from stiffopt.discovery.search.rivals import RankedEffect, rank_rivals
 from stiffopt.discovery.thresholds import UNEXPLAINED_RATIO
@@ -41,7 +42,7 @@ def claim_outside_values(
     ranked: list[RankedEffect],
     catalogue: Sequence[Effect],
     most: int,
-    tell: Callable[[str], object],
+    tell: Say,
 ) -> tuple[Comparison, list[RankedEffect]]:
     """Add the effects of nominal values outside their tolerances, and rank all effects anew.
 

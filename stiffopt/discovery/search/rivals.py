@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,11 +11,9 @@ from scipy.special import softmax
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.effect import Effect
-from stiffopt.discovery.progress import RoundProgress
+from stiffopt.discovery.progress import RoundProgress, Say
 from stiffopt.discovery.search.candidates import Candidate, Scorer, scan
-from stiffopt.discovery.search.joint_fit import (
-    fit_jointly,
-)
+from stiffopt.discovery.search.joint_fit import fit_jointly
 from stiffopt.discovery.signals import RobotConstants
 from stiffopt.discovery.thresholds import (
     ADDED_MASS_OFFSET,
@@ -35,28 +33,15 @@ _MIN_REFINED_SHARE = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Selected:
-    """A found effect with its rivals.
-
-    Parameters
-    ----------
-    located : LocatedEffect
-    loss : float
-        Log evidence lost without it.
-    deviations : float
-    probability : float
-        Against its rivals.
-    rivals : tuple of (LocatedEffect, float)
-        Effects that the data do not tell apart from it, with probabilities.
-    channel : int
-        Channel that it changes most.
-    """
+    """A found effect with its rivals."""
 
     located: LocatedEffect
-    loss: float
+    loss: float  # log evidence lost without it
     deviations: float
-    probability: float
+    probability: float  # against its rivals
+    # Effects that the data do not tell apart from it, with probabilities.
     rivals: tuple[tuple[LocatedEffect, float], ...]
-    channel: int
+    channel: int  # channel that it changes most
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +58,7 @@ def rank_rivals(
     located: LocatedEffect,
     catalogue: Sequence[Effect],
     *,
-    tell: Callable[[str], object] = lambda _: None,
+    tell: Say = lambda _: None,
 ) -> RankedEffect | None:
     """Rank a found effect among all possible rivals.
 
@@ -173,7 +158,7 @@ def exchange_rivals(
     current: Comparison,
     effects: list[LocatedEffect],
     catalogue: Sequence[Effect],
-    tell: Callable[[str], object],
+    tell: Say,
     before: Sequence[RankedEffect] = (),
 ) -> tuple[Comparison, list[RankedEffect]]:
     """Replace effects by their likeliest rivals until nothing changes; return them ranked."""
@@ -199,7 +184,7 @@ def rank_effects(
     comparison: Comparison,
     effects: list[LocatedEffect],
     catalogue: Sequence[Effect],
-    say: Callable[[str], object],
+    say: Say,
     before: Sequence[RankedEffect] = (),
 ) -> list[RankedEffect]:
     """Rank effects among their rivals, without those that have become insignificant.

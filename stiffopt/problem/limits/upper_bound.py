@@ -31,14 +31,7 @@ if TYPE_CHECKING:
 class UpperBound(LimitKind):
     """Upper bound of one number; infinite by default.
 
-    Parameters
-    ----------
-    name : str
-        Name of key and attribute.
-    form : type
-        Type of the key in a file.
-    unit : str
-        SI unit.
+    `name`: name of key and attribute. `form`: type of the key in a file. `unit`: SI unit.
     """
 
     def __init__(self, name: str, form: Any, unit: str, description: str) -> None:

@@ -172,52 +172,31 @@ def _format_minor_tick(value: float) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """One channel of one held-out run.
+    """One channel of one held-out run."""
 
-    Parameters
-    ----------
-    time : array (K,)
-        [s]
-    measured, before, after : array (K,)
-        Torque, or wind-up (motor less link angle) of a link encoder; SI.
-    used : array (K,) of bool
-        Samples that count: torque only while the joint moves.
-    speed : array (K,)
-        Speed of the joint.
-    """
-
-    time: np.ndarray
+    time: np.ndarray  # (K,) [s]
+    # (K,) torque, or wind-up (motor less link angle) of a link encoder; SI.
     measured: np.ndarray
     before: np.ndarray
     after: np.ndarray
-    used: np.ndarray
-    speed: np.ndarray
+    used: np.ndarray  # (K,) samples that count: torque only while the joint moves
+    speed: np.ndarray  # (K,) speed of the joint
     error: ChannelError
     unit: str
 
 
 @dataclass(frozen=True)
 class Window:
-    """Interval of a held-out run with a large residual.
-
-    Parameters
-    ----------
-    begin, end : float
-        [s]
-    rms : float
-        Root mean square of the residual with the extended model.
-    ratio : float
-        The same over noise.
-    slowest, fastest : float
-        Range of the joint's speed.
-    """
+    """Interval of a held-out run with a large residual."""
 
     run: str
     error: ChannelError
+    # [s].
     begin: float
     end: float
-    rms: float
-    ratio: float
+    rms: float  # root mean square of the residual with the extended model
+    ratio: float  # the same over noise
+    # Range of the joint's speed.
     slowest: float
     fastest: float
     unit: str

@@ -38,33 +38,19 @@ _CHANNEL_KINDS = {"torque": "the torques", "link_position": "the link encoders"}
 
 @dataclass(frozen=True, kw_only=True)
 class Mismatch:
-    """Composition of the mismatch of one kind of channel on held-out runs.
-
-    Parameters
-    ----------
-    pieces : list of NamedShare
-        Explained parts, the largest first, and the unexplained part last.
-    """
+    """Composition of the mismatch of one kind of channel on held-out runs."""
 
     sentence: str
-    pieces: list[NamedShare]
+    pieces: list[NamedShare]  # explained parts, the largest first, and the unexplained part last
 
 
 @dataclass(frozen=True, kw_only=True)
 class NamedShare:
-    """A part of the mismatch, shown as a piece of the bar.
-
-    Parameters
-    ----------
-    share : float
-        Share of the mismatch on held-out runs.
-    open : bool
-        True for the unexplained part.
-    """
+    """A part of the mismatch, shown as a piece of the bar."""
 
     words: str
-    share: float
-    open: bool
+    share: float  # share of the mismatch on held-out runs
+    open: bool  # True for the unexplained part
 
 
 def mismatches(diagnosis: Diagnosis) -> list[Mismatch]:
