@@ -14,7 +14,12 @@ import numpy as np
 from stiffopt.discovery.catalogue import CATALOGUE, changes_in, effects_of_runs
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import Extension
-from stiffopt.discovery.conclusions import build_findings, decide_verdict, describe_next_experiment
+from stiffopt.discovery.conclusions import (
+    build_findings,
+    decide_verdict,
+    describe_next_experiment,
+    findings_with_loop_values,
+)
 from stiffopt.discovery.diagnosis import (
     Diagnosis,
 )
@@ -307,6 +312,7 @@ def _run_diagnosis(
             fit_simulation, recordings, training, whole, recorded, resolved.parameters, say
         )
         loop = skip_if_stopped(stopped, NO_SIMULATION, fitted)
+    findings = findings_with_loop_values(recordings, loop, findings)
     # The findings are fixed: held-out runs are read only from here on.
     tracks = finish_step(stopped, lambda: training_tracks(result.comparison, result.fit))
     parts = split_extension(found, recordings.unstated)

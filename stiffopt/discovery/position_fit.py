@@ -132,12 +132,12 @@ def _fit_robot(
     say: Callable[[str], object],
     robot: Robot,
     physics: LoopPhysics | None,
-    zeros: Mapping[int, float],
+    values: Mapping[tuple[str, int], float],
 ) -> tuple[CommandedArm, Polished] | None:
-    """Fit the closed loop of a robot with further torques and joint zeros [rad]."""
+    """Fit the closed loop of a robot with further physics, beginning with some values."""
     prior, law = nominal_parameters(recordings, robot), recordings.actuator
-    for joint, zero in zeros.items():
-        prior.values[prior.place("zero")][joint] = zero
+    for (name, joint), value in values.items():
+        prior.values[prior.place(name)][joint] = value
     if estimated is not None and law is not None:
         unscaled = ~law.scaled[np.argsort(recordings.order)]
         for name in DRIVE_PARAMETERS.values():
