@@ -202,7 +202,7 @@ def test_friction_and_rotor_at_the_link_of_a_coupled_wrist_take_the_power_of_its
 
 def test_a_motor_behind_the_encoder_takes_the_impulses_of_its_travel():
     signals = ROBOT.of_joint(4)
-    width, rounding = 0.02, 0.3
+    width, rounding = 0.02, 3.0
     time = np.arange(400) * 1e-3
     load = 10.0 * np.cos(2.0 * np.pi * 5.0 * time)
     constants = replace(signals.constants, rotor_inertia=0.05, viscous=1e-9, coulomb=1e-9)
