@@ -30,17 +30,10 @@ class JointMotion(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ForceHistory:
-    """Force on the tool over time, linear in between and constant outside.
+    """Force on the tool over time, linear in between and constant outside."""
 
-    Parameters
-    ----------
-    time : array (K,) [s]
-    force : array (K, 3) [N]
-        Base axes.
-    """
-
-    time: np.ndarray
-    force: np.ndarray
+    time: np.ndarray  # (K,) [s]
+    force: np.ndarray  # (K, 3) [N] base axes
 
     def __call__(self, t: np.ndarray) -> np.ndarray:
         """Return the force (K, 3) at times (K,)."""
@@ -353,7 +346,7 @@ def _recentre_coefficients(times: np.ndarray, motion: Trajectory) -> np.ndarray:
     interval = np.searchsorted(motion.times, 0.5 * (times[:-1] + times[1:])) - 1
     coefficients = motion.acceleration[interval]
     local = times[:-1] - motion.times[interval]
-    moved = np.zeros_like(coefficients)
+    moved: np.ndarray = np.zeros_like(coefficients)
     for low in range(coefficients.shape[1]):
         for high in range(low, coefficients.shape[1]):
             share = math.comb(high, low) * local ** (high - low)

@@ -238,11 +238,13 @@ def describe_optimality(
         and each.assessment.feasible(CERTIFICATE_TOLERANCE)
     ]
     tried = "one start" if starts_made == 1 else f"the best of {starts_made} starts"
-    rivals = (
-        f"no baseline that keeps every limit ({', '.join(kept)}) is better"
-        if kept
-        else "no baseline keeps every limit within the duration"
-    )
+    rivals = "it was not compared with baselines"
+    if compared:
+        rivals = (
+            f"no baseline that keeps every limit ({', '.join(kept)}) is better"
+            if kept
+            else "no baseline keeps every limit within the duration"
+        )
     return f"It is a local optimum, from {tried}; {rivals}. More method.starts look further."
 
 
