@@ -222,12 +222,17 @@ def test_motion_between_is_the_best_one_whose_motors_keep_their_limits(
         x = float(plan(1.0)[0])
         return LedError(in_flight=1.1 - x, after_arrival=1.0 + 2.0 * abs(x - 0.5), shares={})
 
-    def violations(problem, motors):
-        return [SimpleNamespace(value=float(motors(1.0)[0]) - strongest)]
-
     monkeypatch.setattr(oracle, "_led_error", led_of, raising=False)
     monkeypatch.setattr(between_rivals, "follow_plan", lambda run, plan, law: plan)
-    monkeypatch.setattr(between_rivals, "drive_violations", violations)
+    monkeypatch.setattr(
+        between_rivals, "drive_violations", lambda *_: [SimpleNamespace(value=-1.0)]
+    )
+    monkeypatch.setattr(between_rivals, "assess", lambda problem, motors: motors)
+    # A limit that the drives do not show excludes the motion of least error.
+    monkeypatch.setattr(
+        between_rivals, "worst_flight_violation", lambda motion: float(motion(1.0)[0]) - strongest
+    )
+    monkeypatch.setattr(between_rivals, "replace", lambda last, **new: SimpleNamespace(**new))
     last = SimpleNamespace(
         planned=straight(0.0),
         assessment=SimpleNamespace(led=led_of(straight(0.0))),
