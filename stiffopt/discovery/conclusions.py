@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +23,9 @@ from stiffopt.discovery.experiment.design import ExperimentPlan
 from stiffopt.discovery.judging.explained_shares import MismatchShare
 from stiffopt.discovery.judging.unexplained import ChannelVerdict, Unexplained
 from stiffopt.discovery.laws.law import LAW_FAMILY
+from stiffopt.discovery.loop_effects import LOOP_VALUES
+from stiffopt.discovery.loop_fit import DRIVE_PARAMETERS, stated_tolerance
+from stiffopt.discovery.position_fit import ClosedLoopModel
 from stiffopt.discovery.search.left_out_gain import left_out_gains
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.uncertainty import (
@@ -34,6 +38,7 @@ from stiffopt.discovery.thresholds import (
     UNSTATED_DEVIATIONS,
 )
 from stiffopt.discovery.training import Training
+from stiffopt.recording.recording_set import RecordingSet
 
 if TYPE_CHECKING:
     from stiffopt.discovery.effect import Constants
@@ -224,3 +229,36 @@ def describe_next_recording(unexplained: Unexplained) -> str:
     if repeats:
         text += f"; then {', '.join(dict.fromkeys(repeats))}"
     return f"{text}."
+
+
+def findings_with_loop_values(
+    recordings: RecordingSet, model: ClosedLoopModel | None, findings: Sequence[Finding]
+) -> tuple[Finding, ...]:
+    """Return findings with the values of the simulation, where it has them as parameters.
+
+    Torques derived from commands are filtered, and so are friction and its reversals: simulated,
+    they are where the arm has them. What a value adds to its nominal one is as uncertain as both.
+    """
+    if model is None:
+        return tuple(findings)
+    return tuple(_with_loop_value(recordings, model, each) for each in findings)
+
+
+def _with_loop_value(recordings: RecordingSet, model: ClosedLoopModel, finding: Finding) -> Finding:
+    joint, entry = finding.located.joint, finding.effect
+    name = DRIVE_PARAMETERS.get(entry.nominal) or LOOP_VALUES.get(entry.name)
+    if name is None or joint is None or entry.only_in:
+        return finding
+    place, robot = int(recordings.order[joint]), recordings.robot
+    if not model.loop.law.scaled[place]:
+        return finding
+    nominal, tolerance = 0.0, 0.0
+    if entry.nominal:
+        nominal = float(getattr(robot, entry.nominal)[place])
+        tolerance = nominal * stated_tolerance(recordings, entry.nominal)
+    value = float(model.fitted.of(name)[place]) - nominal
+    sd = float(np.hypot(model.deviations[model.fitted.place(name)][place], tolerance))
+    own, *others = finding.parameters
+    if value * own.value <= 0.0 or sd == 0.0:
+        return finding
+    return replace(finding, parameters=(replace(own, value=value, sd=sd), *others))

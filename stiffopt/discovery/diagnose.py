@@ -14,7 +14,12 @@ import numpy as np
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import Extension
-from stiffopt.discovery.conclusions import build_findings, decide_verdict, describe_next_experiment
+from stiffopt.discovery.conclusions import (
+    build_findings,
+    decide_verdict,
+    describe_next_experiment,
+    findings_with_loop_values,
+)
 from stiffopt.discovery.diagnosis import Diagnosis
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.experiment.design import leading_pair, plan_experiment
@@ -236,6 +241,7 @@ def _run_diagnosis(
     if recordings.signals.commanded:
         simulation = (recordings, training, whole, opened.recorded, opened.actuator, say)
         loop = steps.run(SIMULATION, lambda: fit_simulation(*simulation))
+    findings = findings_with_loop_values(recordings, loop, findings)
     # The findings are fixed: held-out runs are read only from here on.
     tracks = steps.finish(lambda: training_tracks(result.comparison, result.fit))
     parts = split_extension(found, recordings.unstated)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -95,10 +95,7 @@ def held_out_figure(diagnosis: Diagnosis) -> Figure:
         grid = figure.subplots(1, max(len(roles), 1), squeeze=False, sharey=True)[0]
         for axes, (role, words) in zip(grid, roles, strict=False):
             for row, name in enumerate(names):
-                before, after = channel_ratio(diagnosis, role, name)
-                axes.plot([before, after], [row, row], color=PALE, linewidth=3.0, zorder=1)
-                axes.plot(before, row, "o", mfc="white", mec=VERMILLION, mew=1.5, ms=6)
-                axes.plot(after, row, "o", color=BLUE, ms=5)
+                _draw_ratio(axes, row, channel_ratio(diagnosis.proofs(role), name))
             axes.axvline(1.0, color=GREY, linewidth=1.0, zorder=0)
             axes.set_xscale("log")
             low, high = axes.get_xlim()
@@ -147,12 +144,19 @@ def noise_ceiling_figure(diagnosis: Diagnosis) -> Figure:
         return figure
 
 
-def channel_ratio(diagnosis: Diagnosis, role: str, name: str) -> tuple[float, float]:
-    """Return residual over noise of a channel in the runs of a role, before and after.
+def _draw_ratio(axes: Axes, row: int, ratio: tuple[float, float]) -> None:
+    """Draw residual over noise before and after, and the line between them."""
+    axes.plot(ratio, [row, row], color=PALE, linewidth=3.0, zorder=1)
+    axes.plot(ratio[0], row, "o", mfc="white", mec=VERMILLION, mew=1.5, ms=6)
+    axes.plot(ratio[1], row, "o", color=BLUE, ms=5)
+
+
+def channel_ratio(proofs: Iterable[RunProof], name: str) -> tuple[float, float]:
+    """Return residual over noise of a channel in some runs, before and after.
 
     Both are nan where no run has samples of the channel.
     """
-    own = [c for p in diagnosis.proofs(role) for c in p.channels if c.name == name]
+    own = [c for p in proofs for c in p.channels if c.name == name]
     count = sum(c.samples for c in own)
     if not count:
         return float("nan"), float("nan")
@@ -356,17 +360,7 @@ def state_figure(diagnosis: Diagnosis) -> Figure:
         for axes, state in zip(grid, ("before", "after"), strict=True):
             proofs = [p for p in diagnosis.held_out if p.run.name.startswith(f"{state}_")]
             for row, name in enumerate(names):
-                own = [c for p in proofs for c in p.channels if c.name == name]
-                count = sum(c.samples for c in own)
-                if not count:
-                    continue
-                old, new = (
-                    (sum(getattr(c, key) for c in own) / count) ** 0.5 / own[0].noise
-                    for key in ("before", "after")
-                )
-                axes.plot([old, new], [row, row], color=PALE, linewidth=3.0, zorder=1)
-                axes.plot(old, row, "o", mfc="white", mec=VERMILLION, mew=1.5, ms=6)
-                axes.plot(new, row, "o", color=BLUE, ms=5)
+                _draw_ratio(axes, row, channel_ratio(proofs, name))
             axes.axvline(1.0, color=GREY, linewidth=1.0, zorder=0)
             axes.set_title(f"held-out runs {state} the change")
             axes.set_xlabel("residual over noise")
