@@ -39,52 +39,35 @@ from stiffopt.units import joint_unit
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ClosedLoopModel:
-    """Nominal and fitted simulation of an arm from its commands.
+    """Nominal and fitted simulation of an arm from its commands."""
 
-    Parameters
-    ----------
-    nominal_loop, loop : CommandedArm
-        Of the nominal robot, and with the findings.
-    nominal, fitted : Parameters
-    deviations : array (p,)
-        One standard deviation of each fitted parameter.
-    expected, expected_deviations
-        The same before the fit; None of a model that was read.
-    ratios : mapping of str to pair of array (n,)
-        Parameters over the gain with standard deviations, where torque has no scale; else nan.
-    """
-
+    # nominal_loop, loop: of the nominal robot, and with the findings.
     nominal_loop: CommandedArm
     loop: CommandedArm
     nominal: Parameters
     fitted: Parameters
-    deviations: np.ndarray
+    deviations: np.ndarray  # (p,) one standard deviation of each fitted parameter
+    # expected, expected_deviations: the same before the fit; None of a model that was read.
     expected: Parameters | None = None
     expected_deviations: np.ndarray | None = None
+    # (n,) parameters over the gain with standard deviations, where torque has no scale; else nan.
     ratios: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PositionRun:
-    """One run with its simulations, which saw its commands and its first position alone.
-
-    Parameters
-    ----------
-    name, role : str
-    time : array (K,) [s]
-    command, measured, before, after : array (K, n)
-        Positions in the joint order of the set [rad]; before and after the diagnosis.
-    tool_before, tool_after : array (K,)
-        Distances of the simulated from the measured tool [m].
-    """
+    """One run with its simulations, which saw its commands and its first position alone."""
 
     name: str
     role: str
-    time: np.ndarray
+    time: np.ndarray  # (K,) [s]
+    # command, measured, before, after (K, n): positions in the joint order of the set [rad]; before
+    # and after the diagnosis.
     command: np.ndarray
     measured: np.ndarray
     before: np.ndarray
     after: np.ndarray
+    # tool_before, tool_after (K,): distances of the simulated from the measured tool [m].
     tool_before: np.ndarray
     tool_after: np.ndarray
 
@@ -103,7 +86,7 @@ def fit_positions(
     Findings with which the loop is unstable, or fits the training runs worse than without them,
     are left out of it. None where a joint has no gain, which would not be held, or no command.
     """
-    robots: list[tuple[Robot, LoopPhysics | None, dict[int, float]]] = [
+    robots: list[tuple[Robot, LoopPhysics | None, dict[tuple[str, int], float]]] = [
         (recordings.robot, None, {})
     ]
     if model is not None:
@@ -255,10 +238,8 @@ def loop_values(
 def read_model(recordings: RecordingSet, model: ExtendedModel) -> ClosedLoopModel:
     """Return the closed loop of an extended model.
 
-    Raises
-    ------
-    InputFileError
-        A list of another length than the joints, or an unknown or missing parameter.
+    Raises `InputFileError`: a list of another length than the joints, or an unknown or missing
+    parameter.
     """
     section = model.closed_loop
     assert section is not None
