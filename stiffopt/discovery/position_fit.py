@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -20,18 +20,24 @@ from stiffopt.closed_loop.parameters import (
 )
 from stiffopt.closed_loop.polish import Polished
 from stiffopt.closed_loop.simulation import simulate
+from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.extended.model import ExtendedModel
 from stiffopt.discovery.extended.schema import ClosedLoopSection
+from stiffopt.discovery.extended.value_changes import extended_model
 from stiffopt.discovery.loop_effects import robot_in_loop
 from stiffopt.discovery.loop_fit import (
     DRIVE_PARAMETERS,
     commanded_run,
     fit_loop,
+    is_commanded,
     nominal_parameters,
 )
+from stiffopt.discovery.progress import Say
+from stiffopt.discovery.training import Training
 from stiffopt.errors import InputError
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
+from stiffopt.recording.state_pair import StatePair
 from stiffopt.robot.batched_kinematics import frame_positions
 from stiffopt.robot.robot import Robot
 from stiffopt.units import joint_unit
@@ -77,7 +83,7 @@ def fit_positions(
     runs: Sequence[RecordedRun],
     model: ExtendedModel | None = None,
     estimated: Parameters | None = None,
-    say: Callable[[str], object] = lambda _: None,
+    say: Say = lambda _: None,
 ) -> ClosedLoopModel | None:
     """Fit a simulation from commands to training runs, beginning with the findings of a model.
 
@@ -108,11 +114,33 @@ def fit_positions(
     )
 
 
+def fit_simulation(
+    recordings: RecordingSet,
+    training: Training,
+    found: Extension,
+    runs: Sequence[RecordedRun],
+    estimated: Parameters | None,
+    say: Say,
+) -> ClosedLoopModel | None:
+    """Fit the simulation from commands, beginning with friction and rotors as found.
+
+    Joints without a scale of torque, of which nothing is found, begin as `estimated`.
+
+    None where no training run holds commands of joints with known gains, and for two states of a
+    robot, of which one simulation is none.
+    """
+    if isinstance(recordings, StatePair):
+        return None
+    say("simulate the training runs from their commands")
+    model = extended_model(recordings, training.constants, found)
+    return fit_positions(recordings, runs, model, estimated, say)
+
+
 def _fit_robot(
     recordings: RecordingSet,
     runs: Sequence[RecordedRun],
     estimated: Parameters | None,
-    say: Callable[[str], object],
+    say: Say,
     robot: Robot,
     physics: LoopPhysics | None,
     values: Mapping[tuple[str, int], float],
@@ -163,6 +191,16 @@ def simulate_run(recordings: RecordingSet, model: ClosedLoopModel, run: Recorded
         tool_before=np.linalg.norm(places[1] - places[0], axis=1),
         tool_after=np.linalg.norm(places[2] - places[0], axis=1),
     )
+
+
+def simulate_held_out(
+    recordings: RecordingSet, loop: ClosedLoopModel | None
+) -> tuple[PositionRun, ...]:
+    """Simulate held-out runs from their commands."""
+    if loop is None:
+        return ()
+    runs = (recordings.open(entry) for entry in recordings.with_role("test", "extrapolate"))
+    return tuple(simulate_run(recordings, loop, run) for run in runs if is_commanded(run))
 
 
 def model_section(
