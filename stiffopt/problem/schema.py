@@ -381,7 +381,8 @@ class LimitsSection(Section):
 class DutySection(Section):
     """Limits of the duty of a cycle, which its moves and the split of its time keep.
 
-    With an error limit or a deflection to minimise, a cycle beyond one is refused instead.
+    With an error limit or a deflection to minimise, a cycle beyond one is refused instead. The
+    fastest motion on a path, repeated without a pause, is slowed as a whole until they hold.
     """
 
     rms_torque: Annotated[

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
 
+from stiffopt.discovery.channel import Channel
 from stiffopt.discovery.settings import MIN_MOVING_SPEED
 from stiffopt.recording.joint_facts import velocities
 from stiffopt.report.common.svg import (
@@ -89,7 +90,7 @@ def held_out_figure(diagnosis: Diagnosis) -> Figure:
     roles = [(role, words) for role, words in _ROLE_TITLES if diagnosis.proofs(role)]
     with figure_style():
         names = list(dict.fromkeys(c.name for p in diagnosis.held_out for c in p.channels))
-        names.sort(key=lambda name: (not name.startswith("torque"), int(name.rpartition("_")[2])))
+        names.sort(key=lambda name: Channel.read(name).number(diagnosis.recordings.n))
         figure = Figure(figsize=(WIDTH, 1.0 + 0.24 * max(len(names), 3)))
         grid = figure.subplots(1, max(len(roles), 1), squeeze=False, sharey=True)[0]
         for axes, (role, words) in zip(grid, roles, strict=False):
@@ -137,7 +138,7 @@ def noise_ceiling_figure(diagnosis: Diagnosis) -> Figure:
             axes.axhline(0.0, color=GREY, linewidth=1.0, zorder=0)
             unit = joint_unit(_SIGNAL_UNITS[kind], slides)
             axes.set_xlabel(f"{regressor_words(each.signal).removeprefix('the ')} [{unit}]")
-        own = int(depends[0].channel.rpartition("_")[2]) - 1
+        own = Channel.read(depends[0].channel).joint - 1
         unit = joint_unit("N m", diagnosis.training.constants.joints[own].prismatic)
         grid[0].set_ylabel(f"residual torque, joint {own + 1} [{unit}]")
         return figure
@@ -164,8 +165,8 @@ def channel_ratio(proofs: Iterable[RunProof], name: str) -> tuple[float, float]:
 
 
 def _channel_label(name: str) -> str:
-    kind, _, joint = name.rpartition("_")
-    return f"J{joint} {'torque' if kind == 'torque' else 'link encoder'}"
+    channel = Channel.read(name)
+    return f"J{channel.joint} {channel.sensor}"
 
 
 def _format_minor_tick(value: float) -> str:
