@@ -23,39 +23,24 @@ _MAX_UNTOLD = 0.7
 
 @dataclass(frozen=True, kw_only=True)
 class SharedValue:
-    """One value of several arms.
+    """One value of several arms."""
 
-    Parameters
-    ----------
-    joint : int or None
-        From 1; None for a value of the arm.
-    value, sd : float
-        Common to all arms, expected value included.
-    arms : tuple of (str, float, float)
-        Each arm's name, value and standard deviation.
-    p : float
-        Chance of such differences where the value is common.
-    common : bool
-        The differences are no larger than chance makes them, among all values tested.
-    """
-
-    joint: int | None
+    joint: int | None  # from 1; None for a value of the arm
     parameter: str
     unit: str
+    # Common to all arms, expected value included.
     value: float
     sd: float
+    # (str, float, float) each arm's name, value and standard deviation.
     arms: tuple[tuple[str, float, float], ...]
-    p: float
-    common: bool
+    p: float  # chance of such differences where the value is common
+    common: bool  # the differences are no larger than chance makes them, among all values tested
 
 
 def shared_values(arms: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[SharedValue]:
     """Return all values that at least two arms tell, those that differ most first.
 
-    Parameters
-    ----------
-    arms : mapping of str to sequence of mapping
-        Values by arm: `joint`, `parameter`, `unit`, `value`, `sd`, `expected`, `expected_sd`.
+    `arms`: values by arm: `joint`, `parameter`, `unit`, `value`, `sd`, `expected`, `expected_sd`.
     """
     found: dict[tuple[int | None, str], dict[str, Mapping[str, Any]]] = {}
     for arm, values in arms.items():
