@@ -13,10 +13,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
 # Chance that any value at all is called an arm's own where all are common.
-_LEVEL = 0.05
+_TEST_LEVEL = 0.05
 # Largest deviation over the expected one of a value that the recordings tell.
 _MAX_UNTOLD = 0.7
 
@@ -51,12 +50,14 @@ def shared_values(arms: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[Share
     tested.sort(key=lambda each: each.p)
     kept, common = [], False
     for k, each in enumerate(tested):
-        common = common or each.p > _LEVEL / (len(tested) - k)
+        common = common or each.p > _TEST_LEVEL / (len(tested) - k)
         kept.append(SharedValue(**vars(each) | {"common": common}))
     return kept
 
 
 def _test(place: tuple[int | None, str], own: Mapping[str, Mapping[str, Any]]) -> SharedValue:
+    from scipy.special import chdtrc  # heavy, and needed after the solves only
+
     value, sd, expected, expected_sd = (
         np.array([each[key] for each in own.values()])
         for key in ("value", "sd", "expected", "expected_sd")
@@ -75,6 +76,6 @@ def _test(place: tuple[int | None, str], own: Mapping[str, Mapping[str, Any]]) -
         value=(float(weight.sum()) * mean + prior * float(np.mean(expected))) / total,
         sd=float(total**-0.5),
         arms=tuple((arm, float(v), float(s)) for arm, v, s in zip(own, value, sd, strict=True)),
-        p=float(chi2.sf(squares, len(own) - 1)),
+        p=float(chdtrc(len(own) - 1, squares)),
         common=False,
     )
