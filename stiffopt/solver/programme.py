@@ -227,6 +227,7 @@ def solve_stage(
             warm=start,
             barrier=barrier,
             push=push,
+            tolerance=stage.tolerance,
             report=report,
             max_seconds=run.remaining,
             max_iterations=max_iterations or run.max_iterations,

@@ -6,7 +6,6 @@ import functools
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -34,9 +33,6 @@ from stiffopt.solver.stage_plan import (
 from stiffopt.transcription.mesh import Mesh
 from stiffopt.transcription.ocp import Guess
 from stiffopt.transcription.transcription import Transcription
-
-if TYPE_CHECKING:
-    pass
 
 # Sum of the excesses of all rows, relative to their scales, from which on they are in conflict; and
 # that on a coarse mesh which no finer one removes.
