@@ -191,12 +191,7 @@ def finer_mesh(
 def _mesh_along_path(path: JointPath, guess: Guess, intervals: int) -> Mesh:
     """Return a mesh with nodes at the waypoints, where the rate of the path's curvature jumps.
 
-    Parameters
-    ----------
-    path : JointPath
-    guess : Guess
-        Path coordinate and its speed.
-    intervals : int
+    The guess is of the path coordinate and its speed.
     """
     at = np.linspace(0.0, 1.0, PATH_SAMPLES)
     shares = np.diff(np.interp(path.knots, guess.states(at)[:, 0], at))
