@@ -16,10 +16,7 @@ import numpy as np
 
 from stiffopt.baseline.baselines import baselines, better_baseline, strict_baseline
 from stiffopt.certificate.collisions import with_collisions
-from stiffopt.certificate.objective_value import (
-    improvement,
-    objective_value,
-)
+from stiffopt.certificate.objective_value import improvement, objective_value
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE, describe_slips, find_slips
 from stiffopt.command.simulation import check_simulation
 from stiffopt.elastic.arm import questionable_springs
@@ -58,11 +55,7 @@ from stiffopt.solver.trivial_outcomes import (
     interrupted_with_baseline,
     solver_record,
 )
-from stiffopt.solver.verdict import (
-    describe_optimality,
-    judge_collisions,
-    judge_outcome,
-)
+from stiffopt.solver.verdict import describe_optimality, judge_collisions, judge_outcome
 from stiffopt.transcription.ocp import Guess
 
 # Statuses for which the duration may be too short for any motion.
