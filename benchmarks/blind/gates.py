@@ -83,7 +83,7 @@ def _ranked_only(gate: Any, comparison: Any, current: Any, *rest: Any) -> Any:
 
 
 def _exchanged(found: Any, comparison: Any, current: Any, effects: Any, *_: Any) -> bool:
-    return _keys([r.selected.located for r in found[1]]) != _keys(effects)
+    return _keys([r.located for r in found[1]]) != _keys(effects)
 
 
 def _keep_found(gate: Any, result: Any) -> Any:
@@ -119,8 +119,7 @@ def _third(*given: Any) -> Any:
     return given[-1]
 
 
-_E = f"{_SEARCH}.joint_fit"
-_PREDICTIVE = tuple(f"{each}:select_predictive" for each in (_E, f"{_SEARCH}.model_changes"))
+_PREDICTIVE = tuple(f"{each}:select_predictive" for each in _ENTRY)
 _PASSES = tuple(f"{each}:passes_thresholds" for each in _ENTRY)
 _DIAGNOSE, _CONCLUSIONS = "stiffopt.discovery.diagnose", "stiffopt.discovery.conclusions"
 _TRAINING = "stiffopt.discovery.search_training"
@@ -134,7 +133,6 @@ GATES = tuple(
         ("general", "entry: more general forms", (f"{_SEARCH}.candidates:Scorer._beats_general_forms",), _always(True), None),
         ("distinctive", "entry: distinctive amplitudes", (f"{_SEARCH}.candidates:_has_own_amplitude",), _always(True), None),
         ("pruned", "pruning", (f"{_SEARCH}.search:prune_effects",), _all, None),
-        ("nominal", "exemption by nominal values", (f"{_E}:_is_supported_by_nominal",), _always(False), None),
         ("predictive", "gain in folds left out", _PREDICTIVE, _all, None),
         ("cancelling", "effects that cancel others", (f"{_SEARCH}.left_out_gain:drop_cancelling",), _all, None),
         ("exchanged", "exchange for likelier rivals", (f"{_SEARCH}.search:exchange_rivals",), _ranked_only, _exchanged),

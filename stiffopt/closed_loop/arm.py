@@ -375,12 +375,14 @@ class _Balance:
         error = _clip(self.kp * (self.command - q), law.drive_max)
         torque = _clip(error - self.kd * speed[: self.n], law.torque_max)
         direction = ca.tanh(v / self.width)
-        dry = (
-            own["coulomb"]
-            + own["friction_slope"] * (q - ca.DM(self.loop.middle))
-            + own["load_friction"] * (ca.sqrt(torque**2 + _LOAD_WIDTH**2) - _LOAD_WIDTH)
-        )
-        losses = dry * direction + own["viscous"] * v + own["drag"] * v * ca.fabs(v)
+        dry = own["coulomb"] + own["friction_slope"] * (q - ca.DM(self.loop.middle))
+        by_speed = own["viscous"] * v + own["drag"] * v * ca.fabs(v)
+        # What of the torque reaches the load, past friction by the load as well.
+        past = torque - dry * direction - by_speed
+        size = ca.sqrt(past**2 + _LOAD_WIDTH**2)
+        against = 1.0 + own["load_friction"] * direction * past / size
+        dry += own["load_friction"] * (size - _LOAD_WIDTH) / against
+        losses = dry * direction + by_speed
         slope = self.kd + own["viscous"] + dry / self.width * (1.0 - direction**2)
         return torque, losses, slope
 

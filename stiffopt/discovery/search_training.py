@@ -27,7 +27,11 @@ from stiffopt.discovery.judging.episodes import (
 from stiffopt.discovery.progress import Say
 from stiffopt.discovery.search.search import SearchResult, search
 from stiffopt.discovery.settings import Settings
-from stiffopt.discovery.thresholds import MAX_CONTACT_ROUNDS, MAX_VIBRATION_MISFIT
+from stiffopt.discovery.thresholds import (
+    MAX_CONTACT_ROUNDS,
+    MAX_EFFECTS_PER_ROUND,
+    MAX_VIBRATION_MISFIT,
+)
 from stiffopt.discovery.training import Training, prepare_training
 from stiffopt.interrupts import complete_step
 from stiffopt.recording.recording_set import RecordingSet
@@ -155,7 +159,7 @@ class TrainingSearch:
             ),
             start=unstated,
             most=training.most,
-            strict=training.free_bodies,
+            together=MAX_EFFECTS_PER_ROUND if training.free_bodies else 1,
             reidentify=training.reidentified,
             about=about,
             report=self.say,

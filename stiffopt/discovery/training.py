@@ -192,7 +192,7 @@ def prepare_training(
         reidentified=free and model is None,
         most=_max_effects(free, isinstance(recordings, StatePair)),
         settings=settings,
-        assumptions=(*recordings.assumptions, *noise.assumptions(), *notes),
+        assumptions=(*recordings.assumptions, *noise.assumptions(recordings.prismatic), *notes),
         least=least,
         suspects={} if left_open is None or least is None else left_open.suspects,
         leanings={} if left_open is None or least is None else left_open.leanings,

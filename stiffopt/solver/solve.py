@@ -25,6 +25,7 @@ from stiffopt.command.simulation import check_simulation
 from stiffopt.elastic.arm import questionable_springs
 from stiffopt.errors import NoSolutionFound, ProblemError
 from stiffopt.interrupts import end_deferral
+from stiffopt.path.path_duty import describe_duty
 from stiffopt.path.timed_path import FASTEST_REASON, timed_motion
 from stiffopt.problem.bounds import check_bounds, shortest_duration
 from stiffopt.problem.files import LoadedProblem
@@ -38,12 +39,12 @@ from stiffopt.result.provenance import inputs_hash, versions
 from stiffopt.result.solution import Baseline, Solution
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver import simulated_solution
+from stiffopt.solver.between_rivals import BetweenRivals
 from stiffopt.solver.collision_avoidance import avoid_collisions
 from stiffopt.solver.exchange import exchange, interrupted_outcome, until_interrupted
 from stiffopt.solver.initial_guess import guess_from_motion, initial_guess, perturb_guess
 from stiffopt.solver.input_shaping import Window, mark_solution_interrupted, solve_shaped
 from stiffopt.solver.programme import Outcome
-from stiffopt.solver.ringing import RingingBesideRivals
 from stiffopt.solver.robust_plan import choose_shaped_motion, robust_plan
 from stiffopt.solver.solve_run import MIN_SOLVE_TIME, ProgressCallback, SolveRun
 from stiffopt.solver.starts import BetterBaseline, best_of_starts
@@ -198,7 +199,7 @@ def _optimise(
     outcome = best_of_starts(run, begin)
     rivals = _all_rivals(compared, _strict_baseline_of(run, compared) if compare else None)
     outcome = exchange(run, BetterBaseline(run, rivals), outcome)
-    outcome = run.optimum = exchange(run, RingingBesideRivals(run, outcome), outcome)
+    outcome = run.optimum = exchange(run, BetweenRivals(run, outcome), outcome)
     if problem.avoids_collisions:
         outcome = avoid_collisions(run, outcome, searches=problem.method.starts)
         # Clearance rows hold for this motion only: no warm start from there.
@@ -238,6 +239,8 @@ def _timed_motion(run: SolveRun) -> Baseline | None:
     """Return the fastest motion on the path; its time counts as that of the solve."""
     begin = time.perf_counter()
     found = timed_motion(run.problem)
+    if found is not None and found.assessment is not None:
+        run.notes.append(describe_duty(run.problem.robot, found.assessment))
     run.solve_s += time.perf_counter() - begin
     return found
 

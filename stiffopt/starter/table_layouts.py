@@ -14,13 +14,14 @@ from stiffopt.recording.readers.columns import Table, is_unnamed
 from stiffopt.recording.readers.read import first_messages, read_columns
 from stiffopt.recording.signals import Signals
 from stiffopt.robot.robot import Robot
-from stiffopt.starter.column_names import columns_of_kind, command_columns
+from stiffopt.starter.column_names import columns_of_kind, command_columns, order_by_joint
 
 
 def join_signal_files(tables: Mapping[Path, Table], robot: Robot) -> dict[Path, Table]:
     """Join tables of one signal each, with equally many rows, to one run; others are kept.
 
-    The columns of a file are named after it, "tau[0]", and its clock is that of the first file.
+    The columns of a file are named after it, "tau[0]", in the order of the joints where their own
+    names tell it; the clock is that of the first file.
     """
     complete = any(
         _holds_position_and_cause(list(table), robot)
@@ -36,7 +37,7 @@ def join_signal_files(tables: Mapping[Path, Table], robot: Robot) -> dict[Path, 
         signals = [name for name in table if name not in clock]
         for name in clock:
             joined.setdefault("t" if is_unnamed(table) else name, table[name])
-        for k, name in enumerate(signals):
+        for k, name in enumerate(order_by_joint(signals, robot.joint_names) or signals):
             joined[path.stem if len(signals) == 1 else f"{path.stem}[{k}]"] = table[name]
     first = next(iter(tables))
     return {first.parent / f"{first.parent.name}.npz": joined}

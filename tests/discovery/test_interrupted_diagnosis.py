@@ -97,7 +97,7 @@ def test_ctrl_c_in_last_stages_keeps_findings(tmp_path, monkeypatch, stage, told
     ("module", "stage", "left_out"),
     [
         (searching, "reidentify_rigid_model", "more effects may be missing"),
-        (searching, "select_supported", "not compared with their rivals"),
+        (searching, "select_predictive", "not compared with their rivals"),
         (rivals, "rank_rivals", "not compared with their rivals"),
         (diagnosing, "assess_findings", "after the search"),
         (diagnosing, "refit_friction", "without samples near standstill"),

@@ -11,6 +11,7 @@ import numpy as np
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.recording.channel import DEVIATION_PER_MAD
 from stiffopt.recording.nominal import Noise
+from stiffopt.units import joint_unit
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,16 +185,18 @@ class KnownNoise:
     # Torques are of poses at rest: their noise includes friction of unknown direction.
     at_rest: bool = False
 
-    def assumptions(self) -> list[str]:
-        """Return sentences about estimated noise."""
+    def assumptions(self, prismatic: np.ndarray) -> list[str]:
+        """Return sentences about estimated noise, from which joints are `prismatic`."""
         found = []
         for name, values, stated, unit in (
             ("Torque", self.channels.torque, self.torque_stated, "N m"),
             ("Link encoder", self.channels.deflection, self.deflection_stated, "rad"),
         ):
             guessed = np.flatnonzero(~stated & np.isfinite(values))
+            each = ", ".join(
+                f"{j + 1}: {values[j]:.3g} {joint_unit(unit, bool(prismatic[j]))}" for j in guessed
+            )
             if guessed.size and self.at_rest and name == "Torque":
-                each = ", ".join(f"{j + 1}: {values[j]:.3g} {unit}" for j in guessed)
                 found.append(
                     "Poses at rest: friction holds a pose with any torque within its band, and its"
                     f" direction is unknown; the scatter of the poses (joint {each}, one standard"
@@ -202,7 +205,6 @@ class KnownNoise:
                 )
                 continue
             if guessed.size:
-                each = ", ".join(f"{j + 1}: {values[j]:.3g} {unit}" for j in guessed)
                 found.append(
                     f"{name} noise is estimated from the training runs above the filter's cutoff"
                     f" (joint {each})."

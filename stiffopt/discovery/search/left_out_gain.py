@@ -7,7 +7,7 @@ the recordings that neither was fitted to.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -151,13 +151,11 @@ class _GainJudge:
 def select_predictive(
     comparison: Comparison,
     effects: Sequence[LocatedEffect],
-    spared: Callable[[list[LocatedEffect], LocatedEffect], bool] = lambda *_: False,
 ) -> list[LocatedEffect]:
     """Select effects without which folds left out are predicted worse.
 
     `comparison`: with the noise estimated beside the effects. `effects`: with shapes as found,
-    which are not refitted. `spared` -> True for an effect, among those kept, that stays without a
-    gain.
+    which are not refitted.
 
     Effects that cancel others are removed first, then the least helpful one repeatedly, each judged
     by a fit without it. Calibrated values stay.
@@ -168,7 +166,7 @@ def select_predictive(
             0.0 if each.calibrated else _excess_share(comparison, each, gain)
             for each, gain in zip(kept, left_out_gains(comparison, kept), strict=True)
         ]
-        poor = [k for k in np.argsort(excess) if excess[k] < 0.0 and not spared(kept, kept[k])]
+        poor = [k for k in np.argsort(excess) if excess[k] < 0.0]
         if not poor:
             return kept
         kept.pop(poor[0])

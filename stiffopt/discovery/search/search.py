@@ -17,13 +17,12 @@ from stiffopt.discovery.search.joint_fit import (
     fit_jointly,
     passes_thresholds,
     prune_effects,
-    select_supported,
 )
+from stiffopt.discovery.search.left_out_gain import select_predictive
 from stiffopt.discovery.search.model_changes import find_changes
 from stiffopt.discovery.search.nominal_values import claim_outside_values
 from stiffopt.discovery.search.rigid_model import RigidStage, reidentify_rigid_model
 from stiffopt.discovery.search.rivals import (
-    RankedEffect,
     Selected,
     exchange_rivals,
     rank_effects,
@@ -33,7 +32,6 @@ from stiffopt.discovery.search.tournament import CATALOGUE_MODEL, Contender, hol
 from stiffopt.discovery.thresholds import (
     LINEARISATION_DEVIATIONS,
     LINEARISATION_TOLERANCE,
-    MAX_EFFECTS_PER_ROUND,
     MAX_EXCHANGES,
     MAX_LINEARISATIONS,
     NAMED_EVIDENCE,
@@ -75,7 +73,7 @@ def search(
     *,
     start: Sequence[LocatedEffect] = (),
     most: int = 3,
-    strict: bool = False,
+    together: int = 1,
     reidentify: bool = False,
     about: Extension | None = None,
     report: Say | None = None,
@@ -84,8 +82,8 @@ def search(
 
     `comparison`: with the nominal or an extended model. `start`: values that the nominal model does
     not state: fitted together before any other effect. `most`: maximum number of effects beside
-    those. `strict`: without stated tolerances: only effects that recordings left out support are
-    kept. `reidentify`: re-identify the rigid model first. `about`: extension found by another
+    those. `together`: effects that are added per round before all are compared again.
+    `reidentify`: re-identify the rigid model first. `about`: extension found by another
     comparison, to linearise about; its effects are tried first. `report`: called with a sentence at
     every step.
     """
@@ -93,7 +91,7 @@ def search(
     target = comparison.target * comparison.inflation[comparison.rows.channel]
     before = comparison.channel_ratio(target)
     calibrated = comparison.channel_ratio(comparison.fit().residual)
-    so_far = _Search(comparison, comparison, catalogue, most, strict, say)
+    so_far = _Search(comparison, comparison, catalogue, most, together, say)
     try:
         so_far.run(start, about, reidentify=reidentify)
     except KeyboardInterrupt:
@@ -133,10 +131,10 @@ class _Search:
     current: Comparison
     catalogue: Sequence[Effect]
     most: int  # largest number of effects beside those that the search starts with
-    strict: bool
+    together: int  # effects that are added per round
     say: Say
     effects: list[LocatedEffect] = field(default_factory=list)
-    ranked: list[RankedEffect] = field(default_factory=list)  # effects ranked last
+    ranked: list[Selected] = field(default_factory=list)  # effects ranked last
     rigid: RigidStage | None = None
     contenders: tuple[Contender, ...] = ()
     stopped: bool = False
@@ -178,7 +176,7 @@ class _Search:
         if self.effects:
             self.say(f"confirm {len(self.effects)} findings on stretches left out")
         for number in range(1 + MAX_EXCHANGES):
-            kept = select_supported(self.current, self.effects, strict=self.strict)
+            kept = select_predictive(self.current, self.effects)
             if len(kept) < len(self.effects):
                 self._fit(kept)
             elif number:
@@ -198,7 +196,7 @@ class _Search:
 
     def selected(self) -> tuple[tuple[Selected, ...], bool]:
         """Return effects in decreasing order of loss, and True if all of them are ranked."""
-        known = {each.selected.located.key: each.selected for each in self.ranked}
+        known = {each.located.key: each for each in self.ranked}
         found, weighed = [], True
         for located in self.effects:
             own = known.get(located.key)
@@ -212,10 +210,10 @@ class _Search:
         """Set jointly fitted effects."""
         self.current, self.effects = found
 
-    def _set_ranked(self, found: tuple[Comparison, list[RankedEffect]]) -> None:
+    def _set_ranked(self, found: tuple[Comparison, list[Selected]]) -> None:
         """Set effects that are ranked among their rivals."""
         self.current, self.ranked = found
-        self.effects = [each.selected.located for each in self.ranked]
+        self.effects = [each.located for each in self.ranked]
 
     def _fit(self, effects: list[LocatedEffect]) -> None:
         self._set_fitted(fit_jointly(self.start, effects))
@@ -236,11 +234,11 @@ class _Search:
 
     def _add_forward(self) -> None:
         """Add the best candidates, several per round, until none passes or Ctrl-C."""
-        most, together = self.most + len(self.effects), MAX_EFFECTS_PER_ROUND if self.strict else 1
+        most = self.most + len(self.effects)
         while len(self.effects) < most:
             effects = self.effects
             scorer = Scorer(self.current, effects)
-            room = min(together, most - len(effects))
+            room = min(self.together, most - len(effects))
             try:
                 best = _select_best(scan(scorer, self.catalogue, tell=self.tell), scorer, room)
                 if not best:
