@@ -19,47 +19,26 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class JointGeometry:
-    """Constants of one joint and its body, in the joint's own frame if not said otherwise.
+    """Constants of one joint and its body, in the joint's own frame if not said otherwise."""
 
-    Parameters
-    ----------
-    parent : int
-        Number of the parent joint, from 1; 0 is the base.
-    place : int
-        Index of its value among the positions.
-    within : array (3, 3)
-        A frame whose third column is the axis.
-    rotation, translation : array (3, 3), (3,) [m]
-        Of that frame and of the origin, in such a frame of the parent.
-    mass : float [kg]
-    centre : array (3,) [m]
-        Of mass.
-    """
-
-    parent: int
+    parent: int  # number of the parent joint, from 1; 0 is the base
     prismatic: bool
-    place: int
-    within: np.ndarray
+    place: int  # index of its value among the positions
+    within: np.ndarray  # (3, 3) a frame whose third column is the axis
+    # (3, 3), (3,) [m] of that frame and of the origin, in such a frame of the parent.
     rotation: np.ndarray
     translation: np.ndarray
-    mass: float
-    centre: np.ndarray
+    mass: float  # [kg]
+    centre: np.ndarray  # (3,) [m] of mass
 
 
 @dataclass(frozen=True)
 class MovingJoint:
-    """One joint at K instants; base axes.
-
-    Parameters
-    ----------
-    origin : array (3, K) [m]
-    frame : array (3, 3, K)
-        Vectors of its frame, the axis last.
-    """
+    """One joint at K instants; base axes."""
 
     of: JointGeometry
-    origin: np.ndarray
-    frame: np.ndarray
+    origin: np.ndarray  # (3, K) [m]
+    frame: np.ndarray  # (3, 3, K) vectors of its frame, the axis last
 
     @property
     def axis(self) -> np.ndarray:
@@ -177,25 +156,14 @@ _BLOCK_INSTANTS = 2000
 
 @dataclass(frozen=True)
 class RigidBodyHistory:
-    """Rigid-body quantities along a motion of K instants and n joints.
+    """Rigid-body quantities along a motion of K instants and n joints."""
 
-    Parameters
-    ----------
-    link_torque : array (K, n) [N m]
-        Inverse dynamics of links and payload, without rotors and friction; with added torques of
-        the links.
-    gravity_torque : array (K, n) [N m]
-        At rest in the same pose.
-    tool : array (K, 3) [m]
-        In the base, or the frame that carries the work.
-    jacobian : array (K, 3, n) [m/rad]
-        Position Jacobian of the tool there.
-    """
-
+    # (K, n) [N m] inverse dynamics of links and payload, without rotors and friction; with added
+    # torques of the links.
     link_torque: np.ndarray
-    gravity_torque: np.ndarray
-    tool: np.ndarray
-    jacobian: np.ndarray
+    gravity_torque: np.ndarray  # (K, n) [N m] at rest in the same pose
+    tool: np.ndarray  # (K, 3) [m] in the base, or the frame that carries the work
+    jacobian: np.ndarray  # (K, 3, n) [m/rad] position Jacobian of the tool there
 
 
 def rigid_body_history(
@@ -241,16 +209,10 @@ def _link_torques_added(robot: Robot, *motion: np.ndarray) -> np.ndarray:
 def added_torques(
     robot: Robot, motion: Sequence[np.ndarray], direction: np.ndarray, *, in_spring: bool
 ) -> np.ndarray:
-    """Return the robot's added torques in the springs, or of the drives alone (K, n) [N m].
+    """Return the added torques in the springs, or of the drives alone (K, n) [N m].
 
-    Parameters
-    ----------
-    robot : Robot
-    motion : sequence of four arrays (K, n)
-        Position, velocity, acceleration, torque in the springs.
-    direction : array (K, n)
-        Sign of the velocity.
-    in_spring : bool
+    `motion` is position, velocity, acceleration and torque in the springs, each (K, n); `direction`
+    the sign of the velocity.
     """
     position, velocity, acceleration, load = (list(each.T) for each in motion)
     state = MotionState(

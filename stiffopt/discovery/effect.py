@@ -39,6 +39,7 @@ Need = Literal[
     "link",
     "sensor",
     "torque_sensor",
+    "commanded",
     "windup",
     "moves",
     "reverses",
@@ -133,6 +134,8 @@ class Shape:
         Default where a file gives no value [unit]; without a default a file must give one.
     fit : {"free", "held", "secant"}
         "secant": the term is exact where the shape equals the amplitude of the same index.
+    reported : bool
+        False for a value that says nothing of the arm, such as a point of linearisation.
     """
 
     name: str
@@ -142,6 +145,7 @@ class Shape:
     upper: float = float("inf")
     usual: float | None = None
     fit: ShapeFit = "free"
+    reported: bool = True
 
     def start_values(self, ranges: Constants) -> tuple[float, ...]:
         """Return the initial values as the entry defines them."""
@@ -210,7 +214,7 @@ class Effect:
     term : callable
         (signals, amplitudes, shapes) -> Term.
     report : callable, optional
-        (amplitudes, shapes, constants) -> named values; default: the parameters themselves.
+        (amplitudes, shapes, constants) -> named values; default: amplitudes and reported shapes.
     units : mapping of str to str
         Units of reported values that are neither amplitudes nor shapes.
     applies : callable, optional
@@ -280,6 +284,9 @@ class Effect:
         Name of an effect that is nearly equivalent, with an amplitude where the other has a shape.
         The evidence penalises amplitudes but not shapes, so the two are compared by fit and by how
         well the data determine each; declared on one side.
+    at_motor : Effect, optional
+        The same law where the encoder reads the motor: this effect is its torque on a motor that
+        moves unseen, and a simulation of both sides takes the law from there.
     beside : Effect, optional
         Competing effect with so many amplitudes that unlisted laws are among its forms. It is
         fitted only to test this effect against it and is never reported.
@@ -335,6 +342,7 @@ class Effect:
     only_without: tuple[Need, ...] = ()
     confused_with: tuple[str, ...] = ()
     twin: str = ""
+    at_motor: Effect | None = None
     beside: Effect | None = None
     likelier_than: Effect | None = None
     reference: str = ""
@@ -364,6 +372,12 @@ class Effect:
     def identity(self) -> tuple[str, tuple[str, ...]]:
         """Name and runs: a value common to all runs is another one than its change in some."""
         return (self.name, self.only_in)
+
+    def at_instant(self, signals: Any, amplitudes: Values, shapes: Values) -> Term:
+        """Return the term of a simulation, in which motor and link move by themselves."""
+        entry = self.at_motor or self
+        own = shapes[len(shapes) - len(entry.shapes) :]
+        return entry.term(signals, amplitudes, own)
 
     def acts_in(self, run: str) -> bool:
         """Return True where the effect acts in a run of this name."""
@@ -401,7 +415,8 @@ class Effect:
         if self.report is not None:
             return dict(self.report(amplitudes, shapes, constants))
         named = dict(zip((a.name for a in self.amplitudes), amplitudes, strict=True))
-        return named | dict(zip((s.name for s in self.shapes), shapes, strict=True))
+        pairs = zip(self.shapes, shapes, strict=True)
+        return named | {shape.name: value for shape, value in pairs if shape.reported}
 
     def unit_of(self, parameter: str) -> str:
         """Return the unit of a reported parameter."""

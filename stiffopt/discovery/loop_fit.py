@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from stiffopt.closed_loop.arm import CommandedArm, LoopTorque
+from stiffopt.closed_loop.arm import CommandedArm, LoopPhysics
 from stiffopt.closed_loop.parameters import (
     BODY_PARAMETERS,
     Parameters,
@@ -49,14 +49,14 @@ def build_loop(
     recordings: RecordingSet,
     runs: Sequence[CommandedRun],
     tree: BodyTree,
-    added: LoopTorque | None = None,
+    physics: LoopPhysics | None = None,
 ) -> CommandedArm:
     """Return the closed loop of some bodies with a set's actuators and further torques."""
     law, back = recordings.actuator, np.argsort(recordings.order)
     assert law is not None
     low = np.nanmin([np.nanmin(run.position, axis=0) for run in runs], axis=0)
     high = np.nanmax([np.nanmax(run.position, axis=0) for run in runs], axis=0)
-    return CommandedArm(tree, law.reordered(back), 0.5 * (low + high), added)
+    return CommandedArm(tree, law.reordered(back), 0.5 * (low + high), physics)
 
 
 def is_commanded(run: RecordedRun) -> bool:
@@ -129,8 +129,7 @@ def expected_deviations(
         size[found.place(name)] = value
     for key, name in DRIVE_PARAMETERS.items():
         if key not in recordings.unstated:
-            relative = getattr(tolerance, key)
-            relative = getattr(DEFAULT_TOLERANCE, key) if relative is None else relative
+            relative = stated_tolerance(recordings, key)
             nominal, place = getattr(robot, key), found.place(name)
             kept = np.abs(prior.of(name) - nominal) <= _KEPT_DEVIATIONS * relative * nominal
             size[place] = np.where(kept, relative * nominal, size[place])
@@ -149,6 +148,12 @@ def expected_deviations(
     return size
 
 
+def stated_tolerance(recordings: RecordingSet, key: str) -> float:
+    """Return the relative standard deviation of a nominal value, by default the usual one."""
+    own = getattr(recordings.tolerance, key)
+    return float(getattr(DEFAULT_TOLERANCE, key) if own is None else own)
+
+
 def _joint_inertias(robot: Robot, position: np.ndarray) -> np.ndarray:
     """Return the inertia (n,) that each joint accelerates in one pose [kg m^2]."""
     still, unit = np.zeros((robot.n, robot.n)), np.eye(robot.n)
@@ -165,7 +170,7 @@ def fit_loop(
     *,
     leading: bool = False,
     tree: BodyTree | None = None,
-    added: LoopTorque | None = None,
+    physics: LoopPhysics | None = None,
 ) -> tuple[CommandedArm, Polished] | None:
     """Fit a closed loop to training runs, beginning with a prior; or the leading parameters alone.
 
@@ -178,7 +183,7 @@ def fit_loop(
     commanded = [commanded_run(recordings, run) for run in runs if is_commanded(run)]
     if not commanded:
         return None
-    loop = build_loop(recordings, commanded, tree or recordings.robot.tree, added)
+    loop = build_loop(recordings, commanded, tree or recordings.robot.tree, physics)
     deviations = expected_deviations(recordings, commanded, loop, prior)
     fit = polish_leading if leading else polish
     try:

@@ -23,23 +23,13 @@ from stiffopt.symbolic import Quantity
 
 @dataclass(frozen=True, kw_only=True)
 class SpringTorques:
-    """Torques in the joints' springs, without rotor inertia and friction.
+    """Torques in the joints' springs, without rotor inertia and friction."""
 
-    Parameters
-    ----------
-    gravity : (n,)
-        At rest in the same pose. [N m] or [N]
-    motion : (n,)
-        tau_0: links and payload in motion. [N m] or [N]
-    spring : (n,)
-        tau_0 minus J^T F; the same as `motion` without a process force. [N m] or [N]
-    held : (n,)
-        At rest under the process force; the same as `gravity` without one. [N m] or [N]
-    """
-
-    gravity: Quantity
-    motion: Quantity
+    gravity: Quantity  # (n,) at rest in the same pose [N m] or [N]
+    motion: Quantity  # (n,) tau_0: links and payload in motion [N m] or [N]
+    # (n,) tau_0 minus J^T F; the same as `motion` without a process force [N m] or [N].
     spring: Quantity
+    # (n,) at rest under the process force; the same as `gravity` without one [N m] or [N].
     held: Quantity
 
 
@@ -60,14 +50,9 @@ class Deflection:
 def spring_torques(
     tree: BodyTree, q: Quantity, v: Quantity, a: Quantity, pushed: Quantity = None
 ) -> SpringTorques:
-    """Return the spring torques of an arm in motion under a process force on its tool.
+    """Return the spring torques of an arm in motion (q, v, a) under a process force on its tool.
 
-    Parameters
-    ----------
-    q, v, a : SX or MX (n,)
-        Position, velocity, acceleration of the joints.
-    pushed : SX or MX (n,), optional
-        Joint torques J^T F of the force F ON the tool. [N m] or [N]
+    `pushed` (n,): joint torques J^T F of the force F ON the tool [N m] or [N].
     """
     rest = np.zeros(tree.n)
     gravity = newton_euler(tree, q, rest, rest)
@@ -84,12 +69,8 @@ def tool_deflection(
 ) -> Deflection:
     """Return the deflection of the tool under spring torques.
 
-    Parameters
-    ----------
-    jacobian : array, SX or MX (3, n)
-        Position Jacobian of the tool, base axes. [m/rad] or [1]
-    windup : callable
-        Spring torques (n,) -> wind-up angles (n,) [rad] (or shortening [m]).
+    `jacobian` (3, n): position Jacobian of the tool, base axes [m/rad] or [1]. `windup`: spring
+    torques (n,) -> wind-up angles (n,) [rad] (or shortening [m]).
     """
     sag, moving = windup(torques.gravity), windup(torques.motion)
     # Without a process force both are the same expression, and the process part is exactly zero.

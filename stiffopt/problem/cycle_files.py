@@ -85,10 +85,7 @@ def load_cycle(
 ) -> LoadedCycle:
     """Read the file of a cycle; parameters as of `load_problem`.
 
-    Raises
-    ------
-    InputFileError
-        The file is invalid: file, key, allowed values and remedy.
+    Raises `InputFileError`: the file is invalid: file, key, allowed values and remedy.
     """
     path = Path(path)
     document = read_document(path, problem_file(), "trajectory", changes)

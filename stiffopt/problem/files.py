@@ -44,18 +44,12 @@ from stiffopt.units import convert
 
 @dataclass(frozen=True)
 class LoadedProblem:
-    """Problem of a file, with the expected value of its solution.
-
-    Parameters
-    ----------
-    tolerances : Tolerances
-        For the error budget; no motion depends on them.
-    """
+    """Problem of a file, with the expected value of its solution."""
 
     problem: TrajectoryProblem
     expected: ExpectedSection | None
     path: Path
-    tolerances: Tolerances
+    tolerances: Tolerances  # for the error budget; no motion depends on them
 
 
 def load_problem(
@@ -223,18 +217,7 @@ def read_robot(
     path: Path,
     robots: Callable[[str | Path], Robot] = load_robot,
 ) -> Robot:
-    """Robot of a problem or study file, with the file's payload and tool.
-
-    Parameters
-    ----------
-    name : str
-        A shipped robot, or the path of a robot file beside `path`.
-    payload, tool : sections of the file
-    path : Path
-        Problem or study file.
-    robots : callable
-        Loader, as for `load_problem`.
-    """
+    """Robot of a problem or study file `path`, with the file's payload and tool."""
     beside = path.parent / name
     source = name if name in shipped_robots() else beside if beside.exists() else name
     with locate_errors(path, "robot"):

@@ -40,14 +40,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Scales:
-    """Typical objective values that scale the NLP without changing its solution.
+    """Typical objective values that scale the NLP without changing its solution."""
 
-    Parameters
-    ----------
-    values : mapping objective name -> float
-        A typical value of each objective, in its SI unit.
-    """
-
+    # A typical value of each objective, in its SI unit.
     values: Mapping[str, float] = field(default_factory=dict)
 
     def of(self, name: str) -> float:
@@ -65,16 +60,9 @@ def formulate(
 ) -> OptimalControlProblem:
     """Formulate the optimal-control problem of a trajectory problem.
 
-    Parameters
-    ----------
-    motion : ResolvedMotion
-        Resolved poses of the problem.
-    margins : mapping limit name -> float, optional
-        Constraint back-off as a share of each limit that a certificate found exceeded between
-        nodes.
-    modes : sequence of Mode
-        Elastic modes of the end pose where residual vibration is allowed; empty: links end at
-        rest.
+    `motion`: resolved poses of the problem. `margins`: constraint back-off as a share of each limit
+    that a certificate found exceeded between nodes. `modes`: elastic modes of the end pose where
+    residual vibration is allowed; empty: links end at rest.
     """
     margins = margins or {}
     coordinates = coordinates_of(problem)

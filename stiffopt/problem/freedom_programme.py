@@ -37,22 +37,12 @@ _POSE_JOINTS = 6
 
 @dataclass(frozen=True, eq=False)
 class FreedomOptimum:
-    """Chosen freedom with its cost, and what it is compared with.
-
-    Parameters
-    ----------
-    cost : float
-        Of the goal, less is better.
-    value : float
-        Largest deflection at the nodes [m], or estimated time [s].
-    joints : array (K, n)
-        At the nodes [rad].
-    """
+    """Chosen freedom with its cost, and what it is compared with."""
 
     choice: FreedomChoice
-    cost: float
-    value: float
-    joints: np.ndarray
+    cost: float  # of the goal, less is better
+    value: float  # largest deflection at the nodes [m], or estimated time [s]
+    joints: np.ndarray  # (K, n) at the nodes [rad]
 
     @classmethod
     def at(
@@ -75,10 +65,7 @@ class FreedomOptimum:
 def optimise_freedom(task: FreedomTask, near: np.ndarray) -> list[FreedomOptimum]:
     """Return local optima of a path's freedom, the best first.
 
-    Raises
-    ------
-    ProblemError
-        No candidate of the scan follows the path.
+    Raises `ProblemError`: no candidate of the scan follows the path.
     """
     # Searches from different candidates.
     candidates = scan_candidates(task, near, 12)

@@ -35,27 +35,15 @@ _NODE_DATA = 3 + 9 + 3 + 9
 
 @dataclass(frozen=True, eq=False)
 class FreedomTask:
-    """Tool path with freedom at nodes.
-
-    Parameters
-    ----------
-    path : ToolPath
-        As stated.
-    origin : array (3,) [m]
-        Of its work frame.
-    force : PathForce or None
-        Along the stated path.
-    force_axes : str
-        In which it is given.
-    """
+    """Tool path with freedom at nodes."""
 
     robot: Robot
     freedom: PathFreedom
     limits: Limits
-    path: ToolPath
-    origin: np.ndarray
-    force: PathForce | None
-    force_axes: ForceFrame
+    path: ToolPath  # as stated
+    origin: np.ndarray  # (3,) [m] of its work frame
+    force: PathForce | None  # along the stated path
+    force_axes: ForceFrame  # in which it is given
 
     def __post_init__(self) -> None:
         freedom = self.freedom

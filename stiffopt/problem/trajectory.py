@@ -101,20 +101,14 @@ class Target:
 
 @dataclass(frozen=True)
 class ResolvedMotion:
-    """Joint angles of a problem's poses.
+    """Joint angles of a problem's poses."""
 
-    Parameters
-    ----------
-    start, end : array (n,) [rad]
-    vias : tuple of array (n,) [rad]
-        One inverse-kinematics solution each; the optimiser may pass a via in another.
-    start_fixed, end_fixed : bool
-        False where only the tool's position is given: the angles are then an initial guess.
-    """
-
+    # (n,) [rad].
     start: np.ndarray
     end: np.ndarray
+    # (n,) [rad] one inverse-kinematics solution each; the optimiser may pass a via in another.
     vias: tuple[np.ndarray, ...]
+    # False where only the tool's position is given: the angles are then an initial guess.
     start_fixed: bool
     end_fixed: bool
 
@@ -428,12 +422,8 @@ class TrajectoryProblem:
 def check_link_planning(problem: TrajectoryProblem, subject: str, instead: str) -> None:
     """Raise `ProblemError` unless the links' motion can be planned.
 
-    Parameters
-    ----------
-    subject : str
-        Objective or limit that plans the links, as users write it: "tool_deviation".
-    instead : str
-        Alternative: "minimise 'dynamic_deflection'".
+    `subject`: objective or limit that plans the links, as users write it: "tool_deviation".
+    `instead`: alternative: "minimise 'dynamic_deflection'".
     """
     if problem.path is not None:
         raise ProblemError(

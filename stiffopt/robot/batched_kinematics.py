@@ -24,20 +24,9 @@ _INERTIA_ENTRIES = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
 def body_torque_regressor(
     tree: BodyTree, body: int, q: np.ndarray, v: np.ndarray, a: np.ndarray
 ) -> np.ndarray:
-    """Joint torques per unit of every inertial parameter of one body.
+    """Joint torques (K, n, 10) per unit of every inertial parameter of one body (index from 0).
 
-    Parameters
-    ----------
-    body : int
-        Index from 0.
-    q, v, a : array (K, n)
-        Position, velocity and acceleration of the joints [rad], [rad/s], [rad/s^2]; of prismatic
-        joints [m], [m/s], [m/s^2].
-
-    Returns
-    -------
-    array (K, n, 10)
-        [N m] per unit of `Body.inertial_parameters`; instants are contiguous in memory.
+    In the order of `Body.inertial_parameters`; instants are contiguous in memory.
     """
     out = np.zeros((_INERTIAL_PARAMETERS, tree.n, len(q)))
     for part in _split_blocks(len(q)):
@@ -127,15 +116,10 @@ def frame_rotations(tree: BodyTree, frame: LinkFrame, q: np.ndarray) -> np.ndarr
 
 @dataclass(frozen=True, eq=False)
 class _BodyJacobian:
-    """Jacobian of a body's frame by the joints that support it, in its own axes.
-
-    Parameters
-    ----------
-    turning, moving : array (j, 3, K)
-        Angular velocity, and velocity of the frame's origin, per unit speed of each joint.
-    """
+    """Jacobian of a body's frame by the joints that support it, in its own axes."""
 
     joints: list[int]
+    # (j, 3, K) angular velocity, and velocity of the frame's origin, per unit speed of each joint.
     turning: np.ndarray
     moving: np.ndarray
 

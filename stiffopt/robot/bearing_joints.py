@@ -52,10 +52,6 @@ def with_bearing_joints(robot: Robot) -> tuple[Robot, np.ndarray]:
     """Return the robot with a joint for each elastic component, and their stiffness (m,).
 
     The stiffness of driven joints, which have their drivetrains, is 0 [N m/rad or N/m].
-
-    Parameters
-    ----------
-    robot : Robot
     """
     model = pin.Model()
     springs: list[float] = []

@@ -46,10 +46,7 @@ def shipped_robots() -> list[str]:
 def robot_path(source: str | os.PathLike[str]) -> Path:
     """Return the file of a robot given by a shipped name or a path.
 
-    Raises
-    ------
-    InputError
-        Neither a shipped robot nor a file.
+    Raises `InputError`: neither a shipped robot nor a file.
     """
     if str(source) in shipped_robots():
         source = str(resources.files("stiffopt.robot").joinpath("data", str(source), "robot.toml"))

@@ -38,27 +38,14 @@ def interpolate_rotation(first: np.ndarray, last: np.ndarray, share: float) -> n
 
 @dataclass(frozen=True)
 class LinkFrame:
-    """A frame fixed to a link.
+    """A frame fixed to a link."""
 
-    Parameters
-    ----------
-    joint : int
-        Index of the link's joint in the pinocchio model (1 is the first moving joint).
-    offset : array (3,)
-        Origin in that joint's frame [m].
-    rotation : array (3, 3)
-        Axes of the frame, as columns in the joint's frame.
-    link : str
-        Link in whose frame the offset was given.
-    seen_from : LinkFrame or None
-        Frame that carries the work: poses and Jacobians are relative to it and in its axes; None is
-        the base.
-    """
-
-    joint: int
-    offset: np.ndarray
-    rotation: np.ndarray
-    link: str = ""
+    joint: int  # index of the link's joint in the pinocchio model (1 is the first moving joint)
+    offset: np.ndarray  # (3,) origin in that joint's frame [m]
+    rotation: np.ndarray  # (3, 3) axes of the frame, as columns in the joint's frame
+    link: str = ""  # link in whose frame the offset was given
+    # Frame that carries the work: poses and Jacobians are relative to it and in its axes; None is
+    # the base.
     seen_from: LinkFrame | None = None
 
     @property
@@ -83,17 +70,8 @@ def link_frame(
 ) -> LinkFrame:
     """Frame fixed to a moving link, in the frame of the link's joint.
 
-    Parameters
-    ----------
-    offset : array_like (3,), optional
-        In the link's frame [m]; default its origin.
-    rpy : array_like (3,), optional
-        Roll, pitch, yaw about the link's axes [rad]; default as the link.
-
-    Raises
-    ------
-    RobotError
-        A link that does not exist or does not move, or numbers that are no frame.
+    Place [m] and roll, pitch, yaw [rad] are in the link's frame, default that frame itself. Raises
+    `RobotError` for a link that does not exist or move, or numbers that are no frame.
     """
     if link not in link_names(model):
         raise RobotError(f"no link {link!r}. {nearest(link, link_names(model))}")

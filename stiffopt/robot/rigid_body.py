@@ -31,11 +31,8 @@ class _Bodies(Struct):
 class NativeBodies:
     """An arm's bodies as the compiled loop takes them.
 
-    Parameters
-    ----------
-    inertial : array (n, 10), optional
-        In place of the bodies' own, in the order of `Body.inertial_parameters`; of bodies that need
-        not exist by themselves.
+    `inertial` (n, 10): in place of the bodies' own, in the order of `Body.inertial_parameters`; of
+    bodies that need not exist by themselves.
     """
 
     def __init__(self, tree: BodyTree, inertial: np.ndarray | None = None) -> None:
@@ -88,14 +85,8 @@ def without_rotors(model: Any) -> Any:
 class RigidBodies:
     """Torques, inertia and poses of links and payload; no rotors, no friction.
 
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Model of revolute and prismatic joints; copied.
-
-    Notes
-    -----
-    Joints are in the order of the model; torques [N m] of prismatic joints are forces [N].
+    `model`: model of revolute and prismatic joints; copied. Joints are in the order of the model;
+    torques [N m] of prismatic joints are forces [N].
     """
 
     def __init__(self, model: Any) -> None:
@@ -195,16 +186,9 @@ def inverse_dynamics_along(model: Any, q: np.ndarray, v: np.ndarray, a: np.ndarr
 class BodiesInMotion:
     """Torques along motions and their derivatives; no rotors, no friction.
 
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Model of revolute and prismatic joints; copied.
-
-    Notes
-    -----
-    The values of `RigidBodies`, without a Python call per instant where compiled code or pinocchio
-    evaluates many at a time. Joints are in the order of the model; torques [N m] of prismatic
-    joints are forces [N].
+    `model`: model of revolute and prismatic joints; copied. The values of `RigidBodies`, without a
+    Python call per instant where compiled code or pinocchio evaluates many at a time. Joints are in
+    the order of the model; torques [N m] of prismatic joints are forces [N].
     """
 
     def __init__(self, model: Any) -> None:
@@ -249,11 +233,8 @@ class BodiesInMotion:
     ) -> np.ndarray:
         """Change (K, n) of the torques by a change (n, 10) of inertial parameters.
 
-        Parameters
-        ----------
-        change : array (n, 10)
-            In the order of `Body.inertial_parameters`; need not be those of a physical body.
-        q, v, a : array (K, n)
+        `change` (n, 10): in the order of `Body.inertial_parameters`; need not be those of a
+        physical body. `q`, `v` and `a` (K, n).
         """
         found = self._native_bodies.with_parameters(change).torque(q, v, a)
         if found is not None:

@@ -22,18 +22,12 @@ _GRIPPER_INSTRUCTIONS = {"grip": "DOUT OT#(1) ON", "release": "DOUT OT#(1) OFF"}
 class YaskawaJob(PointFormat):
     """Job of MOVJ instructions, one a sample; the first approaches the start.
 
-    Parameters
-    ----------
-    pulses : tuple of float
-        Pulses per degree of each axis, negative where the URDF turns the other way.
-
-    Notes
-    -----
     Yaskawa, NX100 data transmission manual HW0481924, section 4.1 (job data format): POSTYPE PULSE
     is the one type of robot positions that is joint by joint. FS100 INFORM manual: MOVJ with VJ in
     %, PL=0 to stop at the point, TIMER, DOUT.
     """
 
+    # Pulses per degree of each axis, negative where the URDF turns the other way.
     pulses: tuple[float, ...] = ()
 
     name = "yaskawa-job"

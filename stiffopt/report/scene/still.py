@@ -44,17 +44,9 @@ def still_figure(
     """Draw the arm at the largest deflection, bent and planned, with start, end and tool paths.
 
     The picture has no text, so that it fits small screens; `still_caption` returns the caption.
-
-    Parameters
-    ----------
-    motions : sequence of Poses
-        The first is drawn as an arm, others as tool paths.
-    part : str
-        Part of the deflection; "" where the motion has none.
-    factor : float
-        Magnification of the deflection.
-    cell : Cell, optional
-        Cell whose box edges are drawn.
+    `motions`: the first is drawn as an arm, others as tool paths. `part`: part of the deflection;
+    "" where the motion has none. `factor`: magnification of the deflection. `cell`: cell whose box
+    edges are drawn.
     """
     poses, at = motions[0], largest(motions[0], part)
     bent = poses.position - factor * poses.bend[part] if part else poses.position
@@ -242,12 +234,8 @@ def embedded_scene(
 ) -> ArmInSpace:
     """Return scene and still of the first motion, its deflection magnified, the second as ghost.
 
-    Parameters
-    ----------
-    part : str
-        Part of the deflection; the first nonzero one where it is zero.
-    cell : Cell, optional
-        Cell around the arm.
+    `part`: part of the deflection; the first nonzero one where it is zero. `cell`: cell around the
+    arm.
     """
     first = next(iter(motions.values()))
     shown = part if part in first.bend else next(iter(first.bend), "")
