@@ -346,7 +346,7 @@ def _recentre_coefficients(times: np.ndarray, motion: Trajectory) -> np.ndarray:
     interval = np.searchsorted(motion.times, 0.5 * (times[:-1] + times[1:])) - 1
     coefficients = motion.acceleration[interval]
     local = times[:-1] - motion.times[interval]
-    moved = np.zeros_like(coefficients)
+    moved: np.ndarray = np.zeros_like(coefficients)
     for low in range(coefficients.shape[1]):
         for high in range(low, coefficients.shape[1]):
             share = math.comb(high, low) * local ** (high - low)

@@ -113,5 +113,6 @@ class BetweenRivals(OutcomeOracle):
 
 def _smooth_rival(rival: CommandOnArms, duration: float) -> Trajectory:
     """Return the links' motion of a rival's command at a duration [s]."""
-    assert rival.motion.rival is not None and rival.spacing is not None
+    assert rival.motion.rival is not None
+    assert rival.spacing is not None
     return smooth_motion(rival.motion.rival.at(duration), rival.spacing)

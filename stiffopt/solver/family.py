@@ -326,7 +326,8 @@ def _warm_start_of(run: SolveRun, outcome: Outcome, solution: Solution) -> WarmS
 def _moved_bounds(nlp: Nlp, before: Nlp) -> np.ndarray:
     """Return by how much the lower and the upper bounds of rows differ (2, rows)."""
     bounds, old = (np.stack([each.lower_g, each.upper_g]) for each in (nlp, before))
-    return np.subtract(bounds, old, out=np.zeros_like(old), where=bounds != old)
+    moved: np.ndarray = np.subtract(bounds, old, out=np.zeros_like(old), where=bounds != old)
+    return moved
 
 
 def _backed_off(made: Programme, back_off: np.ndarray) -> Programme:

@@ -26,6 +26,7 @@ from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.solution import Baseline
 from stiffopt.result.status import SolveStatus
+from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.monitor import FEASIBLE_VIOLATION
 from stiffopt.transcription.nlp import NlpEntry, RowViolation
 

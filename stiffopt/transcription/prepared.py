@@ -70,7 +70,7 @@ def read_prepared(path: Path) -> None:
 
 def _hash_source() -> str:
     """Return a hash of the code that prepares functions."""
-    found = hashlib.sha256(ca.__version__.encode())
+    found = hashlib.sha256(ca.CasadiMeta.version().encode())
     for module in (batched, node_derivatives, point_function):
         found.update(Path(str(module.__file__)).read_bytes())
     return found.hexdigest()
