@@ -22,7 +22,7 @@ from stiffopt.interpreter.batched import batched
 from stiffopt.robot.body_tree import BodyTree
 
 # Rounding of the magnitude of the torque that load friction goes with [N m].
-_LOAD_WIDTH = 0.1
+_LOAD_WIDTH = 0.01
 # Inputs of a step that all lanes share: parameters.
 _SHARED_INPUTS = (2,)
 _STAGE_WEIGHT = 1.0 + 1.0 / np.sqrt(2.0)
@@ -293,6 +293,8 @@ class _Balance:
     ) -> None:
         self.loop, self.own, self.bodies, self.width = loop, own, bodies, width
         self.n, self.command = loop.n, command
+        # By place and speed, which live as long as a step is built.
+        self._bodies_at: dict[tuple[int, int], tuple[ca.SX, ca.SX]] = {}
         law = loop.law
         stiffness = np.where(np.isfinite(law.stiffness), law.stiffness, 0.0)
         self.kp = ca.DM(stiffness) * (1.0 + own["gain"])
@@ -331,10 +333,19 @@ class _Balance:
         columns = [self._torque_of_links(none, angle, still, jacobian[:, i]) for i in range(self.n)]
         return ca.mtimes(jacobian.T, ca.horzcat(*columns))
 
+    def _still(self, place: ca.SX, speed: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Return the inertia (n, n) of the links, and their torques without acceleration."""
+        key = (id(place), id(speed))
+        if key not in self._bodies_at:
+            angle, rate, jacobian, drift = self._links(place, speed)
+            bias = self._torque_of_links(self.loop.tree.gravity, angle, rate, drift)
+            # Displaced links work along their readings.
+            self._bodies_at[key] = self._inertia(angle, jacobian), ca.mtimes(jacobian.T, bias)
+        return self._bodies_at[key]
+
     def mass(self, place: ca.SX, speed: ca.SX) -> ca.SX:
         """Return the forces of all sides per acceleration."""
-        angle, _, jacobian, _ = self._links(place, speed)
-        found = ca.mtimes([self._of_link, self._inertia(angle, jacobian), self._of_link.T])
+        found = ca.mtimes([self._of_link, self._still(place, speed)[0], self._of_link.T])
         found += ca.mtimes([self._of_motor, ca.diag(self.own["armature"]), self._of_motor.T])
         if self.loop.physics.torque is not None:
             rate = ca.SX.sym("a", speed.shape[0])
@@ -345,11 +356,7 @@ class _Balance:
     def force(self, place: ca.SX, speed: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Return the forces that accelerate, and the slope of all losses by the speed."""
         torque, losses, slope = self._drive(place, speed)
-        angle, rate, jacobian, drift = self._links(place, speed)
-        # Displaced links work along their readings.
-        bias = ca.mtimes(
-            jacobian.T, self._torque_of_links(self.loop.tree.gravity, angle, rate, drift)
-        )
+        bias = self._still(place, speed)[1]
         if self.loop.physics.torque is not None:
             still = ca.SX.zeros(speed.shape[0])
             more, by_speed = self._added(place, speed, still)
@@ -377,10 +384,15 @@ class _Balance:
         direction = ca.tanh(v / self.width)
         dry = own["coulomb"] + own["friction_slope"] * (q - ca.DM(self.loop.middle))
         by_speed = own["viscous"] * v + own["drag"] * v * ca.fabs(v)
-        # What of the torque reaches the load, past friction by the load as well.
-        past = torque - dry * direction - by_speed
-        size = ca.sqrt(past**2 + _LOAD_WIDTH**2)
-        against = 1.0 + own["load_friction"] * direction * past / size
+        # Torque of the links, moved by what passes the other friction beside the own rotor.
+        inertia, bias = self._still(place, speed)
+        links = ca.diag(inertia) / (ca.diag(inertia) + own["armature"])
+        load = links * (torque + own["offset"] - dry * direction - by_speed) + (1.0 - links) * bias
+        for k, joint in enumerate(self.loop._elastic):
+            load[joint], links[joint] = place[self.n + k], 0.0
+        size = ca.sqrt(load**2 + _LOAD_WIDTH**2)
+        # Friction by the load takes its part of that torque.
+        against = 1.0 + links * own["load_friction"] * direction * load / size
         dry += own["load_friction"] * (size - _LOAD_WIDTH) / against
         losses = dry * direction + by_speed
         slope = self.kd + own["viscous"] + dry / self.width * (1.0 - direction**2)
