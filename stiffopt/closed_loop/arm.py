@@ -18,7 +18,7 @@ from stiffopt import native
 from stiffopt.actuator.law import ActuatorLaw
 from stiffopt.closed_loop.parameters import BODY_PARAMETERS, JOINT_PARAMETERS
 from stiffopt.dynamics.newton_euler import own_bodies, torque_of_bodies
-from stiffopt.interpreter.batched import batched
+from stiffopt.interpreter.batched import read_batch
 from stiffopt.robot.body_tree import BodyTree
 
 # Rounding of the magnitude of the torque that load friction goes with [N m].
@@ -189,7 +189,7 @@ class CommandedArm:
         key = free.tobytes()
         if key not in self._steps:
             step, path = self._build_step(free), native.library()
-            several = None if path is None else batched(path, step, _SHARED_INPUTS)
+            several = None if path is None else read_batch(step, _SHARED_INPUTS).load(path)
             self._steps[key] = step, several or step
         return self._steps[key]
 

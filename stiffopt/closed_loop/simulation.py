@@ -192,5 +192,5 @@ def initial_velocity(loop: CommandedArm, run: CommandedRun, parameters: Paramete
         moved = step(np.concatenate([state, np.zeros(size)]), given, values, _MAX_STEP)
         state = np.asarray(moved)[:size, 0]
         state[:n] = run.position[0]
-    velocity = state[n : 2 * n]
-    return np.clip(velocity, np.minimum(rate, 0.0), np.maximum(rate, 0.0))
+    velocity: np.ndarray = state[n : 2 * n]
+    return velocity.clip(np.minimum(rate, 0.0), np.maximum(rate, 0.0))

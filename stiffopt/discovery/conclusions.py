@@ -10,6 +10,7 @@ import numpy as np
 from scipy import special
 
 from stiffopt.discovery.catalogue import CATALOGUE
+from stiffopt.discovery.channel import Channel, channel_name
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect
 from stiffopt.discovery.diagnosis import (
@@ -20,7 +21,7 @@ from stiffopt.discovery.diagnosis import (
 )
 from stiffopt.discovery.experiment.design import ExperimentPlan
 from stiffopt.discovery.judging.explained_shares import MismatchShare
-from stiffopt.discovery.judging.unexplained import ChannelVerdict, Unexplained, channel_name
+from stiffopt.discovery.judging.unexplained import ChannelVerdict, Unexplained
 from stiffopt.discovery.laws.law import LAW_FAMILY
 from stiffopt.discovery.loop_effects import LOOP_VALUES
 from stiffopt.discovery.loop_fit import DRIVE_PARAMETERS, stated_tolerance
@@ -46,6 +47,8 @@ if TYPE_CHECKING:
 _SMALL_SHARE = 1e-3
 # Two-sided p-value of one standard deviation: a value beyond it is zero within its deviation.
 _ONE_DEVIATION = float(2.0 * special.ndtr(-1.0))
+# Odds that a joint has no friction or no rotor worth measuring, before the recordings.
+_ABSENCE_ODDS = 0.1
 # P-value of an effect without a determined value: as likely as not.
 _UNDETERMINED_P_VALUE = 0.5
 
@@ -99,7 +102,8 @@ def build_findings(
         alike = sum(each.family == effect.family for each in CATALOGUE)
         places = n * alike if effect.only_in and located.joint is not None else 1
         sure = gain.support * float(again[index])
-        misfit = 1.0 - (1.0 - max(unknown, _null_share(chance, places))) * sure
+        zero = null_probability(chance, _ABSENCE_ODDS) if exists else _null_share(chance, places)
+        misfit = 1.0 - (1.0 - max(unknown, zero)) * sure
         findings.append(
             Finding(
                 estimated=parameters.effects[index],
@@ -181,7 +185,7 @@ def describe_next_experiment(
     Values that the nominal model does not state come last: they exist without doubt.
     """
     if unexplained is not None and shares and not unexplained.brief:
-        kind, _, _ = unexplained.channels[0].rpartition("_")
+        kind = Channel.read(unexplained.channels[0]).kind
         own = [each for each in shares if each.measured == kind]
         found = [each.share for each in own if each.part and each.part.kind == "finding"]
         if own and own[-1].share > max(found, default=0.0):
@@ -210,17 +214,17 @@ _REPEAT_INSTRUCTIONS = {
 
 def describe_next_recording(unexplained: Unexplained) -> str:
     """Describe the recording that would show most about the unexplained residual."""
-    kind, _, joint = unexplained.channels[0].rpartition("_")
-    words = "torque" if kind == "torque" else "link encoder"
+    channel = Channel.read(unexplained.channels[0])
     repeats = []
     for regressor in unexplained.regressors:
         signal, _, of = regressor.partition(" x ")[0].rpartition("_")
         how = _REPEAT_INSTRUCTIONS.get(regressor, _REPEAT_INSTRUCTIONS.get(signal, ""))
-        if how and not (signal == "q" and of == joint):
+        if how and not (signal == "q" and of == str(channel.joint)):
             repeats.append(how.format(of))
     text = (
-        f"Most of the unexplained residual is in the {words} of joint {joint}: move that joint"
-        " alone through its stroke, slowly and in both directions, the others at rest"
+        f"Most of the unexplained residual is in the {channel.sensor} of joint {channel.joint}:"
+        " move that joint alone through its stroke, slowly and in both directions, the others at"
+        " rest"
     )
     if repeats:
         text += f"; then {', '.join(dict.fromkeys(repeats))}"

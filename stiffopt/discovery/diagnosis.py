@@ -150,17 +150,10 @@ class Finding:
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelFit:
-    """Residual of one channel over all test and extrapolation runs.
+    """Residual of one channel over all test and extrapolation runs."""
 
-    Parameters
-    ----------
-    channel : str
-        Such as "torque_3".
-    rms_before, rms_after, noise : float
-        [unit]
-    """
-
-    channel: str
+    channel: str  # such as "torque_3"
+    # rms_before, rms_after, noise [unit]
     rms_before: float
     rms_after: float
     noise: float

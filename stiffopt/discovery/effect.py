@@ -134,6 +134,8 @@ class Shape:
         Default where a file gives no value [unit]; without a default a file must give one.
     fit : {"free", "held", "secant"}
         "secant": the term is exact where the shape equals the amplitude of the same index.
+    reported : bool
+        False for a value that says nothing of the arm, such as a point of linearisation.
     """
 
     name: str
@@ -143,6 +145,7 @@ class Shape:
     upper: float = float("inf")
     usual: float | None = None
     fit: ShapeFit = "free"
+    reported: bool = True
 
     def start_values(self, ranges: Constants) -> tuple[float, ...]:
         """Return the initial values as the entry defines them."""
@@ -211,7 +214,7 @@ class Effect:
     term : callable
         (signals, amplitudes, shapes) -> Term.
     report : callable, optional
-        (amplitudes, shapes, constants) -> named values; default: the parameters themselves.
+        (amplitudes, shapes, constants) -> named values; default: amplitudes and reported shapes.
     units : mapping of str to str
         Units of reported values that are neither amplitudes nor shapes.
     applies : callable, optional
@@ -412,7 +415,8 @@ class Effect:
         if self.report is not None:
             return dict(self.report(amplitudes, shapes, constants))
         named = dict(zip((a.name for a in self.amplitudes), amplitudes, strict=True))
-        return named | dict(zip((s.name for s in self.shapes), shapes, strict=True))
+        pairs = zip(self.shapes, shapes, strict=True)
+        return named | {shape.name: value for shape, value in pairs if shape.reported}
 
     def unit_of(self, parameter: str) -> str:
         """Return the unit of a reported parameter."""

@@ -69,7 +69,7 @@ def robot_in_loop(
 
 @dataclass(frozen=True, eq=False)
 class _Parts:
-    """What a term adds at an instant, by joints in the order of the set: torques, deflections."""
+    """Torques and deflections that a term adds at an instant, by joints in the order of the set."""
 
     torque: ca.SX
     deflection: ca.SX
@@ -264,7 +264,7 @@ class _Instant:
         def column(whole: np.ndarray, j: int) -> Any:
             return whole[0, j] if whole.dtype == object else whole[:, j]
 
-        before = {
+        before: dict[str, Any] = {
             f"previous_{name}": column(values[f"motor_{name}"], joint - 1) if joint else 0.0
             for name in ("position", "velocity", "acceleration")
         }

@@ -103,7 +103,7 @@ def fit_positions(
     Findings with which the loop is unstable, or fits the training runs worse than without them,
     are left out of it. None where a joint has no gain, which would not be held, or no command.
     """
-    robots: list[tuple[Robot, LoopPhysics | None, dict[int, float]]] = [
+    robots: list[tuple[Robot, LoopPhysics | None, dict[tuple[str, int], float]]] = [
         (recordings.robot, None, {})
     ]
     if model is not None:

@@ -34,10 +34,7 @@ def mean_sign(velocity: np.ndarray) -> np.ndarray:
     most, and a jump of friction comes up to half a sample early or late. Speeds are linear between
     the samples and the midpoints, which a cubic through four samples gives.
 
-    Parameters
-    ----------
-    velocity : array (K, n)
-        At equal time steps [rad/s].
+    `velocity` (K, n): at equal time steps [rad/s].
     """
     if len(velocity) < 4:
         return np.asarray(smooth_sign(velocity))

@@ -162,12 +162,7 @@ _RELATIVE_TOLERANCE = 1e-9
 def sample_signals(count: int = 60, dt: float = 0.01) -> RobotSignals:
     """Return signals of a sample arm: smooth, with reversals and loads of both signs.
 
-    Parameters
-    ----------
-    count : int
-        Number of samples.
-    dt : float
-        Time step [s].
+    `count`: number of samples. `dt`: time step [s].
     """
     time = dt * np.arange(count)
     wave = np.arange(1, _SAMPLE_JOINTS + 1) * 0.7 + 2.0

@@ -22,60 +22,38 @@ Cell = float | int | str | None
 
 @dataclass(frozen=True)
 class StartSpread:
-    """Optima of one case from several initial guesses.
+    """Optima of one case from several initial guesses."""
 
-    Parameters
-    ----------
-    best, worst : float
-        Objective in SI.
-    usable, starts : int
-        Number of starts with a usable result, and of all starts.
-    near : int
-        Number of starts within 1 % of the best.
-    """
-
+    # Objective in SI.
     best: float
     worst: float
     unit: str
+    # Number of starts with a usable result, and of all starts.
     usable: int
     starts: int
-    near: int
+    near: int  # number of starts within 1 % of the best
     best_start: int
 
 
 @dataclass(frozen=True)
 class Front:
-    """Pareto front of one entry and the objective.
+    """Pareto front of one entry and the objective."""
 
-    Parameters
-    ----------
-    over, unit : str
-        Entry and unit of its values; "" for bare numbers.
-    values, objectives : array (k,)
-        Increasing values with decreasing objectives (increasing, if maximised).
-    knee : int or None
-        Index of the knee; None below three points.
-    """
-
+    # Entry and unit of its values; "" for bare numbers.
     over: str
     unit: str
+    # (k,) increasing values with decreasing objectives (increasing, if maximised).
     values: np.ndarray
     objectives: np.ndarray
-    knee: int | None
+    knee: int | None  # index of the knee; None below three points
 
 
 @dataclass(frozen=True)
 class SweepSummary:
-    """Sweep with its results.
-
-    Parameters
-    ----------
-    results : sequence of dict or None
-        Content of the cases' files, in order.
-    """
+    """Sweep with its results."""
 
     sweep: Sweep
-    results: Sequence[dict[str, Any] | None]
+    results: Sequence[dict[str, Any] | None]  # content of the cases' files, in order
     interrupted: bool
 
     @cached_property

@@ -32,25 +32,21 @@ def transcribe(
     """Turn an optimal-control problem into an NLP.
 
     The stage is evaluated through one `casadi.Function.map` over all points and the graph is not
-    expanded, so the time to build hardly grows with the mesh.
-
-    Parameters
-    ----------
-    method : str
-        "piecewise_linear" (also "piecewise_linear_acceleration"), "hermite_simpson" or "radau".
-    mesh : sequence of array
-        Interval fractions of each phase; see `uniform_mesh`.
-    degree : int
-        Points in each interval of "radau".
-    scales : BlockScales, optional
-        Of another programme of the same blocks, in place of the problem's own.
+    expanded, so the time to build hardly grows with the mesh. `method`: "piecewise_linear" (also
+    "piecewise_linear_acceleration"), "hermite_simpson" or "radau". `mesh`: interval fractions of
+    each phase; see `uniform_mesh`. `degree`: points in each interval of "radau". `scales`: of
+    another programme of the same blocks, in place of the problem's own.
     """
     integrators = len(ocp.chains[0]) - 1 if ocp.chains else 2
     scheme = scheme_of(method, degree, integrators)
     stage = _stage_of(ocp, scheme)
     if scales is not None:
-        states, controls, statics = scales.variables[:3]
-        ocp = replace(ocp, state_scale=states, control_scale=controls, static_scale=statics)
+        if stage.along is None:
+            states, controls, statics = scales.variables[:3]
+            ocp = replace(ocp, state_scale=states, control_scale=controls, static_scale=statics)
+        else:
+            # Spline coefficients have the units of their states.
+            ocp = replace(ocp, static_scale=scales.variables[1])
     return _NlpBuilder(ocp, scheme, checked_mesh(mesh, ocp.phases), stage, scales=scales).build()
 
 

@@ -14,11 +14,11 @@ from scipy.special import boxcox, inv_boxcox
 from stiffopt.discovery.catalogue.common import (
     carried_share,
     dry_friction,
+    linear_recurrence,
     motor_inertia,
     viscous_friction,
     winds_up,
 )
-from stiffopt.discovery.catalogue.recurrence import linear_recurrence
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term, Values
 from stiffopt.discovery.signals import JointConstants, JointSignals, smooth_sign
 
@@ -119,9 +119,9 @@ BACKLASH = Effect(
             ),
             1e-7,
             0.08,
+            reported=False,
         ),
     ),
-    report=lambda amplitudes, shapes, constants: {"width": amplitudes[0]},
     possible=lambda shapes, constants: shapes[0] >= _MIN_ROUNDING * carried_share(constants),
     applies=winds_up,
     separate="Carry the load slowly through zero torque: backlash is a step between two plateaus,"
@@ -174,10 +174,8 @@ HYSTERESIS = Effect(
         Shape("s", "rad", (1e-4, 3e-4, 1e-3), 2e-5, 5e-3),
         # Rate at which the loop approaches its limit: recordings seldom show it, but h depends on
         # it.
-        Shape("i", "", (1.0,), 0.3, 2.0, 1.0),
+        Shape("i", "", (1.0,), 0.3, 2.0, 1.0, reported=False),
     ),
-    report=lambda amplitudes, shapes, constants: {"h": amplitudes[0], "s": shapes[0]},
-    units={"h": "N m", "s": "rad"},
     applies=winds_up,
     separate="Load and unload slowly, at two speeds and two amplitudes: creep shrinks when slow,"
     " hysteresis does not; backlash has one value for each load.",

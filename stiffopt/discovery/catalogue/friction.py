@@ -106,6 +106,7 @@ LOAD_ROUNDING = Shape(
     1e-7,
     0.1,
     _LOAD_ROUNDING_SHARE,
+    reported=False,
 )
 
 COULOMB = Effect(
@@ -173,9 +174,8 @@ STRIBECK = Effect(
     amplitudes=(Amplitude("A", "N m", half_dry_friction, 0.0, 4.0),),
     shapes=(
         Shape("vs", "rad/s", start_slow_speeds, 0.005, 0.5),
-        Shape("n", "", (1.0, 2.0), 0.5, 2.5),
+        Shape("n", "", (1.0, 2.0), 0.5, 2.5, reported=False),
     ),
-    report=lambda amplitudes, shapes, constants: {"A": amplitudes[0], "vs": shapes[0]},
     separate="Ramp slowly through 0.01 to 0.3 rad/s without reversing: hysteresis depends on the"
     " travel since the last reversal, not on speed.",
 )
@@ -195,7 +195,6 @@ LOAD_FRICTION = Effect(
     term=load_friction_term,
     amplitudes=(Amplitude("mu", "", 0.1, 0.0, 6.0),),
     shapes=(LOAD_ROUNDING,),
-    report=lambda amplitudes, shapes, constants: {"mu": amplitudes[0]},
     possible=lambda shapes, constants: is_definite_load(shapes[0], constants),
     separate="Repeat one path with two payloads, in both directions: a gain error keeps its sign"
     " when the motion turns round.",

@@ -131,8 +131,7 @@ class LeftOpenSection(Section):
         Doc("Standard deviation of each torque, as unfiltered noise; 0 without recordings."),
     ]
     link_position: Annotated[
-        tuple[Annotated[JointPosition, NOT_NEGATIVE], ...],
-        Doc("Likewise of each link encoder."),
+        tuple[Annotated[JointPosition, NOT_NEGATIVE], ...], Doc("Likewise of each link encoder.")
     ]
     suspects: Annotated[
         dict[str, Ratio],

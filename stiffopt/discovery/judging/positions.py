@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from stiffopt.closed_loop.parameters import Parameters
 from stiffopt.discovery.comparison.located_effect import Extension
@@ -14,6 +14,7 @@ from stiffopt.discovery.position_fit import (
     fit_positions,
     simulate_run,
 )
+from stiffopt.discovery.progress import Say
 from stiffopt.discovery.training import Training
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
@@ -26,7 +27,7 @@ def fit_simulation(
     found: Extension,
     runs: Sequence[RecordedRun],
     estimated: Parameters | None,
-    say: Callable[[str], object],
+    say: Say,
 ) -> ClosedLoopModel | None:
     """Fit the simulation from commands, beginning with friction and rotors as found.
 

@@ -15,24 +15,12 @@ from stiffopt.recording.recording_set import RecordingSet
 
 @dataclass(frozen=True, kw_only=True)
 class Doubt:
-    """A contradiction between recordings and their description.
+    """A contradiction between recordings and their description."""
 
-    Parameters
-    ----------
-    kind : str
-        "position unit", "torque gain", "joint order", "gravity", ...
-    joints : tuple of int
-        From 1; empty for the set as a whole.
-    evidence : str
-        The evidence, in a sentence.
-    line : str
-        Corrected line of recordings.toml; "" if no line corrects it.
-    """
-
-    kind: str
-    joints: tuple[int, ...] = ()
-    evidence: str
-    line: str = ""
+    kind: str  # "position unit", "torque gain", "joint order", "gravity" and others
+    joints: tuple[int, ...] = ()  # from 1; empty for the set as a whole
+    evidence: str  # the evidence, in a sentence
+    line: str = ""  # corrected line of recordings.toml; "" if no line corrects it
 
     def __str__(self) -> str:
         ending = f" If so, write {self.line}." if self.line else ""
@@ -46,10 +34,7 @@ class Doubt:
 class DoubtfulRecordings(InputFileError):
     """Recordings that contradict their description and are not diagnosed.
 
-    Parameters
-    ----------
-    path : Path
-        Of recordings.toml.
+    `path`: of recordings.toml.
     """
 
     def __init__(self, path: Path, doubts: Sequence[Doubt]) -> None:
