@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from stiffopt.actuator.law import ActuatorLaw
-from stiffopt.closed_loop.arm import CommandedArm, LoopPhysics
+from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.parameters import (
     BODY_PARAMETERS,
     DELAY,
@@ -18,6 +18,7 @@ from stiffopt.closed_loop.parameters import (
     Parameters,
     zero_parameters,
 )
+from stiffopt.closed_loop.physics import LoopPhysics
 from stiffopt.closed_loop.polish import Polished
 from stiffopt.closed_loop.simulation import simulate
 from stiffopt.discovery.comparison.located_effect import Extension
