@@ -109,16 +109,13 @@ class Unit:
 class Bounds:
     """Range in which a number must lie."""
 
-    # above and below: bounds that are excluded.
-    above: float = -math.inf
-    # Bounds that are included.
-    least: float = -math.inf
-    most: float = math.inf
-    below: float = math.inf
+    above: float = -math.inf  # excluded
+    least: float = -math.inf  # included
+    most: float = math.inf  # included
+    below: float = math.inf  # excluded
     finite: bool = True  # the number must be finite
     hint: str = ""  # sentence on the usual cause of a violation
-    # (float, float) magnitudes beyond which a bare number of a file is asked about; default those
-    # of its unit.
+    # Magnitudes beyond which a bare number of a file is asked about; default those of its unit.
     plausible: tuple[float, float] | None = None
 
     def check(self, name: str, value: object) -> None:

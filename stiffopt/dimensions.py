@@ -27,8 +27,8 @@ class Dimension:
     unit: str
     example: str
     angle: int = 0  # power of angle
-    # (float, float) between which magnitudes a quantity of a machine lies, from micro-gripper to
-    # crane, unless a field's `Bounds` say otherwise; zero is always plausible.
+    # Magnitudes of a machine's quantity, from micro-gripper to crane, unless a field's `Bounds` say
+    # otherwise; zero is always plausible.
     plausible: tuple[float, float] = (0.0, math.inf)
     # Units that a bare number is given in by mistake, the usual one first, and their factors.
     slips: Mapping[str, float] = dataclasses.field(default_factory=dict, compare=False)

@@ -83,7 +83,7 @@ def _ranked_only(gate: Any, comparison: Any, current: Any, *rest: Any) -> Any:
 
 
 def _exchanged(found: Any, comparison: Any, current: Any, effects: Any, *_: Any) -> bool:
-    return _keys([r.selected.located for r in found[1]]) != _keys(effects)
+    return _keys([r.located for r in found[1]]) != _keys(effects)
 
 
 def _keep_found(gate: Any, result: Any) -> Any:

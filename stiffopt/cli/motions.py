@@ -36,8 +36,9 @@ def solve(
 ) -> int:
     """Optimise and certify a trajectory.
 
-    Writes result.json, trajectory.csv, report.html, state.bin to solve similar problems from and,
-    for an elastic arm, command.csv: the motor motion with which the links follow the plan. For a
+    Writes result.json, trajectory.csv, report.html, state.bin and formulas.npz to solve similar
+    problems from and, for an elastic arm, command.csv: the motor motion with which the links
+    follow the plan. For a
     cycle of several [[move]] it writes cycle.json, cycle.csv, report.html and a folder with these
     files for each leg. Ctrl-C ends the solve and keeps the best motion so far; before the first
     motion it waits for it, pressed twice it stops immediately.
@@ -71,6 +72,7 @@ def solve(
         from stiffopt.certificate.assess import assess
         from stiffopt.problem.files import load_problem
         from stiffopt.recipe.stored_result import (
+            PREPARED_FILE,
             STATE_FILE,
             read_guess,
             read_state,
@@ -103,7 +105,7 @@ def solve(
         state = None if guess is None else read_state(guess)
         end = None
         folder = out or default_folder(problem.stem, changes)
-        optional = (TRAJECTORY_FILE, STATE_FILE, ARCHIVE_FILE)
+        optional = (TRAJECTORY_FILE, STATE_FILE, PREPARED_FILE, ARCHIVE_FILE)
         with output_folder(folder, "solve", maybe=optional) as stage:
             with _problem_progress(stated, quiet) as progress, _name_file_in_errors(problem):
                 if found is None:

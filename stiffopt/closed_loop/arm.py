@@ -18,7 +18,7 @@ from stiffopt import native
 from stiffopt.actuator.law import ActuatorLaw
 from stiffopt.closed_loop.parameters import BODY_PARAMETERS, JOINT_PARAMETERS
 from stiffopt.dynamics.newton_euler import own_bodies, torque_of_bodies
-from stiffopt.interpreter.batched import batched
+from stiffopt.interpreter.batched import read_batch
 from stiffopt.robot.body_tree import BodyTree
 
 # Rounding of the magnitude of the torque that load friction goes with [N m].
@@ -189,7 +189,7 @@ class CommandedArm:
         key = free.tobytes()
         if key not in self._steps:
             step, path = self._build_step(free), native.library()
-            several = None if path is None else batched(path, step, _SHARED_INPUTS)
+            several = None if path is None else read_batch(step, _SHARED_INPUTS).load(path)
             self._steps[key] = step, several or step
         return self._steps[key]
 
@@ -375,12 +375,14 @@ class _Balance:
         error = _clip(self.kp * (self.command - q), law.drive_max)
         torque = _clip(error - self.kd * speed[: self.n], law.torque_max)
         direction = ca.tanh(v / self.width)
-        dry = (
-            own["coulomb"]
-            + own["friction_slope"] * (q - ca.DM(self.loop.middle))
-            + own["load_friction"] * (ca.sqrt(torque**2 + _LOAD_WIDTH**2) - _LOAD_WIDTH)
-        )
-        losses = dry * direction + own["viscous"] * v + own["drag"] * v * ca.fabs(v)
+        dry = own["coulomb"] + own["friction_slope"] * (q - ca.DM(self.loop.middle))
+        by_speed = own["viscous"] * v + own["drag"] * v * ca.fabs(v)
+        # What of the torque reaches the load, past friction by the load as well.
+        past = torque - dry * direction - by_speed
+        size = ca.sqrt(past**2 + _LOAD_WIDTH**2)
+        against = 1.0 + own["load_friction"] * direction * past / size
+        dry += own["load_friction"] * (size - _LOAD_WIDTH) / against
+        losses = dry * direction + by_speed
         slope = self.kd + own["viscous"] + dry / self.width * (1.0 - direction**2)
         return torque, losses, slope
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from stiffopt.certificate.assess import assess
 from stiffopt.command.command_search import (
+    CommandChoice,
     CommandOnArms,
     CommandSearch,
     ExistingCommand,
@@ -52,15 +53,19 @@ def compensate(
     *,
     known: CommandOnArms | None = None,
     rivals: Sequence[CommandOnArms] | None = None,
+    choice: CommandChoice | None = None,
     progress: Progress | None = None,
 ) -> Compensation:
     """Return the command of the first motion, and the effect of compensation on all motions.
 
     `motions` begin with the optimised one and are at rest at both ends; commands that exist already
-    are given as `known` and `rivals`. Raises `NotSimulatedError`, and `RobotError` where an
+    are given as `known` and `rivals`, and the `choice` of the first one is kept where limits allow
+    it. Raises `NotSimulatedError`, and `RobotError` where an
     uncertainty takes a joint's damping above critical.
     """
-    own = known or commands_on_arms(problem, arm, motions[:1], progress=progress)[0]
+    own = known
+    if own is None:
+        (own,) = commands_on_arms(problem, arm, motions[:1], choice=choice, progress=progress)
     refusal, command = _explain_refusal(problem, own.excess), None
     if not refusal:
         command = assess(problem, own.motors, times=export_times(own.motors.duration))
@@ -190,6 +195,7 @@ def commands_on_arms(
     motions: Sequence[PlannedMotion],
     law: MotorLaw | None = None,
     *,
+    choice: CommandChoice | None = None,
     progress: Progress | None = None,
 ) -> list[CommandOnArms]:
     """Return the commands of motions with their results on all arms.
@@ -198,7 +204,7 @@ def commands_on_arms(
     """
     law = law or MotorLaw(problem.robot, problem.process_force)
     return answer_together(
-        CommandSearch(problem, arm, each, law).evaluate_command()
+        CommandSearch(problem, arm, each, law, choice=choice).evaluate_command()
         for each in _tell_each(motions, progress)
     )
 

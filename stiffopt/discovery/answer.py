@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from stiffopt.discovery.channel import Channel
 from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.extended.planning import planner_model
 from stiffopt.discovery.extended.value_changes import ValueChange, extended_model, value_changes
@@ -62,7 +63,7 @@ def statements(diagnosis: Diagnosis) -> list[Statement]:
 
 def explained_squares(diagnosis: Diagnosis, finding: Finding) -> float:
     """Return the mean squared residual over noise that a finding removes in its channel."""
-    number = channel_number(diagnosis, finding.channel)
+    number = Channel.read(finding.channel).number(diagnosis.recordings.n)
     excess = float(diagnosis.search.calibrated[number]) ** 2 - 1.0
     return max(excess, 0.0) * finding.variance_explained
 
@@ -79,12 +80,6 @@ def held_out_share(diagnosis: Diagnosis, finding: Finding) -> float:
         and any(located.key == finding.located.key for located in each.part.effects)
     ]
     return max(own, default=float("inf"))
-
-
-def channel_number(diagnosis: Diagnosis, name: str) -> int:
-    """Return the index of a channel among the torques, then the deflections, of all joints."""
-    kind, _, joint = name.rpartition("_")
-    return int(joint) - 1 + (0 if kind == "torque" else diagnosis.recordings.n)
 
 
 def changed_values(diagnosis: Diagnosis) -> list[ChangedValue]:

@@ -11,15 +11,20 @@ from typing import Any
 
 import numpy as np
 
-from stiffopt.discovery.catalogue import CATALOGUE, changes_in, effects_of_runs
+from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import Extension
-from stiffopt.discovery.conclusions import build_findings, decide_verdict, describe_next_experiment
+from stiffopt.discovery.conclusions import (
+    build_findings,
+    decide_verdict,
+    describe_next_experiment,
+    findings_with_loop_values,
+)
 from stiffopt.discovery.diagnosis import Diagnosis
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.experiment.design import leading_pair, plan_experiment
 from stiffopt.discovery.extended.left_open import rescale_to_rate
-from stiffopt.discovery.extended.model import ExtendedModel, load_extended
+from stiffopt.discovery.extended.model import ExtendedModel
 from stiffopt.discovery.extended.schema import LeftOpenSection
 from stiffopt.discovery.identifiable import effect_checks, restrict_to_identifiable
 from stiffopt.discovery.judging.added_uncertainty import (
@@ -42,12 +47,10 @@ from stiffopt.discovery.judging.run_deviations import find_friction_drift, find_
 from stiffopt.discovery.judging.tool_force import explain_by_tool_force
 from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings, judge_channels
 from stiffopt.discovery.law_search.find import LawSearch, find_laws, located_tables
+from stiffopt.discovery.opening import open_set
 from stiffopt.discovery.position_fit import model_section
 from stiffopt.discovery.prediction_bands import choose_prediction_bands
 from stiffopt.discovery.progress import Say, repeat_progress
-from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
-from stiffopt.discovery.sanity.gate import judge_plausibility, leave_out_currents
-from stiffopt.discovery.sanity.position_errors import take_errors_as_commands
 from stiffopt.discovery.search.candidates import Scorer
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import SearchResult
@@ -67,22 +70,15 @@ from stiffopt.discovery.steps import (
     NOISE_CEILING,
     SIMULATION,
     SUSPECTS,
-    Steps,
+    OptionalSteps,
 )
-from stiffopt.discovery.training import Training, open_training_runs, prepare_training
+from stiffopt.discovery.training import Training, prepare_training
 from stiffopt.discovery.user_effects import load_effects
 from stiffopt.errors import InputFileError
 from stiffopt.interrupts import complete_step
-from stiffopt.recording.decimation import (
-    decimate_noise,
-    decimate_run,
-    decimation_factor,
-    describe_decimation,
-    sampling_rate,
-)
 from stiffopt.recording.joint_facts import joint_facts
 from stiffopt.recording.recording_set import RecordingSet, load_recordings, require_test_runs
-from stiffopt.recording.state_pair import StatePair, load_state_pair
+from stiffopt.recording.state_pair import load_state_pair
 
 
 def diagnose(
@@ -192,30 +188,12 @@ def _run_diagnosis(
     despite_doubts: bool,
 ) -> Diagnosis:
     """Run the stages of `diagnose`."""
-    base = load_extended(model, extra) if isinstance(model, str | os.PathLike) else model
-    if base is not None:
-        recordings = base.applied_to(recordings)
-    recordings, taken = take_errors_as_commands(recordings)
-    resolved = resolve_actuator(recordings, open_training_runs(recordings, say), say)
-    recordings, runs, derived = resolved.recordings, resolved.runs, (*taken, *resolved.notes)
-    after = recordings.runs_after if isinstance(recordings, StatePair) else ()
-    catalogue = effects_of_runs((*CATALOGUE, *extra), [run.name for run in runs], after)
-    if after:
-        catalogue = (*catalogue, *changes_in(catalogue, after))
-    recorded, every = runs, decimation_factor(runs)
-    thin = () if every == 1 else (describe_decimation(runs, every),)
-    clock = sampling_rate(runs)
-    base = _rescale_left_open(_rescale_left_open(base, clock), clock / every)
-    recordings, runs = decimate_noise(recordings, every), [decimate_run(run, every) for run in runs]
-    say("check units, signs and orders")
-    doubted, remarked = judge_plausibility(
-        recordings, runs, despite_doubts=despite_doubts, remarks=base is None
-    )
-    recordings, runs = leave_out_currents(recordings, runs)
-    training = prepare_training(recordings, settings, base, say, runs)
+    opened = open_set(recordings, CATALOGUE, extra, model, say, despite_doubts=despite_doubts)
+    recordings, base = opened.recordings, opened.base
+    training = prepare_training(recordings, settings, base, say, opened.runs)
     facts = joint_facts(recordings, training.recorded)
-    checks = effect_checks(recordings, facts, len(training.recorded), catalogue)
-    asked = restrict_to_identifiable(catalogue, checks)
+    checks = effect_checks(recordings, facts, len(training.recorded), opened.catalogue)
+    asked = restrict_to_identifiable(opened.catalogue, checks)
     # Forms of changes are sought only beside a model.
     sought = tuple(each for each in asked if training.least is not None or not each.only_changed)
     say("compare with the nominal model" if base is None else f"compare with {base.source}")
@@ -223,7 +201,7 @@ def _run_diagnosis(
         recordings=recordings, asked=sought, settings=settings, base=base, say=say
     )
     training, result, touched = searches.run(training)
-    steps = Steps(result, say)
+    steps = OptionalSteps(result, say)
     if settings.cutoff is None:  # bands that were asked for hold
         training = _with_prediction_bands(training, result, steps)
     laws = steps.run(LAWS, lambda: find_laws(result, say)) or LawSearch(result=result)
@@ -252,34 +230,33 @@ def _run_diagnosis(
         LIMITS, lambda: detection_limits(Scorer(result.comparison, located), sought, result.effects)
     )
     found = Extension(calibration=parameters.calibration(), effects=parameters.effects)
-    if unexplained is None and not findings and not runs[0].at_rest:
+    if unexplained is None and not findings and not opened.at_rest:
         unexplained = steps.run(BURSTS, lambda: find_bursts(training, found))
     new = [s for s in selected if not s.located.calibrated]
-    pair = leading_pair(new or selected) if experiment and not runs[0].at_rest else None
+    pair = leading_pair(new or selected) if experiment and not opened.at_rest else None
     whole = found if base is None else base.extension.plus(found)
     plan = loop = None
     if pair is not None:
         plan = steps.run(EXPERIMENT, lambda: plan_experiment(training, result, pair, say=say))
     if recordings.signals.commanded:
-        fitted = partial(
-            fit_simulation, recordings, training, whole, recorded, resolved.parameters, say
-        )
-        loop = steps.run(SIMULATION, fitted)
+        simulation = (recordings, training, whole, opened.recorded, opened.actuator, say)
+        loop = steps.run(SIMULATION, lambda: fit_simulation(*simulation))
+    findings = findings_with_loop_values(recordings, loop, findings)
     # The findings are fixed: held-out runs are read only from here on.
     tracks = steps.finish(lambda: training_tracks(result.comparison, result.fit))
     parts = split_extension(found, recordings.unstated)
-    opened = HeldOutRuns(training, found, parts, every, tracks)
-    _predict_held_out(opened, recordings, steps)
+    held_out = HeldOutRuns(training, found, parts, opened.every, tracks)
+    _predict_held_out(held_out, recordings, steps)
     simulated = steps.finish(lambda: simulate_held_out(recordings, loop))
     lasting = [each for each in asked if not each.only_in]
     tables = Extension(effects=tuple(t for each in laws.refused for t in located_tables(each)))
     left_open = _assess_left_open(training, whole.plus(tables), lasting, base, steps)
 
     def concluded() -> Diagnosis:
-        proofs, taken = tuple(opened.proofs), opened.shares.found()
+        proofs, taken = tuple(held_out.proofs), held_out.shares.found()
         channels = judge_channels(result, tuple(f.located for f in findings), unexplained)
         drift = find_friction_drift(whole, training.constants, proofs)
-        unusable = [run for run in runs if not run.usable]
+        unusable = [run for run in opened.runs if not run.usable]
         seen = (*training.recorded, *unusable, *(proof.run for proof in proofs))
         return Diagnosis(
             recordings=recordings,
@@ -289,19 +266,19 @@ def _run_diagnosis(
             channel_verdicts=channels,
             findings=findings,
             extension=whole,
-            left_open=rescale_to_rate(left_open, clock),
+            left_open=rescale_to_rate(left_open, opened.clock),
             training=training,
             search=result,
             held_out=proofs,
             shares=taken,
-            noise_ceiling=opened.noise_ceiling(),
+            noise_ceiling=held_out.noise_ceiling(),
             not_carried_over=find_run_deviations(proofs, drift),
             drift=drift,
             closed_loop=model_section(recordings, loop),
             positions=simulated,
-            episodes=(*touched, *opened.episodes),
+            episodes=(*touched, *held_out.episodes),
             modes=mode_shifts(result.comparison, result.fit),
-            catalogue=catalogue,
+            catalogue=opened.catalogue,
             detection_limits=limits or (),
             unexplained=unexplained,
             laws=laws.laws,
@@ -309,17 +286,14 @@ def _run_diagnosis(
             next_experiment=describe_next_experiment(findings, plan, unexplained, taken),
             assumptions=(
                 *steps.stopped,
-                *opened.describe_unusable(),
-                *(f"Diagnosed despite a doubt: {doubt.evidence}" for doubt in doubted),
-                *(f"to be checked: {each}" for each in remarked),
-                *thin,
-                *derived,
+                *held_out.describe_unusable(),
+                *opened.assumptions(),
                 *describe_tournament(result.contenders),
                 *training.assumptions,
             ),
             faults=tuple((run.name, fault) for run in seen for fault in run.faults),
             experiment=plan,
-            doubts=doubted,
+            doubts=opened.doubts,
             stopped=bool(steps.stopped),
         )
 
@@ -327,19 +301,12 @@ def _run_diagnosis(
     return complete_step(concluded)[0]
 
 
-def _rescale_left_open(base: ExtendedModel | None, rate: float) -> ExtendedModel | None:
-    """Rescale the residual that a model left open to the sampling rate [Hz]."""
-    if base is None or base.left_open is None:
-        return base
-    return replace(base, left_open=rescale_to_rate(base.left_open, rate))
-
-
 def _estimate_parameters(
     training: Training,
     comparison: Comparison,
     selected: tuple[Selected, ...],
     half_band: Callable[[], Comparison | None],
-    steps: Steps,
+    steps: OptionalSteps,
 ) -> tuple[tuple[Selected, ...], Estimate]:
     """Estimate parameters; drop insignificant findings. Ctrl-C leaves out refinements."""
     comparison.columns.release_memory()
@@ -358,7 +325,9 @@ def _estimate_parameters(
     return drop_insignificant(selected, fitted if plain else refined)
 
 
-def _with_prediction_bands(training: Training, result: SearchResult, steps: Steps) -> Training:
+def _with_prediction_bands(
+    training: Training, result: SearchResult, steps: OptionalSteps
+) -> Training:
     """Return the training runs with the bands of predictions, unless these are fixed.
 
     Those of a model hold, poses at rest have none, and vibration follows the band of the fit.
@@ -394,7 +363,7 @@ def _perturb_findings(
     return recurrence(result.comparison, selected, other, free_bodies=training.free_bodies)
 
 
-def _predict_held_out(opened: HeldOutRuns, recordings: RecordingSet, steps: Steps) -> None:
+def _predict_held_out(opened: HeldOutRuns, recordings: RecordingSet, steps: OptionalSteps) -> None:
     """Predict the held-out runs; Ctrl-C ends it."""
     if opened.needs_noise_ceiling:
         steps.run(NOISE_CEILING, lambda: opened.fit_noise_ceiling(steps.say))
@@ -409,7 +378,7 @@ def _assess_left_open(
     whole: Extension,
     asked: Sequence[Effect],
     base: ExtendedModel | None,
-    steps: Steps,
+    steps: OptionalSteps,
 ) -> LeftOpenSection:
     """Describe the open residual; without suspects, which take long, after Ctrl-C."""
     before, found = None if base is None else base.left_open, None

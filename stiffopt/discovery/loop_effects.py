@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 
 from stiffopt.closed_loop.arm import LoopPhysics, LoopSignals, LoopSpring
+from stiffopt.discovery.catalogue.common import motor_inertia
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect
 from stiffopt.discovery.effect import Term
 from stiffopt.discovery.extended.model import ExtendedModel
@@ -36,34 +37,39 @@ _SAMPLE_COUNT, _FORMULA_TOLERANCE = 50, 1e-6
 _FLANK_FREQUENCY = 300.0
 # Vibration on the flanks decays by itself, over critical damping.
 _FLANK_DAMPING = 0.3
+# Effects whose amplitude is a parameter of every loop, which a fit refines.
+LOOP_VALUES = {"load_friction": "load_friction", "quadratic_drag": "drag"}
 _SIGNAL_NAMES = tuple(each.name for each in fields(LoopSignals))
 
 
 def robot_in_loop(
     recordings: RecordingSet, model: ExtendedModel
-) -> tuple[Robot, LoopPhysics, dict[int, float]]:
-    """Return the robot with findings, the physics that it cannot hold, and encoder zeros.
+) -> tuple[Robot, LoopPhysics, dict[tuple[str, int], float]]:
+    """Return the robot with findings, the physics that it cannot hold, and values of the loop.
 
-    Zeros [rad] are readings less angles, by the joint (from 0) of the robot. Effects with memory,
+    Values are by name of the loop's parameter and joint (from 0) of the robot. Effects with memory,
     of sensors and of single runs are in none of these.
     """
     planner = planner_model(recordings.robot, model)
     instant = _Instant(recordings, model)
-    zeros: dict[int, float] = {}
+    values: dict[tuple[str, int], float] = {}
     for each in planner.not_in_robot:
         joint = each.located.joint
         if each.located.run is not None or each.effect.only_in:
             continue
+        place = -1 if joint is None else int(recordings.order[joint])
         if joint is not None and each.effect.moves_zero:
-            zeros[int(recordings.order[joint])] = -each.amplitudes[0]
+            values["zero", place] = -each.amplitudes[0]
+        elif each.effect.name in LOOP_VALUES and each.amplitudes[0] > 0.0:
+            values[LOOP_VALUES[each.effect.name], place] = each.amplitudes[0]
         else:
             instant.add(each)
-    return planner.robot, instant.physics(planner.robot.added_torques), zeros
+    return planner.robot, instant.physics(planner.robot.added_torques), values
 
 
 @dataclass(frozen=True, eq=False)
 class _Parts:
-    """What a term adds at an instant, by joints in the order of the set: torques, deflections."""
+    """Torques and deflections that a term adds at an instant, by joints in the order of the set."""
 
     torque: ca.SX
     deflection: ca.SX
@@ -162,7 +168,7 @@ class _Instant:
         if own.elastic:
             wound = wound + own.windup(load)
         else:
-            inertia = max(own.rotor_inertia, 1e-9)
+            inertia = motor_inertia(own)
             wound = wound + load / (inertia * _FLANK_FREQUENCY**2)
             damping = 2.0 * _FLANK_DAMPING * inertia * _FLANK_FREQUENCY
 

@@ -129,8 +129,7 @@ def expected_deviations(
         size[found.place(name)] = value
     for key, name in DRIVE_PARAMETERS.items():
         if key not in recordings.unstated:
-            relative = getattr(tolerance, key)
-            relative = getattr(DEFAULT_TOLERANCE, key) if relative is None else relative
+            relative = stated_tolerance(recordings, key)
             nominal, place = getattr(robot, key), found.place(name)
             kept = np.abs(prior.of(name) - nominal) <= _KEPT_DEVIATIONS * relative * nominal
             size[place] = np.where(kept, relative * nominal, size[place])
@@ -147,6 +146,12 @@ def expected_deviations(
     told = "viscous" not in recordings.unstated
     size[-1] = law.delay_deviation if told and law.delay_deviation else _DELAY_DEVIATION
     return size
+
+
+def stated_tolerance(recordings: RecordingSet, key: str) -> float:
+    """Return the relative standard deviation of a nominal value, by default the usual one."""
+    own = getattr(recordings.tolerance, key)
+    return float(getattr(DEFAULT_TOLERANCE, key) if own is None else own)
 
 
 def _joint_inertias(robot: Robot, position: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -33,6 +34,7 @@ from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
 from stiffopt.robot.batched_kinematics import frame_positions
 from stiffopt.robot.robot import Robot
+from stiffopt.units import joint_unit
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -46,6 +48,8 @@ class ClosedLoopModel:
     nominal, fitted : Parameters
     deviations : array (p,)
         One standard deviation of each fitted parameter.
+    expected, expected_deviations
+        The same before the fit; None of a model that was read.
     ratios : mapping of str to pair of array (n,)
         Parameters over the gain with standard deviations, where torque has no scale; else nan.
     """
@@ -55,6 +59,8 @@ class ClosedLoopModel:
     nominal: Parameters
     fitted: Parameters
     deviations: np.ndarray
+    expected: Parameters | None = None
+    expected_deviations: np.ndarray | None = None
     ratios: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
 
@@ -97,7 +103,7 @@ def fit_positions(
     Findings with which the loop is unstable, or fits the training runs worse than without them,
     are left out of it. None where a joint has no gain, which would not be held, or no command.
     """
-    robots: list[tuple[Robot, LoopPhysics | None, dict[int, float]]] = [
+    robots: list[tuple[Robot, LoopPhysics | None, dict[tuple[str, int], float]]] = [
         (recordings.robot, None, {})
     ]
     if model is not None:
@@ -113,6 +119,8 @@ def fit_positions(
         nominal=nominal_parameters(recordings, recordings.robot),
         fitted=fitted.parameters,
         deviations=fitted.deviations,
+        expected=fitted.expected,
+        expected_deviations=fitted.expected_deviations,
         ratios=_ratios_to_gain(loop.law, fitted),
     )
 
@@ -124,12 +132,12 @@ def _fit_robot(
     say: Callable[[str], object],
     robot: Robot,
     physics: LoopPhysics | None,
-    zeros: Mapping[int, float],
+    values: Mapping[tuple[str, int], float],
 ) -> tuple[CommandedArm, Polished] | None:
-    """Fit the closed loop of a robot with further torques and joint zeros [rad]."""
+    """Fit the closed loop of a robot with further physics, beginning with some values."""
     prior, law = nominal_parameters(recordings, robot), recordings.actuator
-    for joint, zero in zeros.items():
-        prior.values[prior.place("zero")][joint] = zero
+    for (name, joint), value in values.items():
+        prior.values[prior.place(name)][joint] = value
     if estimated is not None and law is not None:
         unscaled = ~law.scaled[np.argsort(recordings.order)]
         for name in DRIVE_PARAMETERS.values():
@@ -181,24 +189,67 @@ def model_section(
     if model is None:
         return None
     law, order = model.loop.law.reordered(recordings.order), recordings.order
-    spread = replace(model.fitted, values=model.deviations)
-    values: dict[str, tuple[float, ...]] = {}
-    deviations: dict[str, tuple[float, ...]] = {}
-    for table, own in ((values, model.fitted), (deviations, spread)):
-        table |= {name: tuple(own.of(name)[order]) for name in JOINT_PARAMETERS}
-        table |= {name: tuple(own.of_bodies(name)[order]) for name in BODY_PARAMETERS}
-        table[DELAY] = (own.delay,)
+
+    def table(own: Parameters | None) -> dict[str, tuple[float, ...]]:
+        if own is None:
+            return {}
+        found = {name: tuple(own.of(name)[order]) for name in JOINT_PARAMETERS}
+        found |= {name: tuple(own.of_bodies(name)[order]) for name in BODY_PARAMETERS}
+        return found | {DELAY: (own.delay,)}
+
+    def spread(deviations: np.ndarray | None) -> Parameters | None:
+        return None if deviations is None else replace(model.fitted, values=deviations)
+
     return ClosedLoopSection(
         **{name: tuple(getattr(law, name)) for name in ("stiffness", "damping")},
         **{name: tuple(getattr(law, name)) for name in ("drive_max", "torque_max")},
         delay=model.nominal.delay,
         tolerance=tuple(law.tolerance),
         middle=tuple(model.loop.middle[order]),
-        values=values,
-        deviations=deviations,
+        values=table(model.fitted),
+        deviations=table(spread(model.deviations)),
+        expected=table(model.expected),
+        expected_deviations=table(spread(model.expected_deviations)),
         ratios={name: tuple(value[order]) for name, (value, _) in model.ratios.items()},
         ratio_deviations={name: tuple(sd[order]) for name, (_, sd) in model.ratios.items()},
     )
+
+
+def loop_values(
+    section: ClosedLoopSection | None, prismatic: Sequence[bool] | np.ndarray
+) -> list[dict[str, Any]]:
+    """Return the fitted values of joints and of the arm with what was expected of them.
+
+    Gains and damping of an actuator are told whole, not as changes.
+    """
+    if section is None:
+        return []
+    found: list[dict[str, Any]] = []
+    whole = {"gain": section.stiffness, "damping": section.damping}
+    units = {"gain": "N m/rad", "damping": "N m s/rad"}
+    for name, values in section.values.items():
+        if name in BODY_PARAMETERS or not section.expected:
+            continue
+        tables = (section.deviations, section.expected, section.expected_deviations)
+        for j, four in enumerate(zip(values, *(table[name] for table in tables), strict=True)):
+            value, sd, expected, expected_sd = four
+            if name in whole:
+                nominal = whole[name][j]
+                value, expected = nominal * (1.0 + value), nominal * (1.0 + expected)
+                sd, expected_sd = nominal * sd, nominal * expected_sd
+            unit = units.get(name, JOINT_PARAMETERS.get(name, "s"))
+            found.append(
+                {
+                    "joint": None if name == DELAY else j + 1,
+                    "parameter": name,
+                    "unit": unit if name == DELAY else joint_unit(unit, bool(prismatic[j])),
+                    "value": value,
+                    "sd": sd,
+                    "expected": expected,
+                    "expected_sd": expected_sd,
+                }
+            )
+    return found
 
 
 def read_model(recordings: RecordingSet, model: ExtendedModel) -> ClosedLoopModel:

@@ -59,7 +59,7 @@ def _by_user(consequence: str) -> str:
     return f"Stopped by the user: {consequence}"
 
 
-class Steps:
+class OptionalSteps:
     """Steps after a search; `stopped` are sentences on what Ctrl-C ended or skipped."""
 
     def __init__(self, result: SearchResult, say: Say) -> None:

@@ -14,8 +14,11 @@ from stiffopt.certificate.objective_value import objective_value
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.errors import ProblemError
 from stiffopt.path.averaged_law import averaged_law
+from stiffopt.path.path_duty import slowing_within_duty
 from stiffopt.path.path_timing import PathDemands, fastest_timing
 from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.assessment import Assessment
+from stiffopt.result.duty import DutyLimits
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.solution import Baseline
 from stiffopt.result.trajectory import ForceHistory, Trajectory
@@ -84,8 +87,7 @@ def _timed_motion(
         if window:
             law = averaged_law(law, window)
         law = law.scaled_to(shortest) if law.duration < shortest else law
-        motion = replace(path.follow(law), force=_force_history(problem, path, law))
-        assessment = assess(problem, motion)
+        motion, assessment = _follow(problem, path, law)
         worst = assessment.worst_violation
         if worst.value <= CERTIFICATE_TOLERANCE:
             break
@@ -96,6 +98,9 @@ def _timed_motion(
         return None
     if law.duration > problem.duration[1] * (1.0 + 1e-9):
         return None
+    if problem.duty is not None:
+        law = _within_duty(problem, path, law, problem.duty)
+        motion, assessment = _follow(problem, path, law)
     assessment = with_collisions(problem, assessment)
     return Baseline(
         name="timed",
@@ -105,6 +110,26 @@ def _timed_motion(
         reason="",
         trajectory=motion,
     )
+
+
+def _follow(
+    problem: TrajectoryProblem, path: JointPath, law: Trajectory
+) -> tuple[Trajectory, Assessment]:
+    """Return the motion of a law on the path, and its assessment."""
+    motion = replace(path.follow(law), force=_force_history(problem, path, law))
+    return motion, assess(problem, motion)
+
+
+def _within_duty(
+    problem: TrajectoryProblem, path: JointPath, law: Trajectory, limits: DutyLimits
+) -> Trajectory:
+    """Return a law slowed until the duty of its motion keeps the limits."""
+
+    def slowed(factor: float) -> Assessment:
+        return _follow(problem, path, law.scaled_to(factor * law.duration))[1]
+
+    most = problem.duration[1] / law.duration
+    return law.scaled_to(law.duration * slowing_within_duty(problem.robot, limits, slowed, most))
 
 
 def _forces_along(

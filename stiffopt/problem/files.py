@@ -32,6 +32,7 @@ from stiffopt.problem.trajectory import (
     Target,
     TrajectoryProblem,
 )
+from stiffopt.result.duty import DutyLimits
 from stiffopt.result.joint_path import JointPath
 from stiffopt.robot.cell import Cell
 from stiffopt.robot.elements import locate_errors
@@ -91,12 +92,10 @@ def _build_problem(
             "the file is a cycle of several moves, which `stiffopt solve`, `verify` and `export` "
             "take. Leave [[move]] out for a single motion from motion.start to motion.end.",
         )
-    for key, stated in (
-        ("duty", document.duty != DutySection()),
-        ("motion.error_limit", document.motion.error_limit is not None),
-    ):
-        if stated:
-            raise InputFileError(path, key, "belongs to a cycle of [[move]]. Leave it out.")
+    if document.motion.error_limit is not None:
+        raise InputFileError(
+            path, "motion.error_limit", "belongs to a cycle of [[move]]. Leave it out."
+        )
     robot = read_robot(document.robot, document.payload, document.tool, path, robots)
     if document.path is not None and document.path.frame.link is not None:
         with locate_errors(path, "path.frame.link"):
@@ -153,6 +152,7 @@ def _build_problem(
         boundary_velocity=velocity,
         boundary_acceleration=motion.boundary_acceleration,
         remarks=remarks,
+        duty=None if document.duty == DutySection() else read_duty(document.duty, joints),
         **fields,
     )
 
@@ -183,6 +183,21 @@ def common_fields(document: ProblemFile, joints: JointLists) -> dict[str, Any]:
         "title": document.title or joints.path.stem,
         "cell": None if document.cell is None else document.cell.found_in(joints.path.parent),
     }
+
+
+def read_duty(section: DutySection, joints: JointLists) -> DutyLimits:
+    """Limits of the duty of a file."""
+
+    def by_joint(name: str) -> np.ndarray | None:
+        given = getattr(section, name)
+        return None if given is None else joints(given, "torque", f"duty.{name}")
+
+    return DutyLimits(
+        rms_torque=by_joint("rms_torque"),
+        mean_torque=by_joint("mean_torque"),
+        reducer_life=section.reducer_life,
+        energy=section.energy,
+    )
 
 
 def payload_remarks(payload: PayloadSection | None) -> tuple[str, ...]:

@@ -19,20 +19,12 @@ from stiffopt.robot.clearance import ClearanceModel
 
 @dataclass(frozen=True, eq=False)
 class ChosenFreedom:
-    """Path with its chosen freedom.
-
-    Parameters
-    ----------
-    remark : str
-        What was chosen, and its value.
-    document : dict
-        The choice as results keep it, with a hash of all that it depends on.
-    """
+    """Path with its chosen freedom."""
 
     path: ToolPath
     fitted: FittedPath
-    remark: str
-    document: dict[str, Any]
+    remark: str  # what was chosen, and its value
+    document: dict[str, Any]  # the choice as results keep it, with a hash of all that it depends on
 
 
 def choose_freedom(

@@ -70,7 +70,7 @@ class ObjectiveKind(ABC):
     # Value below which there is no benefit, in `unit`; such a kind has one static variable, an
     # upper bound of its value.
     negligible = 0.0
-    comparatives = ("less", "more")  # (str, str) words for a smaller and a larger value
+    comparatives = ("less", "more")  # words for a smaller and a larger value
     # True if large changes are stated as "3 times less"; else as percentages.
     compared_as_ratio = True
 

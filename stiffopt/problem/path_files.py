@@ -64,10 +64,8 @@ class ReadPath:
 def on_positioner(robot: Robot, link: str, process_force: Sequence[float]) -> Robot:
     """Return the robot with its tool relative to a link that carries the work.
 
-    Raises
-    ------
-    ProblemError
-        The link does not move, or the tool moves it; or what is given in axes of the base.
+    Raises `ProblemError`: the link does not move, or the tool moves it; or what is given in axes of
+    the base.
     """
     held = [each.name for each in robot.held if each.why == "not on the way to the tool"]
     if link in link_names(robot.model) and link not in moving_link_names(robot.model):

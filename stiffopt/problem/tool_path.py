@@ -241,8 +241,8 @@ def spline_segments(
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     for k in np.flatnonzero(~(steps > _MIN_LENGTH)):
         raise ProblemError(
-            f"{names[int(k) + 1]} repeats the point before, [{', '.join(f'{x:.6g}' for x in points[k])}]"
-            " m. Delete it."
+            f"{names[int(k) + 1]} repeats the point before,"
+            f" [{', '.join(f'{x:.6g}' for x in points[k])}] m. Delete it."
         )
     found = []
     ends = [0, *np.flatnonzero(stops[1:-1]) + 1, len(points) - 1]

@@ -21,6 +21,7 @@ from stiffopt.robot.cell import Cell
 if TYPE_CHECKING:
     from stiffopt.problem.limit import LimitKind
     from stiffopt.problem.path_force import PathForce
+    from stiffopt.result.duty import DutyLimits
     from stiffopt.robot.clearance import ClearanceModel
     from stiffopt.robot.robot import Robot
 
@@ -197,6 +198,8 @@ class TrajectoryProblem:
         Constant force on the tool, base frame, under which poses are calibrated.
     path_choice : dict or None
         Choice of the freedom of a tool path, kept with results.
+    duty : DutyLimits or None
+        Limits of the duty under repetition of the motion, kept by the timing of a path.
     remarks : tuple of str
         Assumptions for incomplete input, repeated in results.
     uncertainty : Uncertainty
@@ -226,6 +229,7 @@ class TrajectoryProblem:
     uncertainty: Uncertainty = field(default_factory=AssumedUncertainty)
     servo: Servo = field(default_factory=lambda: Servo(kind="industrial"))
     cell: Cell | None = None
+    duty: DutyLimits | None = None
     # Not compared: the path follows from it.
     path_choice: dict[str, Any] | None = field(default=None, compare=False, repr=False)
     # Reason for default objectives. No field: it does not change the problem.
@@ -252,6 +256,11 @@ class TrajectoryProblem:
             self._choose_objective()
         for number, objective in enumerate(self.objectives, start=1):
             self._check_objective(objective, f"minimise[{number}]")
+        if self.duty is not None and not self.is_timed_on_path:
+            raise ProblemError(
+                "duty: its limits are kept by a cycle of [[move]], or by the timing of a path "
+                "whose only objective is the duration. Leave them out, or give such a path."
+            )
         for kind in self._arrival_limits:
             name = f"limits.{kind.name}"
             check_link_planning(self, name, f"leave {name} out")

@@ -31,9 +31,12 @@ from stiffopt.result.store import FORCE_COLUMNS, RESULT_FILE, TRAJECTORY_FILE, r
 from stiffopt.result.trajectory import ForceHistory, JointMotion
 from stiffopt.robot.tolerances import Tolerances
 from stiffopt.solver.family import WarmStart
+from stiffopt.transcription.prepared import read_prepared, write_prepared
 
 # Variables and multipliers at the end of a solve, from which --guess starts.
 STATE_FILE = "state.bin"
+# Formulas of its programme.
+PREPARED_FILE = "formulas.npz"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -260,13 +263,17 @@ def read_state(folder: Path) -> WarmStart | None:
     if not is_regular(folder, STATE_FILE):
         return None
     check_result(folder, STATE_FILE)
+    if is_regular(folder, PREPARED_FILE):
+        check_result(folder, STATE_FILE, PREPARED_FILE)
+        read_prepared(folder / PREPARED_FILE)
     return WarmStart.from_bytes((folder / STATE_FILE).read_bytes())
 
 
 def write_state(state: WarmStart | None, folder: Path) -> None:
-    """Write the solved state into a result folder, where there is one."""
+    """Write the solved state into a result folder, where there is one, and its functions."""
     if state is not None:
         (folder / STATE_FILE).write_bytes(state.to_bytes())
+        write_prepared(folder / PREPARED_FILE)
 
 
 def read_stored_solution(folder: Path) -> tuple[TrajectoryProblem, Solution]:

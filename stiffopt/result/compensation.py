@@ -79,6 +79,7 @@ class CompensatedMotion:
     share: float  # lead as a share of the nominal wind-up, chosen for the worst case
     # Motor limits that the command exceeds; such a motion is not compared.
     excess: tuple[Violation, ...]
+    servo_share: float = 1.0  # lead as a share of the servo's known lag
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,11 +17,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from stiffopt.result.life_rating import LifeRating
+
+if TYPE_CHECKING:
+    from stiffopt.result.assessment import Assessment
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,6 +37,16 @@ class DutyHistory:
     torque: np.ndarray
     # (K, n) torque at the output of the reducers, without friction and rotors [N m].
     reducer_torque: np.ndarray
+
+    @classmethod
+    def of_motion(cls, motion: Assessment) -> DutyHistory:
+        """Return the loads of a motion."""
+        return cls(
+            time=motion.time,
+            velocity=motion.velocity,
+            torque=motion.torque,
+            reducer_torque=motion.spring_torque,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
-from stiffopt.command.command_search import CommandOnArms
+from stiffopt.command.command_search import CommandChoice, CommandOnArms
 from stiffopt.command.compensation import compare_commands, compensate, rival_commands
 from stiffopt.command.path_notes import with_path_notes
 from stiffopt.elastic.arm import ElasticArm
@@ -62,13 +62,14 @@ def with_simulation(
     command: CommandOnArms | None = None,
     rivals: tuple[float, list[PlannedMotion], list[CommandOnArms]] | None = None,
     *,
+    choice: CommandChoice | None = None,
     compare: bool = True,
 ) -> Solution:
     """Return the solution with its simulation and its command, or with a note on why there is none.
 
     `motion` are the problem's poses where they are resolved already; `command` and `rivals` are of
-    the solve, used where they belong to this solution and its duration. Other rivals are simulated
-    only with `compare`.
+    the solve, used where they belong to this solution and its duration, `choice` is that of a
+    similar motion's command. Other rivals are simulated only with `compare`.
     """
     stopped, assessment = solution.status is SolveStatus.INTERRUPTED, solution.assessment
     if assessment is None or stopped or not problem.robot.yields:
@@ -106,7 +107,9 @@ def with_simulation(
         tell = _progress_callback(progress, solution)
         known = rivals[2] if rivals else None
         compensation = until_interrupted(
-            lambda: compensate(problem, arm, motions, known=command, rivals=known, progress=tell),
+            lambda: compensate(
+                problem, arm, motions, known=command, rivals=known, choice=choice, progress=tell
+            ),
             lambda: None,
         )
     except NotSimulatedError as error:

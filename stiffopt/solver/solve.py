@@ -25,6 +25,7 @@ from stiffopt.command.simulation import check_simulation
 from stiffopt.elastic.arm import questionable_springs
 from stiffopt.errors import NoSolutionFound, ProblemError
 from stiffopt.interrupts import end_deferral
+from stiffopt.path.path_duty import describe_duty
 from stiffopt.path.timed_path import FASTEST_REASON, timed_motion
 from stiffopt.problem.bounds import check_bounds, shortest_duration
 from stiffopt.problem.files import LoadedProblem
@@ -38,12 +39,12 @@ from stiffopt.result.provenance import inputs_hash, versions
 from stiffopt.result.solution import Baseline, Solution
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver import simulated_solution
+from stiffopt.solver.between_rivals import BetweenRivals
 from stiffopt.solver.collision_avoidance import avoid_collisions
 from stiffopt.solver.exchange import exchange, interrupted_outcome, until_interrupted
 from stiffopt.solver.initial_guess import guess_from_motion, initial_guess, perturb_guess
 from stiffopt.solver.input_shaping import Window, mark_solution_interrupted, solve_shaped
 from stiffopt.solver.programme import Outcome
-from stiffopt.solver.ringing import RingingBesideRivals
 from stiffopt.solver.robust_plan import choose_shaped_motion, robust_plan
 from stiffopt.solver.solve_run import MIN_SOLVE_TIME, ProgressCallback, SolveRun
 from stiffopt.solver.starts import BetterBaseline, best_of_starts
@@ -169,7 +170,7 @@ def solve_with_state(
     else:
         solution = until_interrupted(
             lambda: _optimise(run, compared, notes, guess, start=start, compare=compare),
-            lambda: _interrupted_solution(run, compared, notes),
+            lambda: interrupted_solution(run, compared, notes),
         )
     solution = _name_steps_left_out(run, solution)
     if simulate:
@@ -198,19 +199,32 @@ def _optimise(
     outcome = best_of_starts(run, begin)
     rivals = _all_rivals(compared, _strict_baseline_of(run, compared) if compare else None)
     outcome = exchange(run, BetterBaseline(run, rivals), outcome)
-    outcome = run.optimum = exchange(run, RingingBesideRivals(run, outcome), outcome)
+    outcome = run.optimum = exchange(run, BetweenRivals(run, outcome), outcome)
     if problem.avoids_collisions:
         outcome = avoid_collisions(run, outcome, searches=problem.method.starts)
         # Clearance rows hold for this motion only: no warm start from there.
         run.optimum = None if run.avoidance else outcome
         compared |= {} if run.detour is None else {run.detour.name: run.detour}
+    return choose_for_arms(run, outcome, compared, notes, guess, compare=compare)
+
+
+def choose_for_arms(
+    run: SolveRun,
+    outcome: Outcome,
+    compared: dict[str, Baseline],
+    notes: tuple[str, ...],
+    guess: Guess | Assessment | None = None,
+    *,
+    compare: bool,
+) -> Solution:
+    """Return the solution of an optimum, or of a motion near it for uncertain arms."""
     robust = robust_plan(run, outcome)
     run.solution = solution_of(run, robust, compared, notes, compare=compare)
     shaped = functools.partial(_solve_shaped_in_remaining_time, run, compared, notes, guess)
     return choose_shaped_motion(run, run.solution, outcome, shaped)
 
 
-def _interrupted_solution(
+def interrupted_solution(
     run: SolveRun, compared: dict[str, Baseline], notes: tuple[str, ...]
 ) -> Solution:
     """Return the best motion so far after Ctrl-C, a baseline where there is none."""
@@ -225,6 +239,8 @@ def _timed_motion(run: SolveRun) -> Baseline | None:
     """Return the fastest motion on the path; its time counts as that of the solve."""
     begin = time.perf_counter()
     found = timed_motion(run.problem)
+    if found is not None and found.assessment is not None:
+        run.notes.append(describe_duty(run.problem.robot, found.assessment))
     run.solve_s += time.perf_counter() - begin
     return found
 

@@ -6,11 +6,9 @@ import functools
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.problem.formulation import formulate
 from stiffopt.solver.exchange import exchange
 from stiffopt.solver.infeasibility import minimise_excess
 from stiffopt.solver.ipopt import RawSolution
@@ -34,9 +32,6 @@ from stiffopt.solver.stage_plan import (
 from stiffopt.transcription.mesh import Mesh
 from stiffopt.transcription.ocp import Guess
 from stiffopt.transcription.transcription import Transcription
-
-if TYPE_CHECKING:
-    pass
 
 # Sum of the excesses of all rows, relative to their scales, from which on they are in conflict; and
 # that on a coarse mesh which no finer one removes.
@@ -80,11 +75,7 @@ def _iterate_stages(
     mesh: Mesh | None,
 ) -> Iterator[tuple[Programme, SolveStage, RawSolution]]:
     """Yield every stage with its solution, each started from the last."""
-    ocp = formulate(run.problem, run.motion, run.scales, margins, run.end_modes)
-    if run.lag is not None:
-        # By damping the links arrive before their motors.
-        shortest, longest = (each - float(run.lag.max()) for each in ocp.duration)
-        ocp = replace(ocp, duration=(shortest, longest))
+    ocp = run.formulate(margins)
     last = len(plan) - 1
     index, made, raw = 0, None, None
     warm: RawSolution | None = None

@@ -199,13 +199,7 @@ def model_accuracy_advice(problem: TrajectoryProblem) -> str:
 def _significant_disagreements(problem: TrajectoryProblem, outcome: Outcome) -> list[Disagreement]:
     """Return the disagreements beyond their tolerances, worst first."""
     widths = smoothing_stages(problem)
-    polynomials = outcome.transcription.acceleration_polynomials(outcome.raw.x)
-    believed = predict_motion(
-        problem,
-        Trajectory.from_acceleration(*polynomials),
-        outcome.smoothing,
-        elastic=len(widths) > 1,
-    )
+    believed = predict_motion(problem, outcome.planned, outcome.smoothing, elastic=len(widths) > 1)
     return [d for d in find_disagreements(problem, outcome.trajectory, believed) if d.excess > 1.0]
 
 

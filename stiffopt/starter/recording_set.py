@@ -263,6 +263,10 @@ def _set_text(
     name: str, arm: RecordedRobot, found: GuessedColumns, runs: Sequence[tuple[str, str]]
 ) -> str:
     joints = arm.robot.joint_names
+
+    def suggested(**values: str) -> list[str]:
+        return [f"# {key} = {toml_list([value] * len(joints))}" for key, value in values.items()]
+
     lines = [
         "# Written by `stiffopt init recording`; guesses and their reasons:",
         *(f"#   {reason}" for reason in found.reasons),
@@ -299,18 +303,14 @@ def _set_text(
         *arm.entries(torque="torque" in found.columns),
         "",
         "# [nominal]                 # parameters of the nominal model, one number a joint, SI",
-        f"# gear_ratio = {toml_list(['100.0'] * len(joints))}",
-        f"# rotor_inertia = {toml_list(['0.1'] * len(joints))}",
-        f"# coulomb = {toml_list(['1.0'] * len(joints))}",
-        f"# viscous = {toml_list(['1.0'] * len(joints))}",
+        *suggested(gear_ratio="100.0", rotor_inertia="0.1", coulomb="1.0", viscous="1.0"),
     ]
     if "command" in found.columns:
         lines += [
             "",
             "# [actuator]                # law of the joints' controllers; without gains these are",
             '# kind = "position_servo"   # estimated from the arm\'s weight',
-            f"# kp = {toml_list(['20.0'] * len(joints))}",
-            f"# kd = {toml_list(['0.5'] * len(joints))}",
+            *suggested(kp="20.0", kd="0.5"),
         ]
     for run, role in runs:
         lines += [

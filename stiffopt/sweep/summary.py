@@ -14,6 +14,7 @@ import numpy as np
 from stiffopt.files import atomic_write, write_csv, write_json
 from stiffopt.sweep.cases import Case, Sweep
 from stiffopt.sweep.run import is_unusable
+from stiffopt.sweep.shared_values import SharedValue, shared_values
 from stiffopt.units import number_and_unit
 
 Cell = float | int | str | None
@@ -143,6 +144,12 @@ class SweepSummary:
         unit = (over[0][1] if over else None) or ""
         return Front(self.sweep.front, unit, values, sign * costs, knee(values, costs))
 
+    def shared_values(self) -> list[SharedValue]:
+        """Values that several recording sets tell, common to all or each arm's own."""
+        bases = self.sweep.base_names
+        told = {bases[case.base]: found["result"].get("simulation") for case, found in self.done}
+        return shared_values({name: values for name, values in told.items() if values})
+
     def document(self) -> dict[str, Any]:
         """Content of sweep.json."""
         front = self.front()
@@ -158,6 +165,7 @@ class SweepSummary:
             "spread": [
                 {"case": list(name), **vars(spread)} for name, spread in self.spreads().items()
             ],
+            "shared_values": [vars(each) for each in self.shared_values()],
             "front": None
             if front is None
             else {

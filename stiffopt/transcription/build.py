@@ -41,8 +41,12 @@ def transcribe(
     scheme = scheme_of(method, degree, integrators)
     stage = _stage_of(ocp, scheme)
     if scales is not None:
-        states, controls, statics = scales.variables[:3]
-        ocp = replace(ocp, state_scale=states, control_scale=controls, static_scale=statics)
+        if stage.along is None:
+            states, controls, statics = scales.variables[:3]
+            ocp = replace(ocp, state_scale=states, control_scale=controls, static_scale=statics)
+        else:
+            # Spline coefficients have the units of their states.
+            ocp = replace(ocp, static_scale=scales.variables[1])
     return _NlpBuilder(ocp, scheme, checked_mesh(mesh, ocp.phases), stage, scales=scales).build()
 
 

@@ -58,8 +58,7 @@ def path_row_excess(
     to be considered, as of motors, which arrive later than the links.
     """
     motion = transcription.guess_from(x)
-    steps = transcription.intervals.shares @ transcription.phase_durations(x)
-    breaks = np.concatenate([[0.0], np.cumsum(steps)])
+    steps, breaks = transcription.steps(x), transcription.breaks(x)
     inside = np.linspace(0.0, 1.0, _POINTS_PER_INTERVAL, endpoint=False)
     times = np.append((breaks[:-1, None] + steps[:, None] * inside).ravel(), breaks[-1])
     share = times / breaks[-1]

@@ -87,7 +87,7 @@ def control_activity(transcription: Transcription, x: np.ndarray) -> np.ndarray:
     Largest total variation rate |du/dt| over the controls, each divided by its own range over the
     motion; jumps from the interval before count as change within the interval.
     """
-    steps = transcription.intervals.shares @ transcription.phase_durations(x)
+    steps = transcription.steps(x)
     coefficients = transcription.control_polynomials(x)
     local = steps * _INTERVAL_SAMPLES[:, None]
     values = polynomial.polyval(local[:, :, None], np.moveaxis(coefficients, 1, 0), tensor=False)

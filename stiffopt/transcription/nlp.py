@@ -172,7 +172,8 @@ class Blocks:
 class BlockScales:
     """Scales of a programme, one array a block."""
 
-    variables: tuple[np.ndarray, ...]  # of states, controls, static variables and durations
+    # Of states and controls, or spline coefficients, of static variables and durations.
+    variables: tuple[np.ndarray, ...]
     rows: tuple[np.ndarray, ...]
 
     @classmethod

@@ -124,14 +124,15 @@ def extract_numbers(stage: ca.Function, intermediate: ca.Function | None = None)
     inputs = [ca.vertcat(*variables), parameters]
     plain = ca.Function("stage", inputs, outputs)
     read = _read_formula(plain)
-    if read.formula not in _formula_cache:
+    key = hashlib.sha256(repr(read.formula).encode()).hexdigest()
+    if key not in kept_formulas:
         function, uses = _without_numbers(plain, inputs)
         formula = hashlib.sha256(function.serialize().encode()).hexdigest()
-        _formula_cache[read.formula] = function, uses, formula
-    _formula_cache.move_to_end(read.formula)
-    while len(_formula_cache) > _MAX_CACHED_FORMULAS:
-        _formula_cache.popitem(last=False)
-    function, uses, formula = _formula_cache[read.formula]
+        kept_formulas[key] = function, uses, formula
+    kept_formulas.move_to_end(key)
+    while len(kept_formulas) > _MAX_KEPT_FORMULAS:
+        kept_formulas.popitem(last=False)
+    function, uses, formula = kept_formulas[key]
     return NumberedStage(function, np.array([read.constants[k] for k in uses]), formula)
 
 
@@ -143,10 +144,10 @@ class _Formula:
     constants: dict[int, float]
 
 
-# Most recently used formulas without numbers, with the instructions of these; most problems of a
-# sweep share one.
-_formula_cache: OrderedDict[tuple[object, ...], tuple[ca.Function, list[int], str]] = OrderedDict()
-_MAX_CACHED_FORMULAS = 8
+# Most recently used formulas without numbers, with the instructions of these and the hash of the
+# formula, by a hash of the operations; most problems of a sweep share one.
+kept_formulas: OrderedDict[str, tuple[ca.Function, list[int], str]] = OrderedDict()
+_MAX_KEPT_FORMULAS = 8
 
 
 def _read_formula(function: ca.Function) -> _Formula:

@@ -22,7 +22,7 @@ import casadi as ca
 import numpy as np
 
 from stiffopt import native
-from stiffopt.interpreter.batched import batched
+from stiffopt.interpreter.batched import Batch, read_batch
 from stiffopt.symbolic import BufferedFunction
 from stiffopt.transcription.node_derivatives import NumberedStage, extract_numbers
 
@@ -31,7 +31,9 @@ _SHARED_INPUTS = (1, 2)
 # Functions kept for another mesh or the next problem of the same formula.
 MAX_KEPT = 16
 
-_kept_functions: OrderedDict[tuple[str, Path | None], tuple[ca.Function, ...]] = OrderedDict()
+kept_functions: OrderedDict[tuple[str, Path | None], tuple[ca.Function, ...]] = OrderedDict()
+# By formula, what the compiled core reads of them.
+kept_batches: OrderedDict[str, tuple[Batch, ...]] = OrderedDict()
 
 
 def stage_functions(stage: NumberedStage) -> tuple[ca.Function, ...]:
@@ -50,22 +52,25 @@ def _prepare_once(
 ) -> tuple[ca.Function, ...]:
     path = native.library()
     key = (formula, path)
-    if key not in _kept_functions:
-        found = functions()
+    if key not in kept_functions:
+        several: list[ca.Function | None] = [None]
         if path is not None:
-            # Values and Jacobian are evaluated repeatedly at one iterate.
-            several = [
-                batched(path, each, _SHARED_INPUTS, recalled=len(found) > 1 and k < 2)
-                for k, each in enumerate(found)
-            ]
-            # All functions of one stage must have the same number of points.
-            if None not in several:
-                found = tuple(each for each in several if each is not None)
-        _kept_functions[key] = found
-    _kept_functions.move_to_end(key)
-    while len(_kept_functions) > MAX_KEPT:
-        _kept_functions.popitem(last=False)
-    return _kept_functions[key]
+            if formula not in kept_batches:
+                found = functions()
+                # Values and Jacobian are evaluated repeatedly at one iterate.
+                kept_batches[formula] = tuple(
+                    read_batch(each, _SHARED_INPUTS, recalled=len(found) > 1 and k < 2)
+                    for k, each in enumerate(found)
+                )
+            several = [each.load(path) for each in kept_batches[formula]]
+        # All functions of one stage must have the same number of points.
+        loaded = tuple(each for each in several if each is not None)
+        kept_functions[key] = loaded if len(loaded) == len(several) else functions()
+    kept_functions.move_to_end(key)
+    for kept in (kept_functions, kept_batches):
+        while len(kept) > MAX_KEPT:
+            kept.popitem(last=False)
+    return kept_functions[key]
 
 
 class PointFunction:

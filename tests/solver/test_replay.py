@@ -1,19 +1,21 @@
 """Replays: the recipe of a result, solved again and compared."""
 
 import json
+from collections import OrderedDict
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from small_arms import write_problem
 
+from stiffopt import native
 from stiffopt.cli import run
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import InputFileError
 from stiffopt.folders import MANIFEST
 from stiffopt.problem.files import load_problem
 from stiffopt.recipe.replay import replay
-from stiffopt.recipe.stored_result import STATE_FILE, read_state
+from stiffopt.recipe.stored_result import PREPARED_FILE, STATE_FILE, read_state
 from stiffopt.report.solve.page import write_solve_report
 from stiffopt.result.archive import ARCHIVE_FILE, read_archive, write_archive
 from stiffopt.result.store import RESULT_FILE
@@ -145,6 +147,34 @@ def test_a_guess_starts_from_the_solved_state(stored):
     assert len(solver["homotopy"]) == 1
     assert solver["iterations"] < before["iterations"]
     assert replay(other).differences == ()
+
+
+def test_functions_of_an_earlier_process_are_not_prepared_again(stored, tmp_path, monkeypatch):
+    from stiffopt.transcription import node_derivatives, point_function, prepared
+
+    kept = (
+        (node_derivatives, "kept_formulas"),
+        (point_function, "kept_functions"),
+        (point_function, "kept_batches"),
+    )
+    for module, name in kept:
+        monkeypatch.setattr(module, name, OrderedDict())
+        if hasattr(prepared, name):
+            monkeypatch.setattr(prepared, name, getattr(module, name))
+    # What cannot be read is prepared again.
+    damaged = tmp_path / PREPARED_FILE
+    damaged.write_bytes((stored[1] / PREPARED_FILE).read_bytes()[:-100])
+    prepared.read_prepared(damaged)
+    assert not node_derivatives.kept_formulas
+    state = read_state(stored[1])
+    assert node_derivatives.kept_formulas
+    monkeypatch.setattr(node_derivatives, "_without_numbers", None)
+    if native.library() is not None:
+        monkeypatch.setattr(node_derivatives, "with_derivatives", None)
+    problem = load_problem(stored[0]).problem
+    solution, _ = ProblemFamily().solve(replace(problem, duration=(0.515, 0.515)), state)
+    assert solution.status.usable
+    assert len(solution.solver.homotopy) == 1
 
 
 def test_a_state_that_is_cut_off_is_no_start(stored, tmp_path):

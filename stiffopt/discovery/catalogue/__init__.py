@@ -88,12 +88,8 @@ def effects_of_runs(
 
     Effects of runs are left out where there are too many runs.
 
-    Parameters
-    ----------
-    runs : sequence of str
-        Names of the training runs.
-    after : sequence of str
-        Names of the runs in another state of the robot than the others.
+    `runs`: names of the training runs. `after`: names of the runs in another state of the robot
+    than the others.
     """
     states = {"states": ["after" if run in after else "before" for run in runs]} if after else {}
     return tuple(
@@ -108,10 +104,7 @@ def changes_in(effects: Sequence[Effect], runs: Sequence[str]) -> tuple[Effect, 
 
     Effects of single runs are left out: they are no property of a state.
 
-    Parameters
-    ----------
-    runs : sequence of str
-        Names of all runs of that state.
+    `runs`: names of all runs of that state.
     """
     return tuple(
         replace(each, only_in=tuple(runs), usual=False)
@@ -123,10 +116,7 @@ def changes_in(effects: Sequence[Effect], runs: Sequence[str]) -> tuple[Effect, 
 def effect(name: str) -> Effect:
     """Return the entry of a name.
 
-    Raises
-    ------
-    InputError
-        No entry has this name; the message lists the names.
+    Raises `InputError`: no entry has this name; the message lists the names.
     """
     for entry in CATALOGUE:
         if entry.name == name:

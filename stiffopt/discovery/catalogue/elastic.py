@@ -151,7 +151,8 @@ OUTPUT_BACKLASH = Effect(
     ),
     report=lambda amplitudes, shapes, constants: {"width": amplitudes[0]},
     applies=lambda constants: not constants.elastic,
-    log_prior=lambda constants: -1.0,
+    # Bursts of torque are what any error of friction leaves at reversals.
+    log_prior=lambda constants: -2.0,
     separate="Hold the joint where its load changes side and step the command: the motor runs"
     " through the backlash before the link moves.",
 )

@@ -27,16 +27,8 @@ def shift_slope(
 ) -> np.ndarray:
     """Return (values(t - shift) - values(t))/shift (K, n), per unit of the shift.
 
-    Parameters
-    ----------
-    values : array (K, n)
-        At uniform instants.
-    dt : float
-        [s]
-    shift : float
-        [s], or relative where it grows with the time.
-    growth : float or array (K,)
-        Factor on the shift at every instant: 1, or the time [s].
+    `values` (K, n): at uniform instants. `dt` [s]. `shift` [s], or relative where it grows with the
+    time. `growth` (K,): factor on the shift at every instant: 1, or the time [s].
     """
     shift = shift if abs(shift) >= _SHORTEST_SHIFT else _SHORTEST_SHIFT
     return np.asarray((shift_samples(values, shift / dt * growth) - values) / shift)
@@ -51,12 +43,8 @@ def delay_term(signals: RobotSignals, amplitudes: Values, shapes: Values) -> Ter
 def shift_samples(values: np.ndarray, samples: np.ndarray | float) -> np.ndarray:
     """Return values (K, n) of earlier instants, by cubic convolution; constant beyond the ends.
 
-    Parameters
-    ----------
-    values : array (K, n)
-        At uniform instants.
-    samples : float or array (K,)
-        Delay in samples; negative for later instants.
+    `values` (K, n): at uniform instants. `samples` (K,): delay in samples; negative for later
+    instants.
     """
     places = np.arange(len(values)) - np.asarray(samples, dtype=float)
     before = np.floor(places).astype(int)

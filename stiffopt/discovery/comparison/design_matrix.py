@@ -38,7 +38,7 @@ _START_CACHE_BYTES, _RECENT_CACHE_SIZE = 2**27, 64
 _BATCH_BYTES = 2**21
 # Number of earlier linearisations in memory.
 _MAX_EARLIER = 4
-_NOTHING = Extension()
+_NO_EXTENSION = Extension()
 # Largest linearisation error of the links before a new linearisation, rms over the residual noise.
 MAX_LINEARISATION_ERROR = 0.3
 
@@ -75,8 +75,8 @@ class DesignMatrix:
         runs: tuple[PreparedRun, ...],
         noise: ChannelNoise,
         tolerance: Tolerance,
-        start: Extension = _NOTHING,
-        found: Extension = _NOTHING,
+        start: Extension = _NO_EXTENSION,
+        found: Extension = _NO_EXTENSION,
     ) -> None:
         self.robot, self.noise, self.tolerance = robot, noise, tolerance
         self.start, self.found, self.nominal_runs = start, found, runs

@@ -374,10 +374,7 @@ class LazyArmSignals:
     def displaced_torque(self, wound: np.ndarray, dt: float) -> np.ndarray:
         """Return the change (k, n) of the torques of links displaced by -wound, to first order.
 
-        Parameters
-        ----------
-        wound : array (k, n)
-            Motor less link angle beyond the nominal one, of the first samples [rad].
+        `wound` (k, n): motor less link angle beyond the nominal one, of the first samples [rad].
         """
         rate = derivative(wound, dt)
         change = (wound, rate, derivative(rate, dt))

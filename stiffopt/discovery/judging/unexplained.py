@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from scipy.interpolate import BSpline
 
+from stiffopt.discovery.channel import channel_name
 from stiffopt.discovery.comparison.channel_rows import noise_above_cutoff
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.judging.modes import matches_mode
+from stiffopt.discovery.judging.splines import inner_knots, predict_blocks, splines_at
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import SearchResult
 from stiffopt.discovery.search.tournament import EQUAL_RESIDUALS
@@ -30,9 +31,9 @@ from stiffopt.discovery.thresholds import (
 if TYPE_CHECKING:
     from stiffopt.discovery.judging.tool_force import ToolForce
 
-# Spline regression of a residual: knots, maximum number of signals, least relative decrease by one
+# Spline regression of a residual: inner knots, maximum number of signals, least decrease by one
 # more.
-_KNOT_COUNT = 8
+_KNOT_COUNT = 6
 _MAX_REGRESSORS = 3
 # Number of phases of waves in memory at a time.
 _MAX_PHASES = 2**17
@@ -200,12 +201,6 @@ def _noise_excess(result: SearchResult) -> float:
     return float(np.nanmax([1.0, held[worst]]))
 
 
-def channel_name(channel: int, joints: int) -> str:
-    """Return the name of a channel, such as "torque_3"."""
-    kind = "torque" if channel < joints else "link_position"
-    return f"{kind}_{channel % joints + 1}"
-
-
 def _find_dominant_run(comparison: Comparison, rows: np.ndarray) -> tuple[str, float] | None:
     """Return the run with by far the largest nominal residual in these rows, and the ratio."""
     number, target = comparison.rows.run[rows], comparison.target[rows]
@@ -273,13 +268,7 @@ def _spline_bases(
 
 
 def _spline_basis(values: np.ndarray) -> np.ndarray:
-    """Return cubic B-splines over the range of values, with knots at quantiles."""
-    inner = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _KNOT_COUNT - 2)))
-    if len(inner) < 2 or not inner[-1] > inner[0]:
-        return np.ones((len(values), 1))
-    knots = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
-    inside = np.clip(values, inner[0], np.nextafter(inner[-1], inner[0]))
-    return np.asarray(BSpline.design_matrix(inside, knots, 3).toarray())
+    return splines_at(inner_knots(values, _KNOT_COUNT), values)
 
 
 def _select_regressors(
@@ -295,7 +284,7 @@ def _select_regressors(
             if name in chosen:
                 continue
             columns = np.hstack([bases[c] for c in (*chosen, name)])
-            tries[name] = _predict_blocks(columns, residual, block)
+            tries[name] = predict_blocks(columns, residual, block, ridge=1.0)
         squares = {name: float(np.sum((residual - fit) ** 2)) for name, fit in tries.items()}
         now = min(squares.values())
         # Of collinear signals the first, whatever the rounding.
@@ -305,19 +294,6 @@ def _select_regressors(
         chosen.append(best)
         prediction, left = tries[best], now
     return tuple(chosen), prediction
-
-
-def _predict_blocks(columns: np.ndarray, target: np.ndarray, block: np.ndarray) -> np.ndarray:
-    """Predict every block by a ridge fit to the others."""
-    out = np.zeros_like(target)
-    ridge = np.eye(columns.shape[1])
-    gram, moment = columns.T @ columns, columns.T @ target
-    for b in np.unique(block):
-        own = block == b
-        part = columns[own]
-        rest = np.linalg.solve(gram - part.T @ part + ridge, moment - part.T @ target[own])
-        out[own] = part @ rest
-    return out
 
 
 def _wave_power(residual: np.ndarray, time: np.ndarray, frequencies: np.ndarray) -> np.ndarray:

@@ -23,7 +23,6 @@ from stiffopt.discovery.search.model_changes import find_changes
 from stiffopt.discovery.search.nominal_values import claim_outside_values
 from stiffopt.discovery.search.rigid_model import RigidStage, reidentify_rigid_model
 from stiffopt.discovery.search.rivals import (
-    RankedEffect,
     Selected,
     exchange_rivals,
     rank_effects,
@@ -135,7 +134,7 @@ class _Search:
     together: int  # effects that are added per round
     say: Say
     effects: list[LocatedEffect] = field(default_factory=list)
-    ranked: list[RankedEffect] = field(default_factory=list)  # effects ranked last
+    ranked: list[Selected] = field(default_factory=list)  # effects ranked last
     rigid: RigidStage | None = None
     contenders: tuple[Contender, ...] = ()
     stopped: bool = False
@@ -197,7 +196,7 @@ class _Search:
 
     def selected(self) -> tuple[tuple[Selected, ...], bool]:
         """Return effects in decreasing order of loss, and True if all of them are ranked."""
-        known = {each.selected.located.key: each.selected for each in self.ranked}
+        known = {each.located.key: each for each in self.ranked}
         found, weighed = [], True
         for located in self.effects:
             own = known.get(located.key)
@@ -211,10 +210,10 @@ class _Search:
         """Set jointly fitted effects."""
         self.current, self.effects = found
 
-    def _set_ranked(self, found: tuple[Comparison, list[RankedEffect]]) -> None:
+    def _set_ranked(self, found: tuple[Comparison, list[Selected]]) -> None:
         """Set effects that are ranked among their rivals."""
         self.current, self.ranked = found
-        self.effects = [each.selected.located for each in self.ranked]
+        self.effects = [each.located for each in self.ranked]
 
     def _fit(self, effects: list[LocatedEffect]) -> None:
         self._set_fitted(fit_jointly(self.start, effects))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from stiffopt.discovery.answer import format_probability, place
+from stiffopt.discovery.channel import Channel
 from stiffopt.discovery.judging.noise_ceiling import SHOWN_SHARE
 from stiffopt.discovery.settings import MAX_NOMINAL_DEVIATIONS
 from stiffopt.report.common.text import listed, significant
@@ -176,9 +177,9 @@ def transfer_sentences(diagnosis: Diagnosis) -> list[str]:
                 f" ({100 * each.share:.0f} % of the residual there)."
             )
             continue
-        kind, _, joint = each.channel.rpartition("_")
-        slides = diagnosis.training.constants.joints[int(joint) - 1].prismatic
-        unit = "rad" if kind == "link_position" else "N m"
+        channel = Channel.read(each.channel)
+        slides = diagnosis.training.constants.joints[channel.joint - 1].prismatic
+        unit = "rad" if channel.kind == "link_position" else "N m"
         unit = f"{unit} s/rad" if each.kind == "viscous friction" else unit
         value = f"{significant(each.value, 2)} {joint_unit(unit, slides)}"
         kind = "A constant" if each.kind == "constant" else each.kind.capitalize()

@@ -10,7 +10,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stiffopt.discovery.answer import channel_number
 from stiffopt.report.common.svg import (
     BLUE,
     GREY,
@@ -26,7 +25,8 @@ from stiffopt.report.common.text import scale
 from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
-    from stiffopt.discovery.diagnosis import Diagnosis, Finding
+    from stiffopt.discovery.channel import Channel
+from stiffopt.discovery.diagnosis import Diagnosis, Finding
 
 _CELL_COUNT = 14
 DIRECTION_STYLES = ((1, VERMILLION, "positive direction"), (-1, BLUE, "negative direction"))
@@ -259,7 +259,7 @@ def channel_residuals(diagnosis: Diagnosis, name: str) -> ChannelResiduals:
     """Return the residuals of a channel in its own unit, before and after."""
     search = diagnosis.search
     rows, comparison = search.comparison.rows, search.comparison
-    number = channel_number(diagnosis, name)
+    number = Channel.read(name).number(diagnosis.recordings.n)
     joint = number % diagnosis.recordings.n
     chosen = np.flatnonzero(rows.channel == number)
     noises = comparison.noise

@@ -45,7 +45,7 @@ class PreloadView:
     # Preloads of the design after scatter and embedding [N].
     least: float
     largest: float
-    # (float, float) least and largest preload of the present design [N].
+    # Least and largest preload of the present design [N].
     present: tuple[float, float] | None
     # By limit name: lower limits on the least preload, upper limits on the largest [N].
     bounds: Mapping[str, float]
