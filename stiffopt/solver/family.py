@@ -159,8 +159,8 @@ class ProblemFamily:
 
         `warm` is of a near problem, `guess` the initial guess of a solve without it. `compare`:
         with baselines, else `Solution.baselines` is empty after a warm solve. `beside_rivals`:
-        simulate rivals too, and compare with baselines after a warm start. Others as of `solve`. The status
-        may be any; the warm start is None where none can be started from.
+        simulate rivals too, and compare with baselines after a warm start. Others as of
+        `solve`. The status may be any; the warm start is None where none can be started from.
         """
         if simulate:
             check_simulation(problem, resolve(problem))

@@ -100,7 +100,8 @@ def choose_shaped_motion(
     """Return the solution, or a shaped motion that gains more on the worst arm than it costs.
 
     The command of the `solution` found so far is the run's, where it is known; `least` is the
-    optimum before any cost for uncertain arms, `shaped` solves the problem shaped over given windows.
+    optimum before any cost for uncertain arms, `shaped` solves the problem shaped over given
+    windows.
     """
     problem, price = run.problem, run.problem.uncertainty.price
     if not solution.status.usable or solution.objective is None or not _is_requested(run, least):
