@@ -15,7 +15,7 @@ from stiffopt.discovery.comparison.channel_rows import ChannelNoise, KnownNoise,
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepared_run import prepare_run
 from stiffopt.discovery.diagnose import diagnose
-from stiffopt.discovery.sanity.doubt import scale_line
+from stiffopt.discovery.sanity.doubt import format_shares, scale_line
 from stiffopt.discovery.sanity.gate import SanityGate
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import open_training_runs
@@ -137,3 +137,8 @@ def test_noise_of_a_sliding_joint_is_a_force():
     )
     (told,) = noise.assumptions(np.array([True, False]))
     assert "(joint 1: 8 N, 2: 2 N m)" in told
+
+
+def test_residual_shares_are_percentages():
+    told = format_shares(np.array([96.0, 0.64]), np.array([2.9e-4, 0.012]), [0, 1])
+    assert "0.029 % at joint 1 (as described 9,600 %), 1.2 % at joint 2 (as described 64 %)" in told

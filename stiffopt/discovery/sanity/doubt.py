@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from stiffopt.errors import InputFileError, format_factor
+from stiffopt.errors import InputFileError
 from stiffopt.recording.recording_set import RecordingSet
 
 
@@ -120,14 +120,12 @@ def limit_to_runs(names: Sequence[str], evidence: str) -> str:
 
 def format_shares(before: np.ndarray, after: np.ndarray, joints: Sequence[int]) -> str:
     """Format the residual shares of each joint's torque before and after a correction."""
-    parts = [
-        f"{_format_share(after[j])} in place of {_format_share(before[j])} at joint {j + 1}"
+    parts = ", ".join(
+        f"{_format_share(after[j])} at joint {j + 1} (as described {_format_share(before[j])})"
         for j in joints
-    ]
-    return f"the residual of the nominal model is then {', '.join(parts)} of the torque's variance"
+    )
+    return f"of the torque's variance the residual of the nominal model is then {parts}"
 
 
 def _format_share(value: float) -> str:
-    if value >= 2.0:
-        return f"{format_factor(value) if value >= 10.0 else f'{value:.2g} times'} all"
-    return f"{100.0 * value:.0f} %" if value >= 0.1 else f"{100.0 * value:.2g} %"
+    return f"{float(f'{100.0 * value:.2g}'):,g} %"
