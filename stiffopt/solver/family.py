@@ -157,29 +157,10 @@ class ProblemFamily:
     ) -> tuple[Solution, WarmStart | None]:
         """Solve and certify a problem; without the warm start where that fails.
 
-        Parameters
-        ----------
-        problem : TrajectoryProblem
-        warm : WarmStart, optional
-            Of a near problem.
-        compare : bool
-            With baselines; without, `Solution.baselines` is empty after a warm solve.
-        start : int
-            As of `solve`.
-        progress : callable, optional
-        guess : callable, optional
-            Initial guess of a solve without the warm start.
-        simulate : bool
-            As of `solve`.
-        beside_rivals : bool
-            Simulate rivals too, and compare with baselines after a warm start.
-
-        Returns
-        -------
-        Solution
-            Of any status.
-        WarmStart or None
-            None where it cannot be started from.
+        `warm` is of a near problem, `guess` the initial guess of a solve without it. `compare`:
+        with baselines, else `Solution.baselines` is empty after a warm solve. `beside_rivals`:
+        simulate rivals too, and compare with baselines after a warm start. Others as of
+        `solve`. The status may be any; the warm start is None where none can be started from.
         """
         if simulate:
             check_simulation(problem, resolve(problem))

@@ -44,29 +44,14 @@ _QUINTIC_SPLINE_PIECES, _QUINTIC_SAMPLES = 30, 3001
 
 @dataclass(frozen=True)
 class SolveProgress:
-    """One iteration, for displays.
+    """One iteration, for displays."""
 
-    Attributes
-    ----------
-    stage : str
-        Number of the stage, intervals and smoothing.
-    iteration : int
-    objective : float
-        In SI, of the smoothed model at the nodes.
-    violation : float
-        Worst row, relative to its scale.
-    row : str
-        Its name; empty without a violation.
-    elapsed : float
-        Since the solve began [s].
-    """
-
-    stage: str
+    stage: str  # number of the stage, intervals and smoothing
     iteration: int
-    objective: float
-    violation: float
-    row: str
-    elapsed: float
+    objective: float  # in SI, of the smoothed model at the nodes
+    violation: float  # worst row, relative to its scale
+    row: str  # its name; empty without a violation
+    elapsed: float  # since the solve began [s]
 
 
 ProgressCallback = Callable[[SolveProgress], object]

@@ -121,14 +121,7 @@ def judge_collisions(
 ) -> Verdict:
     """Return the verdict of a motion that may collide; a usable one states the collision scope.
 
-    Parameters
-    ----------
-    problem : TrajectoryProblem
-    motion : Assessment
-        With the rows of its collisions.
-    found : Verdict
-    tried : str
-        Failed attempts to avoid them.
+    `motion` has the rows of its collisions; `tried` are failed attempts to avoid them.
     """
     exceeded = [v for v in motion.violations if v.value > CERTIFICATE_TOLERANCE]
     hits = [v for v in exceeded if v.limit == COLLISION_LIMIT]

@@ -198,18 +198,9 @@ class Explanations:
         for j in range(self.n):
             if not before[j] > _MIN_FAILURE_SHARE:
                 continue
-            usual: tuple[float, ...] = (
-                -1.0,
-                1e3,
-                1e-3,
-                -1e3,
-                -1e-3,
-                1.0 / ratio[j],
-                -1.0 / ratio[j],
-            )
-            if j in self.robot.recordings.signals.current_joints:
-                usual = ()
-            gain, share = self.torque_fit.gain(motion, torque[:, j], j, usual)
+            current = j in self.robot.recordings.signals.current_joints
+            usual = (-1.0, 1e3, 1e-3, -1e3, -1e-3, 1.0 / ratio[j], -1.0 / ratio[j])
+            gain, share = self.torque_fit.gain(motion, torque[:, j], j, None if current else usual)
             if not _USUAL_GAIN_RANGE[0] < gain < _USUAL_GAIN_RANGE[1] and _is_explained(
                 before[j], share
             ):

@@ -74,13 +74,13 @@ class TorqueFit:
         return float("nan") if reduced is None else reduced.share(1.0)
 
     def gain(
-        self, motion: Motion, torque: np.ndarray, joint: int, usual: Sequence[float]
+        self, motion: Motion, torque: np.ndarray, joint: int, usual: Sequence[float] | None
     ) -> tuple[float, float]:
         """Return the gain, of either sign, that fits a torque best, and its residual share.
 
-        A usual gain is preferred if it fits nearly as well. Without usual ones, as for a current,
-        both are nan where half or twice of it leaves less than twice the share: friction may be
-        of any size, and a joint that carries no weight fits every gain.
+        A usual gain is preferred if it fits nearly as well. Where `usual` is None, as for a
+        current, both are nan if half or twice of it leaves less than twice the share: friction may
+        be of any size, and a joint that carries no weight fits every gain.
         """
         reduced = self._reduce_table(motion, torque, joint, None)
         if reduced is None:
@@ -97,7 +97,7 @@ class TorqueFit:
             options={"xatol": 1e-3},
         )
         gain = float(sign * np.exp(found.x))
-        if not usual:
+        if usual is None:
             beside = min(reduced.share(0.5 * gain), reduced.share(2.0 * gain))
             return (gain, float(found.fun)) if beside > 2.0 * found.fun else (np.nan, np.nan)
         good = {
