@@ -145,7 +145,9 @@ def solver_options(problem: TrajectoryProblem, *, near: bool = False) -> IpoptOp
         # Steps of smooth programmes have a small residual without iterative refinement.
         extra["min_refinement_steps"] = 0
         if near:
-            extra |= {"bound_mult_init_method": "mu-based", "mu_init": _INITIAL_NEAR_BARRIER}
+            # All phases have a barrier, each has its share of the objective.
+            barrier = _INITIAL_NEAR_BARRIER * min(1.0, _ITERATION_LIMIT_PHASES / phases)
+            extra |= {"bound_mult_init_method": "mu-based", "mu_init": barrier}
     fastest = any(each.name == "duration" for each in problem.objectives)
     if fastest and not problem.plans_links:
         # Beside one duration, multipliers of 1 at thousands of bounds lead far into the interior.
