@@ -87,12 +87,12 @@ def plan_stages(
         # Smooth problems converge directly from the guess; a coarse mesh would only cost time.
         start = min(_COARSE_START_PHASE_INTERVALS * phases, intervals)
         widenings = _FRICTION_WIDENINGS if problem.charges_dry_friction else ()
-        last = SolveStage(intervals, Smoothing(1.0))
+        exact = SolveStage(intervals, Smoothing(1.0))
         if phases < _MIN_COARSE_START_PHASES or start == intervals:
-            wide = (replace(last, smoothing=Smoothing(1.0, friction=each)) for each in widenings)
-            return (*wide, last)
+            wide = (replace(exact, smoothing=Smoothing(1.0, friction=each)) for each in widenings)
+            return (*wide, exact)
         if not widenings:
-            return (replace(last, intervals=start), replace(last, new_mesh=True))
+            return (replace(exact, intervals=start), replace(exact, new_mesh=True))
         convex = [
             SolveStage(
                 count,
@@ -103,7 +103,7 @@ def plan_stages(
             for each in wide
         ]
         convex[len(widenings)] = replace(convex[len(widenings)], new_mesh=True)
-        return (*convex, last)
+        return (*convex, exact)
     if problem.plans_links:
         # Long chains of integrators converge poorly on a new mesh: one change of mesh, directly
         # with the narrow smoothing.
