@@ -110,8 +110,8 @@ def led_errors_at(cycle: Cycle, durations: list[float]) -> Errors:
     """Errors of the legs of least tool error at given durations [s]."""
     found = []
     for leg, duration in zip(cycle.legs, durations, strict=True):
-        objectives = (Objective(name="tool_error"),)
-        problem = replace(leg.lasting(duration).problem, objectives=objectives)
+        fixed = {"objectives": (Objective(name="tool_error"),), "duration": (duration, duration)}
+        problem = replace(leg.problem, **fixed)
         led = with_simulation(problem, solve(problem)).compensation
         found.append(led.optimised)
     return _largest(found)
@@ -128,7 +128,9 @@ def print_led(paths: list[Path]) -> None:
             for stops in ((), stopping_changes(path))
         )
         curve_time, curve_errors = led_s_curves(stopping)
+        print(f"{path.stem}: S-curves {curve_time:.3f} s", file=sys.stderr, flush=True)
         lasted, errors, status = led_cycle(whole)
+        print(f"{path.stem}: fastest {sum(lasted):.3f} s", file=sys.stderr, flush=True)
         slowing = (0.85 * curve_time - whole.rest) / sum(lasted)
         slow = led_errors_at(whole, [slowing * each for each in lasted])
         told = [f"{1e3 * a:.3f}, {1e3 * b:.3f}" for a, b in (curve_errors, errors, slow)]

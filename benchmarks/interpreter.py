@@ -11,7 +11,7 @@ import numpy as np
 from common import HERE, Row, main
 
 from stiffopt import native
-from stiffopt.interpreter.batched import batched
+from stiffopt.interpreter.batched import read_batch
 from stiffopt.problem.files import load_problem
 from stiffopt.solver.solve import solve
 from stiffopt.symbolic import BufferedFunction
@@ -39,7 +39,7 @@ def of_problem(name: str) -> list[Row]:
     functions, library = formulas(name), native.library()
     assert library is not None
     begin = time.process_time()
-    made = [batched(library, each, (1, 2)) for each in functions]
+    made = [read_batch(each, (1, 2)).load(library) for each in functions]
     prepared = time.process_time() - begin
     slow, fast = max(
         zip(functions, made, strict=True), key=lambda pair: int(pair[0].n_instructions())
@@ -63,7 +63,8 @@ def formulas(name: str) -> list[ca.Function]:
         mock.patch.object(
             point_function, "batched", lambda _, each, *__, **___: found.append(each)
         ),
-        mock.patch.dict(point_function._kept_functions, clear=True),
+        mock.patch.dict(point_function.kept_functions, clear=True),
+        mock.patch.dict(point_function.kept_batches, clear=True),
     ):
         solve(replace(problem, method=replace(problem.method, intervals=8)), throw=False)
     return found

@@ -83,7 +83,7 @@ def _residual_by_channel(
     training = diagnosis.training
     proofs = []
     for proof in diagnosis.held_out:
-        predictor = Predictor(training.robot, proof.run, training.constants, diagnosis.settings)
+        predictor = Predictor(training, proof.run)
         predicted = list(predictor.predict_each([(), (fitted,)]))
         proofs.append(
             compare_predictions(proof.run, predictor.velocity, *predicted, training.noise)

@@ -67,8 +67,8 @@ def motions(
 
 def _motion(diagnosis: Diagnosis, run: RecordedRun, bands: tuple[float, ...]) -> Motion:
     training = diagnosis.training
-    own = replace(diagnosis.settings, predict=bands)
-    predictor = Predictor(training.robot, run, training.constants, own)
+    own = replace(training, settings=replace(diagnosis.settings, predict=bands))
+    predictor = Predictor(own, run)
     return Motion(run, bands, predictor, predictor.predict(), predictor.velocity)
 
 

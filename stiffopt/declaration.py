@@ -48,21 +48,12 @@ _PLAUSIBLE_KEY, _BOUNDS_KEY = "plausible", "bounds"
 
 @dataclass(frozen=True)
 class Unit:
-    """A number with a unit: an SI float in Python, in files also a text such as "8 mm".
+    """A number with a unit: an SI float in Python, in files also a text such as "8 mm"."""
 
-    Parameters
-    ----------
-    dimension : str
-        A name in `DIMENSIONS`.
-    joint : bool
-        Quantity of a joint: for a prismatic one the dimension is that of `PRISMATIC`.
-    bare : bool
-        Always in SI, as in recordings: texts with units are rejected.
-    """
-
-    dimension: str
+    dimension: str  # a name in `DIMENSIONS`
+    # Quantity of a joint: for a prismatic one the dimension is that of `PRISMATIC`.
     joint: bool = False
-    bare: bool = False
+    bare: bool = False  # always in SI, as in recordings: texts with units are rejected
     # Conversion of an entry of a file to an SI number; set by `stiffopt.validation`.
     reader: ClassVar[Callable[[Unit], Callable[[object], float]]]
 
@@ -116,28 +107,15 @@ class Unit:
 
 @dataclass(frozen=True)
 class Bounds:
-    """Range in which a number must lie.
+    """Range in which a number must lie."""
 
-    Parameters
-    ----------
-    above, below : float
-        Bounds that are excluded.
-    least, most : float
-        Bounds that are included.
-    finite : bool
-        The number must be finite.
-    hint : str
-        Sentence on the usual cause of a violation.
-    plausible : (float, float) or None
-        Magnitudes beyond which a bare number of a file is asked about; default those of its unit.
-    """
-
-    above: float = -math.inf
-    least: float = -math.inf
-    most: float = math.inf
-    below: float = math.inf
-    finite: bool = True
-    hint: str = ""
+    above: float = -math.inf  # excluded
+    least: float = -math.inf  # included
+    most: float = math.inf  # included
+    below: float = math.inf  # excluded
+    finite: bool = True  # the number must be finite
+    hint: str = ""  # sentence on the usual cause of a violation
+    # Magnitudes beyond which a bare number of a file is asked about; default those of its unit.
     plausible: tuple[float, float] | None = None
 
     def check(self, name: str, value: object) -> None:
@@ -358,16 +336,7 @@ def bounds(cls: type, name: str) -> Bounds:
 def check_fields(
     instance: Any, owner: str = "", error: Callable[[str], InputError] = InputError
 ) -> None:
-    """Check every field of a dataclass instance against its bounds and allowed words.
-
-    Parameters
-    ----------
-    instance : dataclass instance
-    owner : str
-        Kind and name of the object, for messages.
-    error : type of InputError
-        Raised with the field, its value and the allowed range or words.
-    """
+    """Raise `error` for a field outside its bounds or allowed words; `owner` begins the message."""
     try:
         _check_fields(instance, owner)
     except InputError as refused:

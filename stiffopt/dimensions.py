@@ -20,26 +20,17 @@ class Range(Protocol):
 
 @dataclass(frozen=True)
 class Dimension:
-    """A kind of quantity.
+    """A kind of quantity."""
 
-    Parameters
-    ----------
-    name, unit, example : str
-        Unit in SI; an example for messages.
-    angle : int
-        Power of angle.
-    plausible : (float, float)
-        Between which magnitudes a quantity of a machine lies, from micro-gripper to crane, unless
-        a field's `Bounds` say otherwise; zero is always plausible.
-    slips : mapping of str to float
-        Units that a bare number is given in by mistake, the usual one first, and their factors.
-    """
-
+    # Unit in SI; an example for messages.
     name: str
     unit: str
     example: str
-    angle: int = 0
+    angle: int = 0  # power of angle
+    # Magnitudes of a machine's quantity, from micro-gripper to crane, unless a field's `Bounds` say
+    # otherwise; zero is always plausible.
     plausible: tuple[float, float] = (0.0, math.inf)
+    # Units that a bare number is given in by mistake, the usual one first, and their factors.
     slips: Mapping[str, float] = dataclasses.field(default_factory=dict, compare=False)
 
     def ask(

@@ -24,14 +24,8 @@ class InputError(StiffoptError, ValueError):
 class InputFileError(InputError):
     """A file cannot be read or has a wrong entry.
 
-    Parameters
-    ----------
-    path : str
-        The file.
-    where : str
-        Dotted key inside the file, "" for the file as a whole.
-    reason : str
-        Fault, allowed values and remedy.
+    `path`: the file. `where`: dotted key inside the file, "" for the file as a whole. `reason`:
+    fault, allowed values and remedy.
     """
 
     def __init__(self, path: object, where: str, reason: str) -> None:
@@ -65,14 +59,7 @@ class ProblemError(InputError):
 class OutOfValidityError(InputError):
     """A value lies outside the range in which a model holds.
 
-    Parameters
-    ----------
-    name : str
-        The quantity.
-    value, lower, upper : float
-        In SI units.
-    hint : str
-        Remedy.
+    `name`: the quantity. `value`, `lower` and `upper`: in SI units. `hint`: remedy.
     """
 
     def __init__(self, name: str, value: float, lower: float, upper: float, hint: str = "") -> None:

@@ -38,11 +38,8 @@ _MAX_INTEGER_DIGITS = 20
 def load_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Read a TOML file.
 
-    Raises
-    ------
-    InputFileError
-        No such file (with the nearest names in that folder), not text, not TOML (with the line), or
-        larger, deeper or with longer integers than any such file.
+    Raises `InputFileError`: no such file (with the nearest names in that folder), not text, not
+    TOML (with the line), or larger, deeper or with longer integers than any such file.
     """
     path = Path(path)
     text = read_text(path)
@@ -96,10 +93,7 @@ def _check_values(path: Path, data: object, where: str = "", depth: int = 0) -> 
 def read_text(path: str | os.PathLike[str], most: int = MAX_TEXT_BYTES) -> str:
     """Read a UTF-8 file of at most `most` bytes, without its byte order mark.
 
-    Raises
-    ------
-    InputFileError
-        No such file, not text, not to be read, or larger than any such file.
+    Raises `InputFileError`: no such file, not text, not to be read, or larger than any such file.
     """
     path = Path(path)
     content = read_bytes(path, most)
@@ -113,13 +107,7 @@ def read_text(path: str | os.PathLike[str], most: int = MAX_TEXT_BYTES) -> str:
 
 
 def read_bytes(path: str | os.PathLike[str], most: int = MAX_TEXT_BYTES) -> bytes:
-    """Read a file of at most `most` bytes.
-
-    Raises
-    ------
-    InputFileError
-        No such file, no regular one, not to be read, or larger.
-    """
+    """Read a regular file of at most `most` bytes; raise `InputFileError` for any other."""
     path = Path(path)
     check_file(path, most)
     try:
@@ -137,12 +125,8 @@ _NO_SUCH_PLACE_MESSAGE = (
 def apply_changes(data: dict[str, Any], changes: Sequence[str], path: object) -> dict[str, Any]:
     """Change entries of a file's content: "motion.duration=0.5 s", "minimise[1].weight=2".
 
-    The value after "=" is read as TOML, else as a text.
-
-    Raises
-    ------
-    InputFileError
-        No "=", or a place that the file does not have.
+    The value after "=" is read as TOML, else as a text. Raises `InputFileError`: no "=", or a place
+    that the file does not have.
     """
     for change in changes:
         place, equals, text = change.partition("=")
@@ -246,13 +230,7 @@ def check_header(data: Mapping[str, Any], path: object, kind: str, schema: int =
 def read_document(
     path: str | os.PathLike[str], model: type[Model], kind: str, changes: Sequence[str] = ()
 ) -> Model:
-    """Read a TOML file of one kind, with `changes` of its entries.
-
-    Raises
-    ------
-    InputFileError
-        Unreadable file, wrong header, or an invalid entry or change.
-    """
+    """Read a TOML file of one kind, with `changes` of its entries; or raise `InputFileError`."""
     # pydantic loads slowly, and help and folders do without it.
     from stiffopt.validation import validate
 
@@ -310,32 +288,31 @@ def atomic_write(path: str | os.PathLike[str], content: str | bytes) -> None:
 
 
 def read_table(
-    path: str | os.PathLike[str], columns: Sequence[str], optional: Sequence[str] = ()
-) -> dict[str, list[float]]:
-    """Read the numbers of a CSV file with a header, by column.
+    path: str | os.PathLike[str],
+    columns: Sequence[str],
+    optional: Sequence[str] = (),
+    texts: Sequence[str] = (),
+) -> dict[str, list[Any]]:
+    """Read the numbers of a CSV file with a header, by column; `optional` and `texts` if present.
 
-    Parameters
-    ----------
-    columns : sequence of str
-        Required columns.
-    optional : sequence of str
-        Columns read if present.
-
-    Raises
-    ------
-    InputFileError
-        No such file, no CSV text, a missing column, fewer than two rows, or an entry that is no
-        finite number, with row (the first below the header is 1) and column.
+    Cells are separated by commas, or by semicolons or tabs, beside which decimals may have a comma.
+    Raises `InputFileError` without at least two rows of finite numbers in every required column,
+    with row (the first below the header is 1) and column.
     """
     path = Path(path)
-    text = read_text(path, MAX_TABLE_BYTES)
+    text = read_text(path, MAX_TABLE_BYTES).removeprefix("\ufeff")
+    first = text.partition("\n")[0]
+    mark = max(",;\t", key=first.count)
     try:
-        rows = list(csv.DictReader(io.StringIO(text, newline="")))
+        rows = list(csv.DictReader(io.StringIO(text, newline=""), delimiter=mark))
     except csv.Error as error:
         raise InputFileError(path, "", "is not a CSV text file. Save it as one.") from error
-    if len(rows) < 2 or any(column not in rows[0] for column in columns):
+    rows = [{key and key.strip(): cell for key, cell in row.items()} for row in rows]
+    lacking = [column for column in columns if rows and column not in rows[0]]
+    if len(rows) < 2 or lacking:
+        there = f" It has {', '.join(map(str, list(rows[0])[:20]))}." if lacking else ""
         raise InputFileError(
-            path, "", f"needs at least two rows and the columns {', '.join(columns)}."
+            path, "", f"needs at least two rows and the columns {', '.join(columns)}.{there}"
         )
     for number, row in enumerate(rows, start=1):
         # csv stores cells beyond the header under None.
@@ -347,20 +324,26 @@ def read_table(
                 " Name every column, or write decimals with a point.",
             )
     wanted = [*columns, *(name for name in optional if name in rows[0])]
-    return {
-        name: [_parse_number(path, k, name, row[name]) for k, row in enumerate(rows, start=1)]
+    decimal = "." if mark == "," else ","
+    found: dict[str, list[Any]] = {
+        name: [
+            _parse_number(path, k, name, (row[name] or "").replace(decimal, "."))
+            for k, row in enumerate(rows, start=1)
+        ]
         for name in wanted
     }
+    told = (name for name in texts if name in rows[0])
+    return found | {name: [(row[name] or "").strip() for row in rows] for name in told}
 
 
-def _parse_number(path: Path, row: int, column: str, text: str | None) -> float:
+def _parse_number(path: Path, row: int, column: str, text: str) -> float:
     try:
-        value = float(text or "")
+        value = float(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
         raise InputFileError(
-            path, f"row {row}, {column}", f"needs a finite number, got {shortened(text or '')}."
+            path, f"row {row}, {column}", f"needs a finite number, got {shortened(text)}."
         )
     return value
 

@@ -50,23 +50,11 @@ def output_folder(
 ) -> Iterator[Path]:
     """Create a hidden folder to write into; its files appear in `path` at the end.
 
-    Created before any long work, so that an unwritable folder is reported early. After an
-    exception nothing has changed, and folders made for it are removed.
-
-    Parameters
-    ----------
-    command : str
-        Command that writes; files of its earlier answer are replaced.
-    of : str
-        Command whose answer these files belong to; a new answer of it removes them too.
-    maybe : sequence of str
-        Files that are not always written; earlier ones of these names are set aside.
-
-    Raises
-    ------
-    InputFileError
-        The folder cannot be written, another process is writing into it, or it contains entries
-        that no command writes, such as links under names that its manifest lists.
+    Created before any long work, so that an unwritable folder is reported early. After an exception
+    nothing has changed, and folders made for it are removed. Files of an earlier answer of
+    `command` are replaced, and those that other commands wrote `of` it removed; earlier files named
+    in `maybe`, which are not always written, are set aside. Raises `InputFileError` for a folder
+    that cannot be written, is being written or contains entries that no command writes.
     """
     if "\0" in str(path):
         raise InputFileError(repr(str(path)), "", "is no name of a folder.")

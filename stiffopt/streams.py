@@ -8,15 +8,9 @@ import sys
 
 
 class LenientStream(io.TextIOWrapper):
-    """Text stream that discards output after the first failed write.
+    """Text stream that discards output after the first failed write."""
 
-    Attributes
-    ----------
-    failure : OSError or None
-        Of the first write that failed.
-    """
-
-    failure: OSError | None = None
+    failure: OSError | None = None  # of the first write that failed
 
     def write(self, text: str, /) -> int:
         """Write text, or discard it."""

@@ -87,20 +87,7 @@ def smooth_abs(x: Quantity, width: Quantity) -> Quantity:
 def elementwise_derivative(
     formula: Callable[[Quantity], Quantity], x: Quantity, order: int = 1
 ) -> Quantity:
-    """Derivative of an elementwise formula by CasADi, for floats, arrays, SX and MX alike.
-
-    Parameters
-    ----------
-    formula : callable
-        Function that acts elementwise.
-    x : scalar or array or SX or MX
-    order : int
-        1 or higher.
-
-    Returns
-    -------
-    same kind and shape as `x`
-    """
+    """Derivative of an elementwise formula by CasADi, for floats, arrays, SX and MX alike."""
     if is_symbolic(x):
         symbol = type(x).sym("x", x.shape)
         value = formula(symbol)

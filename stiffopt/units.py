@@ -124,26 +124,10 @@ def _pint_factor(unit: str, dimension: Dimension) -> float:
 
 
 def to_si(value: object, dimension: str, where: str = "") -> float:
-    """Convert an entry of a file to SI.
+    """Convert an entry of a file, a bare number or text such as "45 deg", to SI.
 
-    Parameters
-    ----------
-    value : float or str
-        A bare number in SI, or a number with a unit such as "45 deg".
-    dimension : str
-        A name in `stiffopt.dimensions.DIMENSIONS`, for example "angle".
-    where : str
-        The key, for messages.
-
-    Returns
-    -------
-    float
-        In the SI unit of the dimension.
-
-    Raises
-    ------
-    UnitError
-        Unknown unit, unit of another dimension, no number, NaN or infinite.
+    `dimension` is a name in `stiffopt.dimensions.DIMENSIONS`, `where` the key, for messages. Raises
+    `UnitError` for an unknown unit or one of another dimension, and what is no finite number.
     """
     kind = DIMENSIONS[dimension]
     unit = f" [{kind.unit}]" if kind.unit else ""
@@ -176,10 +160,7 @@ def to_si(value: object, dimension: str, where: str = "") -> float:
 def convert(value: float, unit: str, target: str) -> float:
     """Convert a value to another unit of the same dimension.
 
-    Raises
-    ------
-    UnitError
-        One of the units is unknown, or their dimensions differ.
+    Raises `UnitError`: one of the units is unknown, or their dimensions differ.
     """
     if unit == target:
         return value

@@ -42,10 +42,7 @@ class Section(BaseModel):
 def validate(model: type[Model], data: Mapping[str, Any], path: object) -> Model:
     """Validate data as an instance of `model`.
 
-    Raises
-    ------
-    InputFileError
-        All faults in one message, the first with its dotted key.
+    Raises `InputFileError`: all faults in one message, the first with its dotted key.
     """
     try:
         return model.model_validate(data)

@@ -13,6 +13,8 @@ from stiffopt.cycle.solve_cycle import solve_cycle
 from stiffopt.errors import InputFileError
 from stiffopt.files import check_file, load_toml
 from stiffopt.preload.files import load_study
+from stiffopt.preload.schema import ExpectedValueSection
+from stiffopt.preload.solution import PreloadSolution
 from stiffopt.preload.study import named_values, preload_study
 from stiffopt.problem.cycle_files import is_cycle, load_cycle
 from stiffopt.problem.files import load_problem
@@ -32,26 +34,17 @@ StudyCallback = Callable[[Progress | SolveProgress], object]
 
 @dataclass(frozen=True)
 class Check:
-    """Comparison of one solved value of a problem or study file with its expected value.
-
-    Parameters
-    ----------
-    name : str
-        Name of a study's value; "" is the objective of a trajectory problem.
-    value, expected : float or None
-        In `unit`.
-    source : str
-        Source of the expected value.
-    """
+    """Comparison of one solved value of a problem or study file with its expected value."""
 
     path: Path
-    name: str
+    name: str  # name of a study's value; "" is the objective of a trajectory problem
     status: SolveStatus
+    # In `unit`.
     value: float | None
     expected: float | None
     unit: str
     rtol: float
-    source: str
+    source: str  # source of the expected value
     seconds: float
     message: str
 
@@ -77,10 +70,7 @@ class Check:
 def problem_files(path: Path) -> list[Path]:
     """Return the trajectory problem and preload study files at a path, sorted by name.
 
-    Raises
-    ------
-    InputFileError
-        The folder has none.
+    Raises `InputFileError`: the folder has none.
     """
     if not path.is_dir():
         check_file(path)
@@ -139,41 +129,13 @@ def verify_study(
     )
     values, solution = named_values(study), study.solution
     seconds = time.perf_counter() - begin
-    if not loaded.expected:
-        value, unit = values["objective"]
-        return (
-            Check(
-                path=path,
-                name="objective",
-                status=solution.status,
-                value=value,
-                expected=None,
-                unit=unit,
-                rtol=0.0,
-                source="",
-                seconds=seconds,
-                message="the file has no [expected.values]; add NAME with value, unit, rtol and "
-                "source.",
-            ),
-        )
-    checks = []
-    for name, expected in loaded.expected.items():
-        value, unit = values[name]
-        checks.append(
-            Check(
-                path=path,
-                name=name,
-                status=solution.status,
-                value=convert(value, unit, expected.unit) if np.isfinite(value) else None,
-                expected=expected.value,
-                unit=expected.unit,
-                rtol=expected.rtol,
-                source=expected.source,
-                seconds=seconds,
-                message=solution.message,
-            )
-        )
-    return tuple(checks)
+    known = {name: own if np.isfinite(own[0]) else None for name, own in values.items()}
+    found = {name: known[name] for name in loaded.expected} or {"objective": values["objective"]}
+    missing = "the file has no [expected.values]; add NAME with value, unit, rtol and source."
+    return tuple(
+        _compare(path, name, solution, own, loaded.expected.get(name), seconds, missing)
+        for name, own in found.items()
+    )
 
 
 def verify_file(
@@ -194,29 +156,35 @@ def verify_file(
         solution = solve(loaded.problem, progress=progress, throw=False)
         expected = loaded.expected
     value = solution.objective
+    found = None if value is None else (value.value, value.unit)
+    missing = "the file has no [expected]; add objective, unit, rtol and source."
+    seconds = time.perf_counter() - begin
+    return _compare(path, "", solution, found, expected, seconds, missing)
+
+
+def _compare(
+    path: Path,
+    name: str,
+    solution: Solution | CycleSolution | PreloadSolution,
+    found: tuple[float, str] | None,
+    expected: ExpectedSection | ExpectedValueSection | None,
+    seconds: float,
+    missing: str,
+) -> Check:
+    """Compare a value and its unit with the expected one; `missing` says that there is none."""
+    value, unit = (None, "") if found is None else found
     if expected is None:
-        return Check(
-            path=path,
-            name="",
-            status=solution.status,
-            value=None if value is None else value.value,
-            expected=None,
-            unit="" if value is None else value.unit,
-            rtol=0.0,
-            source="",
-            seconds=time.perf_counter() - begin,
-            message="the file has no [expected]; add objective, unit, rtol and source.",
-        )
-    got = None if value is None else convert(value.value, value.unit, expected.unit)
+        return Check(path, name, solution.status, value, None, unit, 0.0, "", seconds, missing)
+    goal = expected.value if isinstance(expected, ExpectedValueSection) else expected.objective
     return Check(
         path=path,
-        name="",
+        name=name,
         status=solution.status,
-        value=got,
-        expected=expected.objective,
+        value=None if value is None else convert(value, unit, expected.unit),
+        expected=goal,
         unit=expected.unit,
         rtol=expected.rtol,
         source=expected.source,
-        seconds=time.perf_counter() - begin,
+        seconds=seconds,
         message=solution.message,
     )

@@ -20,7 +20,11 @@ _SUBSTEPS = 20
 
 
 def commanded_motion(
-    seed: int, seconds: float = 8.0, gravity: float = GRAVITY, limit: float = np.inf
+    seed: int,
+    seconds: float = 8.0,
+    gravity: float = GRAVITY,
+    limit: float = np.inf,
+    coulomb: float = COULOMB,
 ) -> tuple[np.ndarray, ...]:
     """Return time, held commands and positions (K,) of one run."""
     rng = np.random.default_rng(seed)
@@ -42,7 +46,7 @@ def commanded_motion(
             drive = np.clip(KP * (u - q), -limit, limit) - MASS * gravity * LEVER * np.sin(q)
             # Semi-implicit, dry friction as an impulse that at most stops the link.
             free = (v + h * drive / about) / (1.0 + h * VISCOUS / about)
-            most = h * COULOMB / about
+            most = h * coulomb / about
             v = 0.0 if abs(free) < most else free - most * np.sign(free)
             q += h * v
     return time, command, position + 2e-5 * rng.normal(size=len(time))

@@ -41,3 +41,15 @@ def test_the_command_needs_nothing_heavy_for_a_wrong_command_line():
 def test_cases_of_a_sweep_are_read_while_workers_load_what_is_heavy():
     code = "import stiffopt.report.sweep.terminal\nfrom stiffopt.sweep.cases import load_sweep"
     assert not loaded(code) & (HEAVY - {"numpy", "pydantic"})
+
+
+def test_toppra_loads_no_plots_until_it_plots():
+    code = """
+import numpy as np
+from stiffopt.baseline.toppra_motion import _plots_on_demand
+with _plots_on_demand():
+    import toppra.algorithm.algorithm as algorithm
+import sys
+assert "matplotlib" not in sys.modules"""
+    assert "toppra" in loaded(code)
+    assert "matplotlib" in loaded(f"{code}\nalgorithm.plt.figure")

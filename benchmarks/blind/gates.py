@@ -83,7 +83,7 @@ def _ranked_only(gate: Any, comparison: Any, current: Any, *rest: Any) -> Any:
 
 
 def _exchanged(found: Any, comparison: Any, current: Any, effects: Any, *_: Any) -> bool:
-    return _keys([r.selected.located for r in found[1]]) != _keys(effects)
+    return _keys([r.located for r in found[1]]) != _keys(effects)
 
 
 def _keep_found(gate: Any, result: Any) -> Any:
@@ -99,9 +99,7 @@ def _dropped(found: Any, selected: Any, *_: Any) -> bool:
     return len(found[0]) != len(selected)
 
 
-def _estimate_only(
-    _: Any, training: Any, settings: Any, start: Any, comparison: Any, found: Any
-) -> Any:
+def _estimate_only(_: Any, training: Any, comparison: Any, found: Any) -> Any:
     from stiffopt.discovery.search.uncertainty import estimate_parameters
 
     return tuple(found), estimate_parameters(comparison, [each.located for each in found])
@@ -121,8 +119,7 @@ def _third(*given: Any) -> Any:
     return given[-1]
 
 
-_E = f"{_SEARCH}.joint_fit"
-_PREDICTIVE = tuple(f"{each}:select_predictive" for each in (_E, f"{_SEARCH}.model_changes"))
+_PREDICTIVE = tuple(f"{each}:select_predictive" for each in _ENTRY)
 _PASSES = tuple(f"{each}:passes_thresholds" for each in _ENTRY)
 _DIAGNOSE, _CONCLUSIONS = "stiffopt.discovery.diagnose", "stiffopt.discovery.conclusions"
 _TRAINING = "stiffopt.discovery.search_training"
@@ -136,7 +133,6 @@ GATES = tuple(
         ("general", "entry: more general forms", (f"{_SEARCH}.candidates:Scorer._beats_general_forms",), _always(True), None),
         ("distinctive", "entry: distinctive amplitudes", (f"{_SEARCH}.candidates:_has_own_amplitude",), _always(True), None),
         ("pruned", "pruning", (f"{_SEARCH}.search:prune_effects",), _all, None),
-        ("nominal", "exemption by nominal values", (f"{_E}:_is_supported_by_nominal",), _always(False), None),
         ("predictive", "gain in folds left out", _PREDICTIVE, _all, None),
         ("cancelling", "effects that cancel others", (f"{_SEARCH}.left_out_gain:drop_cancelling",), _all, None),
         ("exchanged", "exchange for likelier rivals", (f"{_SEARCH}.search:exchange_rivals",), _ranked_only, _exchanged),
@@ -157,8 +153,8 @@ GATES = tuple(
         ("spread", "odds: spread of the gain", (f"{_CONCLUSIONS}:left_out_gains",), _gains_with(support=1.0), None),
         ("null", "odds: p-value", (f"{_CONCLUSIONS}:_null_share",), _always(0.0), None),
         ("ensemble", "odds: perturbation ensemble", (f"{_DIAGNOSE}:recurrence",), lambda _, comparison, selected, *__, **___: (np.ones(len(selected)), tuple(selected)), None),
-        ("quasi_static", "quasi-static retry", (f"{_TRAINING}:_retry_quasi_static",), lambda _, recordings, training, asked, base, say, result: (training, result), None),
-        ("contacts", "contact intervals excluded", (f"{_TRAINING}:_exclude_contacts",), lambda _, r, training, a, s, b, say, result: (training, result, ()), None),
+        ("quasi_static", "quasi-static retry", (f"{_TRAINING}:TrainingSearch._retry_quasi_static",), lambda _, searches, training, result: (training, result), None),
+        ("contacts", "contact intervals excluded", (f"{_TRAINING}:TrainingSearch._exclude_contacts",), lambda _, searches, training, result: (training, result, ()), None),
     )
 )  # fmt: skip
 

@@ -13,7 +13,7 @@ import json
 import os
 import re
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -172,9 +172,8 @@ def _function_errors(store: Store, name: str, true: dict[str, Any]) -> dict[str,
     sums: dict[str, np.ndarray] = {}
     for entry in recordings.with_role("test", "extrapolate"):
         run = recordings.open(entry)
-        predictor = Predictor(
-            training.robot, run, model.scaled(training.constants), training.settings
-        )
+        scaled = model.scaled(training.constants)
+        predictor = Predictor(replace(training, constants=scaled), run)
         before, after = predictor.predict_each([(), (found,)])
         truth, healthy = (np.load(exact / f"{key}_{run.name}.npz") for key in ("pred", "healthy"))
         own = sums.setdefault(run.role, np.zeros((2, 2)))

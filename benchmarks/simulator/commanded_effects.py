@@ -202,7 +202,8 @@ COMMANDED_EFFECTS = {
     "viscous": CommandedEffect(_viscous, ("viscous",)),
     "stribeck": CommandedEffect(_stribeck, ("stribeck",)),
     "load_friction": CommandedEffect(_load_friction, ("load_friction",)),
-    "backlash": CommandedEffect(_backlash, ("backlash",)),
+    # Between motor and encoder, which reads the link.
+    "backlash": CommandedEffect(_backlash, ("backlash", "output_backlash")),
     "rotor_inertia": CommandedEffect(_rotor_inertia, ("rotor_inertia",)),
     "payload": CommandedEffect(_payload, ("payload",), at_joint=False),
     "base_tilt": CommandedEffect(_base_tilt, ("base_tilt",), at_joint=False),

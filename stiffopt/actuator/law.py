@@ -18,35 +18,18 @@ class ActuatorLaw:
     Every kind of actuator of the package is this law with its own constants: of a position servo k
     and d are its P and D gains, of a cascade the product of its gains and the velocity gain, of a
     voltage-limited motor the torque per volt times the gain, and the back-EMF.
-
-    Parameters
-    ----------
-    stiffness : array (n,)
-        Torque per position error [N m/rad]; nan where it is not known.
-    damping : array (n,)
-        Torque per velocity [N m s/rad].
-    drive_max : array (n,)
-        Bound on the part from the error, as of a motor's voltage; infinite without [N m].
-    torque_max : array (n,)
-        Bound on the torque; infinite without [N m].
-    delay : float
-        Time from a command to the torque that follows it [s]; nan where it is not known.
-    tolerance : array (n,)
-        One standard deviation of each gain, relative.
-    estimated : array (n,) of bool, optional
-        Gains that a recording told, not its description; default none. From `MAX_GAIN_DEVIATION`
-        they are mere guesses, which hold a simulated joint but give torque no scale.
-    delay_deviation : float
-        One standard deviation of the delay [s]; 0 where it is stated.
     """
 
-    stiffness: np.ndarray
-    damping: np.ndarray
+    stiffness: np.ndarray  # (n,) torque per position error [N m/rad]; nan where it is not known
+    damping: np.ndarray  # (n,) torque per velocity [N m s/rad]
+    # (n,) bound on the part from the error, as of a motor's voltage; infinite without [N m].
     drive_max: np.ndarray
-    torque_max: np.ndarray
-    delay: float
-    tolerance: np.ndarray
-    delay_deviation: float = 0.0
+    torque_max: np.ndarray  # (n,) bound on the torque; infinite without [N m]
+    delay: float  # time from a command to the torque that follows it [s]; nan where it is not known
+    tolerance: np.ndarray  # (n,) one standard deviation of each gain, relative
+    delay_deviation: float = 0.0  # one standard deviation of the delay [s]; 0 where it is stated
+    # (n,) gains that a recording told, not its description; default none. From `MAX_GAIN_DEVIATION`
+    # they are mere guesses, which hold a simulated joint but give torque no scale.
     estimated: np.ndarray | None = None
 
     @property
@@ -83,17 +66,9 @@ def mean_command(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return means of held commands over intervals (m, n), and their rate per time [rad/s].
 
-    An actuator holds each command until the next one arrives. Means over intervals change
-    continuously with a delay, which the command itself does not.
-
-    Parameters
-    ----------
-    time : array (K,)
-        When each command arrived [s], increasing.
-    command : array (K, n)
-        [rad]
-    begin, end : array (m,)
-        Intervals [s]; before the first command that one holds.
+    Each of `command` (K, n) [rad] holds from its `time` (K,) [s] until the next one. Means over the
+    intervals `begin` to `end` (m,) [s] change continuously with a delay, which the command itself
+    does not.
     """
     area = np.cumsum(command[:-1] * np.diff(time)[:, None], axis=0)
     area = np.vstack([np.zeros(command.shape[1]), area])

@@ -29,27 +29,15 @@ _SQUARED_SPEED_MAX = 1e7
 
 @dataclass(frozen=True)
 class PathLimits:
-    """Rows a u + b x + c <= 1 and bounds of x on a grid of the path.
+    """Rows a u + b x + c <= 1 and bounds of x on a grid of the path."""
 
-    Parameters
-    ----------
-    grid : array (N,)
-        Path parameters.
-    rows : (a, b, c) arrays (N, m)
-        Divided by their limits.
-    loss : array (N, m)
-        Factor of sqrt(x) in each row from viscous friction; negative where friction helps.
-    labels : tuple of str (m,)
-        Quantity and joint that each row limits.
-    squared_speed_max : array (N,)
-        Bound of x from joint velocity and tool speed.
-    """
-
-    grid: np.ndarray
+    grid: np.ndarray  # (N,) path parameters
+    # (a, b, c) arrays (N, m) divided by their limits.
     rows: tuple[np.ndarray, np.ndarray, np.ndarray]
+    # (N, m) factor of sqrt(x) in each row from viscous friction; negative where friction helps.
     loss: np.ndarray
-    labels: tuple[str, ...]
-    squared_speed_max: np.ndarray
+    labels: tuple[str, ...]  # (m,) quantity and joint that each row limits
+    squared_speed_max: np.ndarray  # (N,) bound of x from joint velocity and tool speed
 
     def linearised(self, about: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Rows (a, b, c) with viscous friction bounded about the squared speeds `about` (N,)."""
@@ -81,14 +69,9 @@ def path_limits(
 ) -> PathLimits:
     """Evaluate all limits on `grid`.
 
-    Parameters
-    ----------
-    limits : Limits
-        Velocity (with its map over position), acceleration, torque and tool speed are taken; jerk,
-        deflection and stiffness limits have no form linear in u and x.
-    grid : array (N,)
-    process_force : array (3,)
-        Acts on the tool, base axes. [N]
+    `limits`: velocity (with its map over position), acceleration, torque and tool speed are taken;
+    jerk, deflection and stiffness limits have no form linear in u and x. `grid` (N,).
+    `process_force` (3,): acts on the tool, base axes [N].
     """
     q, dq, ddq = path(grid), path(grid, 1), path(grid, 2)
     a, b, c, speed = torque_rows(robot, q, dq, ddq, process_force)

@@ -40,10 +40,7 @@ _last_rivals: dict[tuple[str, float], tuple[tuple[FairRival, Assessment], ...]] 
 class FairRival:
     """Motion by one time law along the path, at any duration.
 
-    Parameters
-    ----------
-    law : Trajectory
-        Path parameter over time; durations scale it.
+    `law`: path parameter over time; durations scale it.
     """
 
     def __init__(
@@ -155,11 +152,7 @@ def baseline_path(problem: TrajectoryProblem, motion: ResolvedMotion) -> JointPa
 
 
 def quintic_law(duration: float) -> Trajectory:
-    """Return the time law s(t) = 10 x^3 - 15 x^4 + 6 x^5, x = t/duration.
-
-    Velocity and acceleration vanish at both ends. Peak velocity 15/8 divided by the duration, peak
-    acceleration 10/sqrt(3) divided by its square.
-    """
+    """Return s(t) = 10 x^3 - 15 x^4 + 6 x^5, x = t/duration, at rest at both ends."""
     t = duration
     acceleration = [[[0.0], [60.0 / t**3], [-180.0 / t**4], [120.0 / t**5]]]
     return Trajectory.from_acceleration([0.0, t], acceleration, [0.0], [0.0])

@@ -9,11 +9,14 @@ polynomial and followed exactly.
 from __future__ import annotations
 
 import logging
+import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib import import_module
 from itertools import pairwise
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,27 +36,14 @@ _DURATION_TOLERANCE = 1e-5
 
 @dataclass(frozen=True, kw_only=True)
 class BaselineMotion:
-    """Baseline motion, or the reason why there is none.
+    """Baseline motion, or the reason why there is none."""
 
-    Parameters
-    ----------
-    name : str
-        "toppra" or "quintic".
-    motion : Trajectory or None
-        None where the baseline does not exist; `reason` then says why.
-    reason : str
-        A sentence, empty where there is a motion.
-    fastest : float or None
-        Shortest duration on the path under the limits, where it is known. [s]
-    law : Trajectory or None
-        Its time law, where it is known.
-    """
-
-    name: str
-    motion: Trajectory | None
-    reason: str = ""
+    name: str  # "toppra" or "quintic"
+    motion: Trajectory | None  # None where the baseline does not exist; `reason` then says why
+    reason: str = ""  # a sentence, empty where there is a motion
+    # Shortest duration on the path under the limits, where it is known [s].
     fastest: float | None = None
-    law: Trajectory | None = None
+    law: Trajectory | None = None  # its time law, where it is known
 
 
 def toppra_baseline(
@@ -68,30 +58,15 @@ def toppra_baseline(
 ) -> BaselineMotion:
     """Return the time-optimal rest-to-rest motion along `path`, slowed uniformly to `duration`.
 
-    Limits on joint velocity (with its map over position), acceleration, drive torque and tool
-    speed are kept. Rotor inertia and dry friction are exact; viscous friction is bounded on the
-    safe side, which costs a little speed where it helps to brake. Jerk, deflection and stiffness
-    limits are beyond the method: the assessment of the motion shows them.
-
-    Parameters
-    ----------
-    path : JointPath
-        The straight line, or the spline through the via points.
-    duration : float, optional
-        Wanted duration; the shortest one if left out. [s]
-    process_force : array_like (3,)
-        Acts on the tool, base axes. [N]
-    intervals : int
-        Of the path grid.
-    eased : bool
-        Let the acceleration rise from zero at the start and fall to zero at the end, each within
-        the first and the last interval of the grid.
-
-    Returns
-    -------
-    BaselineMotion
-        Without a motion, and with the reason, where the path cannot be followed within the limits
-        or not within `duration`.
+    Limits on joint velocity (with its map over position), acceleration, drive torque and tool speed
+    are kept. Rotor inertia and dry friction are exact; viscous friction is bounded on the safe
+    side, which costs a little speed where it helps to brake. Jerk, deflection and stiffness limits
+    are beyond the method: the assessment of the motion shows them. `path`: the straight line, or
+    the spline through the via points. `duration`: wanted duration; the shortest one if left out
+    [s]. `process_force` (3,): acts on the tool, base axes [N]. `intervals`: of the path grid.
+    `eased`: let the acceleration rise from zero at the start and fall to zero at the end, each
+    within the first and the last interval of the grid. There is no motion, with the reason, where
+    the path cannot be followed within the limits or not within `duration`.
     """
     force = np.asarray(process_force, dtype=float)
     grid = _path_grid(path.knots, intervals)
@@ -204,8 +179,7 @@ def _path_speed(
     outer: tuple[float, float] = (0.0, 0.0),
 ) -> np.ndarray | None:
     """Return toppra's path speed ds/dt on a part of the grid, `outer` at its ends; None if none."""
-    with _silence_logging():
-        # toppra loads matplotlib.
+    with _silence_logging(), _plots_on_demand():
         from toppra.algorithm import TOPPRA
         from toppra.constraint import DiscretizationType, LinearConstraint
         from toppra.constraint.linear_constraint import canlinear_colloc_to_interpolate
@@ -235,6 +209,33 @@ def _path_speed(
     if speed is None or not np.all(np.isfinite(speed)) or np.any(speed[:-1] + speed[1:] <= 0):
         return None
     return np.asarray(speed, dtype=float)
+
+
+class _PlotModule(ModuleType):
+    """Stands for matplotlib.pyplot until something is drawn."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(import_module(self.__name__), name)
+
+
+@contextmanager
+def _plots_on_demand() -> Iterator[None]:
+    """Let toppra import matplotlib when it plots: loading it takes longer than many a solve."""
+    if "matplotlib.pyplot" in sys.modules:
+        yield
+        return
+    plots, package = _PlotModule("matplotlib.pyplot"), ModuleType("matplotlib")
+    package.pyplot = plots  # type: ignore[attr-defined]
+    stand_ins = {"matplotlib": package, plots.__name__: plots}
+    replaced = {name: sys.modules[name] for name in stand_ins if name in sys.modules}
+    sys.modules |= stand_ins
+    try:
+        yield
+    finally:
+        for name, stand_in in stand_ins.items():
+            if sys.modules.get(name) is stand_in:
+                del sys.modules[name]
+        sys.modules |= replaced
 
 
 class _PathInterval:

@@ -35,23 +35,13 @@ _IDLE_WINDUP_TORQUE_SHARE = 1e-2
 
 @dataclass(frozen=True)
 class Disagreement:
-    """Largest difference of one quantity from the optimiser's prediction.
+    """Largest difference of one quantity from the optimiser's prediction."""
 
-    Parameters
-    ----------
-    quantity : str
-        "spring torque", "drive torque", "wind-up" or a part of the deflection.
-    joint : int or None
-        1-based; None for the tool.
-    time : float [s]
-    value : float
-        Predicted minus true where it differs most, over the quantity's size along the motion; for
-        a deflection the length of the difference over the largest part's.
-    """
-
-    quantity: str
-    joint: int | None
-    time: float
+    quantity: str  # "spring torque", "drive torque", "wind-up" or a part of the deflection
+    joint: int | None  # 1-based; None for the tool
+    time: float  # [s]
+    # Predicted minus true where it differs most, over the quantity's size along the motion; for a
+    # deflection the length of the difference over the largest part's.
     value: float
     tolerance: float
 
@@ -70,13 +60,7 @@ class Disagreement:
 def find_disagreements(
     problem: TrajectoryProblem, motion: JointMotion, believed: PredictedMotion
 ) -> tuple[Disagreement, ...]:
-    """Return the largest difference of every quantity, the worst over its tolerance first.
-
-    Parameters
-    ----------
-    motion : callable
-        As for `assess`.
-    """
+    """Return the largest difference of every quantity, the worst over its tolerance first."""
     found = list(_compare_quantities(problem, motion, believed))
     return tuple(sorted(found, key=lambda d: -d.excess))
 

@@ -144,10 +144,7 @@ def assess(
 def drive_violations(
     problem: TrajectoryProblem, motion: JointMotion, times: np.ndarray | None = None
 ) -> list[Violation]:
-    """Return the violations of drive limits, worst first, at a tenth of the cost of `assess`.
-
-    Parameters as of `assess`.
-    """
+    """Return the violations of drive limits, worst first, at a tenth of the cost of `assess`."""
     return find_drive_violations(problem, drive_history(problem, motion, times)[0])
 
 

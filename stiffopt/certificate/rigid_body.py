@@ -13,52 +13,32 @@ from stiffopt.robot.added_torque import MotionState, sum_added_torques
 from stiffopt.robot.rigid_body import inverse_dynamics_along, without_rotors
 
 if TYPE_CHECKING:
+    from stiffopt.robot.frames import LinkFrame
     from stiffopt.robot.robot import Robot
 
 
 @dataclass(frozen=True)
 class JointGeometry:
-    """Constants of one joint and its body, in the joint's own frame if not said otherwise.
+    """Constants of one joint and its body, in the joint's own frame if not said otherwise."""
 
-    Parameters
-    ----------
-    parent : int
-        Number of the parent joint, from 1; 0 is the base.
-    place : int
-        Index of its value among the positions.
-    within : array (3, 3)
-        A frame whose third column is the axis.
-    rotation, translation : array (3, 3), (3,) [m]
-        Of that frame and of the origin, in such a frame of the parent.
-    mass : float [kg]
-    centre : array (3,) [m]
-        Of mass.
-    """
-
-    parent: int
+    parent: int  # number of the parent joint, from 1; 0 is the base
     prismatic: bool
-    place: int
-    within: np.ndarray
+    place: int  # index of its value among the positions
+    within: np.ndarray  # (3, 3) a frame whose third column is the axis
+    # (3, 3), (3,) [m] of that frame and of the origin, in such a frame of the parent.
     rotation: np.ndarray
     translation: np.ndarray
-    mass: float
-    centre: np.ndarray
+    mass: float  # [kg]
+    centre: np.ndarray  # (3,) [m] of mass
 
 
 @dataclass(frozen=True)
 class MovingJoint:
-    """One joint at K instants; base axes.
-
-    Parameters
-    ----------
-    origin : array (3, K) [m]
-    frame : array (3, 3, K)
-        Vectors of its frame, the axis last.
-    """
+    """One joint at K instants; base axes."""
 
     of: JointGeometry
-    origin: np.ndarray
-    frame: np.ndarray
+    origin: np.ndarray  # (3, K) [m]
+    frame: np.ndarray  # (3, 3, K) vectors of its frame, the axis last
 
     @property
     def axis(self) -> np.ndarray:
@@ -176,24 +156,14 @@ _BLOCK_INSTANTS = 2000
 
 @dataclass(frozen=True)
 class RigidBodyHistory:
-    """Rigid-body quantities along a motion of K instants and n joints.
+    """Rigid-body quantities along a motion of K instants and n joints."""
 
-    Parameters
-    ----------
-    link_torque : array (K, n) [N m]
-        Inverse dynamics of links and payload, without rotors and friction; with added torques of
-        the links.
-    gravity_torque : array (K, n) [N m]
-        At rest in the same pose.
-    tool : array (K, 3) [m]
-    jacobian : array (K, 3, n) [m/rad]
-        Position Jacobian of the tool, base axes.
-    """
-
+    # (K, n) [N m] inverse dynamics of links and payload, without rotors and friction; with added
+    # torques of the links.
     link_torque: np.ndarray
-    gravity_torque: np.ndarray
-    tool: np.ndarray
-    jacobian: np.ndarray
+    gravity_torque: np.ndarray  # (K, n) [N m] at rest in the same pose
+    tool: np.ndarray  # (K, 3) [m] in the base, or the frame that carries the work
+    jacobian: np.ndarray  # (K, 3, n) [m/rad] position Jacobian of the tool there
 
 
 def rigid_body_history(
@@ -207,9 +177,13 @@ def rigid_body_history(
     jacobian = np.empty((count, 3, n))
     for block, joints in _in_blocks(places, position):
         point = joints[tool.joint - 1].point(np.asarray(tool.offset))
-        along[block] = point.T
+        along[block] = _in_work(joints, tool.seen_from, point)
         gravity_torque[block] = holding_torques(joints, weight)
-        jacobian[block] = point_jacobian(joints, tool.joint, point)
+        moved = point_jacobian(joints, tool.joint, point)
+        if tool.seen_from is not None:
+            moved = moved - point_jacobian(joints, tool.seen_from.joint, point)
+            moved = np.einsum("jik,kin->kjn", _work_axes(joints, tool.seen_from), moved)
+        jacobian[block] = moved
     link_torque = inverse_dynamics_along(model, position, velocity, acceleration)
     if robot.added_torques:
         still = np.zeros_like(position)
@@ -235,16 +209,10 @@ def _link_torques_added(robot: Robot, *motion: np.ndarray) -> np.ndarray:
 def added_torques(
     robot: Robot, motion: Sequence[np.ndarray], direction: np.ndarray, *, in_spring: bool
 ) -> np.ndarray:
-    """Return the robot's added torques in the springs, or of the drives alone (K, n) [N m].
+    """Return the added torques in the springs, or of the drives alone (K, n) [N m].
 
-    Parameters
-    ----------
-    robot : Robot
-    motion : sequence of four arrays (K, n)
-        Position, velocity, acceleration, torque in the springs.
-    direction : array (K, n)
-        Sign of the velocity.
-    in_spring : bool
+    `motion` is position, velocity, acceleration and torque in the springs, each (K, n); `direction`
+    the sign of the velocity.
     """
     position, velocity, acceleration, load = (list(each.T) for each in motion)
     state = MotionState(
@@ -262,8 +230,24 @@ def tool_positions(robot: Robot, position: np.ndarray) -> np.ndarray:
     places, tool = joint_geometries(robot.model), robot.tool
     found = np.empty((len(position), 3))
     for block, joints in _in_blocks(places, position):
-        found[block] = joints[tool.joint - 1].point(np.asarray(tool.offset)).T
+        point = joints[tool.joint - 1].point(np.asarray(tool.offset))
+        found[block] = _in_work(joints, tool.seen_from, point)
     return found
+
+
+def _work_axes(joints: list[MovingJoint], work: LinkFrame) -> np.ndarray:
+    """Axes of the frame that carries the work, as rows (3, 3, K) in the base."""
+    carrier = joints[work.joint - 1]
+    columns = np.asarray(work.rotation).T @ carrier.of.within
+    return np.stack([_rotate_vectors(carrier.frame, column) for column in columns])
+
+
+def _in_work(joints: list[MovingJoint], work: LinkFrame | None, point: np.ndarray) -> np.ndarray:
+    """Places (K, 3) of a point (3, K), base axes, in the frame that carries the work."""
+    if work is None:
+        return np.asarray(point.T)
+    away = point - joints[work.joint - 1].point(np.asarray(work.offset))
+    return np.asarray(np.einsum("jik,ik->kj", _work_axes(joints, work), away))
 
 
 def _in_blocks(

@@ -27,13 +27,7 @@ _BOUNDARY_VALUE_TOLERANCE = 1e-3
 
 
 def find_violations(problem: TrajectoryProblem, motion: Assessment) -> Assessment:
-    """Return the assessment with its `violations` filled, worst first.
-
-    Parameters
-    ----------
-    problem : TrajectoryProblem
-        Its limits, targets and boundary values are read.
-    """
+    """Return the assessment with its `violations` filled, worst first."""
     limits = problem.active_limits
     found = [each for kind in limits.kinds for each in kind.violations(limits, motion)]
     found += _target_violations(problem, motion)
@@ -105,25 +99,14 @@ def _target_distance(target: Target, motion: Assessment, instants: slice) -> np.
 
 @dataclass(frozen=True)
 class Slip:
-    """A connection that slips.
+    """A connection that slips."""
 
-    Parameters
-    ----------
-    element : str
-        Name; parallel elements are joined by "with".
-    joint : int
-        1-based.
-    holds, carries : float
-        Torque of the joint at which it slips, and the largest of the motion [N m].
-    time : float
-        When it first slips [s].
-    """
-
-    element: str
-    joint: int
+    element: str  # name; parallel elements are joined by "with"
+    joint: int  # 1-based
+    # Torque of the joint at which it slips, and the largest of the motion [N m].
     holds: float
     carries: float
-    time: float
+    time: float  # when it first slips [s]
 
     def describe(self) -> str:
         """Return text for messages: "flange of joint 2 holds 30 N m but carries 41 N m, ..."."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
@@ -35,8 +36,9 @@ def solve(
 ) -> int:
     """Optimise and certify a trajectory.
 
-    Writes result.json, trajectory.csv, report.html, state.bin to solve similar problems from and,
-    for an elastic arm, command.csv: the motor motion with which the links follow the plan. For a
+    Writes result.json, trajectory.csv, report.html, state.bin and formulas.npz to solve similar
+    problems from and, for an elastic arm, command.csv: the motor motion with which the links
+    follow the plan. For a
     cycle of several [[move]] it writes cycle.json, cycle.csv, report.html and a folder with these
     files for each leg. Ctrl-C ends the solve and keeps the best motion so far; before the first
     motion it waits for it, pressed twice it stops immediately.
@@ -57,7 +59,7 @@ def solve(
         in more than numbers its motion, is the initial guess. For a cycle that of an earlier cycle
         of as many legs: their motions and the split of the time.
     report
-        Draw report.html; `stiffopt report` draws it later.
+        Simulate rivals and draw report.html; `stiffopt report` does both later.
     """
     from stiffopt.problem.cycle_files import is_cycle
 
@@ -70,19 +72,21 @@ def solve(
         from stiffopt.certificate.assess import assess
         from stiffopt.problem.files import load_problem
         from stiffopt.recipe.stored_result import (
+            PREPARED_FILE,
             STATE_FILE,
             read_guess,
             read_state,
             write_state,
         )
         from stiffopt.result.archive import ARCHIVE_FILE, write_archive
-        from stiffopt.result.compensation import RIVAL_TRAJECTORY_FILE, write_command
+        from stiffopt.result.compensation import write_command
         from stiffopt.result.status import SolveStatus
         from stiffopt.result.store import (
             RESULT_FILE,
             TRAJECTORY_FILE,
             export_times,
             write_result,
+            write_rival,
             write_trajectory,
         )
         from stiffopt.solver.family import ProblemFamily
@@ -97,16 +101,21 @@ def solve(
             found = read_model(model, effects)
         if guess is not None and found is not None:
             raise InputError("--guess and --model exclude each other. Omit one of them.")
-        begin = None if guess is None else read_guess(guess, stated)
+        begin = None if guess is None else functools.partial(read_guess, guess, stated)
         state = None if guess is None else read_state(guess)
         end = None
         folder = out or default_folder(problem.stem, changes)
-        optional = (TRAJECTORY_FILE, STATE_FILE, ARCHIVE_FILE)
+        optional = (TRAJECTORY_FILE, STATE_FILE, PREPARED_FILE, ARCHIVE_FILE)
         with output_folder(folder, "solve", maybe=optional) as stage:
             with _problem_progress(stated, quiet) as progress, _name_file_in_errors(problem):
                 if found is None:
                     solution, end = ProblemFamily().solve(
-                        stated, state, progress=progress, guess=begin, simulate=True
+                        stated,
+                        state,
+                        progress=progress,
+                        guess=begin,
+                        simulate=True,
+                        beside_rivals=report,
                     )
                 else:
                     loop = solve_extended(stated, found, progress=progress)
@@ -128,9 +137,7 @@ def solve(
                     exported = assess(stated, solution.trajectory, times=times)
                     write_trajectory(exported, stage)
                 write_command(solution.compensation, stage)
-                led = solution.compensation
-                if led is not None and led.rival_plan is not None:
-                    write_trajectory(led.rival_plan, stage, RIVAL_TRAJECTORY_FILE)
+                write_rival(solution.compensation, stage)
                 write_state(end, stage)
                 if report:
                     # matplotlib loads slowly: not before the solve.
@@ -368,7 +375,7 @@ def replay(folder: Path, *, quiet: Quiet = False) -> int:
 def report(folder: Path, *, open_report: Open = False) -> int:
     """Draw report.html of a solve that was made with --no-report.
 
-    Nothing is solved: that solve has stored all that the page shows.
+    Nothing is solved: the stored motion is compared with simulated rivals.
 
     Parameters
     ----------
@@ -377,10 +384,16 @@ def report(folder: Path, *, open_report: Open = False) -> int:
     """
     from stiffopt.recipe.stored_result import read_stored_solution
     from stiffopt.report.solve.page import REPORT_FILE, write_solve_report
+    from stiffopt.result.store import write_rival
+    from stiffopt.solver.solve import complete_comparison
 
-    stated, solution = read_stored_solution(folder)
-    with output_folder(folder, "report", of="solve") as stage, defer_while_writing():
-        write_solve_report(stated, solution, stage)
+    stated, stored = read_stored_solution(folder)
+    with output_folder(folder, "report", of="solve") as stage:
+        solution = complete_comparison(stated, stored)
+        with defer_while_writing():
+            write_solve_report(stated, solution, stage)
+            if solution.compensation is not stored.compensation:
+                write_rival(solution.compensation, stage)
     print(f"Report: {folder / REPORT_FILE}")
     show_report(folder, open_report)
     return 0

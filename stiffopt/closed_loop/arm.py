@@ -7,21 +7,21 @@ light links need no shorter steps. Its Jacobian here holds the actuators and fri
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
 
 from stiffopt import native
 from stiffopt.actuator.law import ActuatorLaw
+from stiffopt.closed_loop.balance import Balance
 from stiffopt.closed_loop.parameters import BODY_PARAMETERS, JOINT_PARAMETERS
+from stiffopt.closed_loop.physics import LoopPhysics
 from stiffopt.dynamics.newton_euler import own_bodies, torque_of_bodies
-from stiffopt.interpreter.batched import batched
+from stiffopt.interpreter.batched import read_batch
 from stiffopt.robot.body_tree import BodyTree
 
-# Rounding of the magnitude of the torque that load friction goes with [N m].
-_LOAD_WIDTH = 0.1
 # Inputs of a step that all lanes share: parameters.
 _SHARED_INPUTS = (2,)
 _STAGE_WEIGHT = 1.0 + 1.0 / np.sqrt(2.0)
@@ -42,9 +42,6 @@ class LoopSymbols:
     next: ca.SX
 
 
-LoopTorque = Callable[[ca.SX, ca.SX, ca.SX, ca.SX], ca.SX]
-
-
 class CommandedArm:
     """Arm with actuators that follow commands.
 
@@ -55,8 +52,13 @@ class CommandedArm:
         In the joint order of the tree; unknown gains count as none.
     middle : array (n,)
         Positions about which dry friction changes [rad].
-    added : callable, optional
-        Torques that further physics takes, of reading, velocity, direction and actuator torque.
+    physics : LoopPhysics, optional
+        Beyond rigid bodies, friction and rotors.
+
+    Notes
+    -----
+    The state holds readings and their speeds (n,) each, then for every elastic joint the torque of
+    its spring and the speed of the side that the encoder does not read.
     """
 
     def __init__(
@@ -64,18 +66,51 @@ class CommandedArm:
         tree: BodyTree,
         law: ActuatorLaw,
         middle: np.ndarray,
-        added: LoopTorque | None = None,
+        physics: LoopPhysics | None = None,
     ) -> None:
         self.tree, self.law, self.middle = tree, law, np.asarray(middle, dtype=float)
-        self.added = added
-        self.n = tree.n
+        self.physics = physics or LoopPhysics()
+        self.n, self.elastic = tree.n, sorted(self.physics.springs)
+        # Places of the speeds of links and motors among those of readings and other sides.
+        self.link_sides, self.motor_sides = np.arange(self.n), np.arange(self.n)
+        for k, joint in enumerate(self.elastic):
+            at_output = self.physics.springs[joint].encoder_at_output
+            (self.motor_sides if at_output else self.link_sides)[joint] = self.n + k
         self._steps: dict[bytes, tuple[ca.Function, ca.Function]] = {}
         self._lanes: dict[tuple[bytes, int], ca.Function] = {}
+
+    @property
+    def size(self) -> int:
+        """Number of states."""
+        return 2 * (self.n + len(self.elastic))
+
+    def begin(self, position: np.ndarray, velocity: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Return the state with these readings and speeds (n,), in which springs carry the weight.
+
+        `values` (p,) are the parameters.
+        """
+        if not self.elastic:
+            return np.concatenate([position, velocity])
+        weight = np.asarray(self._weight(position, values))[:, 0]
+        return np.concatenate(
+            [position, velocity, weight[self.elastic], np.asarray(velocity)[self.elastic]]
+        )
+
+    @cached_property
+    def _weight(self) -> ca.Function:
+        """Return the torques (n,) at rest, of readings and parameters."""
+        q, parameters = ca.SX.sym("q", self.n), ca.SX.sym("p", self._parameter_count)
+        own, bodies = self._split(parameters)
+        still = ca.SX.zeros(self.n)
+        found = torque_of_bodies(
+            self.tree, self.tree.gravity, q - own["zero"], still, still, *bodies
+        )
+        return ca.Function("weight", [q, parameters], [ca.densify(found)])
 
     def step_function(self, free: np.ndarray) -> ca.Function:
         """Return one step with derivatives by some parameters (indices), and by the delay.
 
-        (state and sensitivities (2 n (1 + m),), command and its slope (2 n,), parameters and width
+        (state and sensitivities (size (1 + m),), command and its slope (2 n,), parameters and width
         of dry friction, step) -> the same state after the step. The last sensitivity is that by the
         delay.
         """
@@ -97,14 +132,14 @@ class CommandedArm:
         key = free.tobytes()
         if key not in self._steps:
             step, path = self._build_step(free), native.library()
-            several = None if path is None else batched(path, step, _SHARED_INPUTS)
+            several = None if path is None else read_batch(step, _SHARED_INPUTS).load(path)
             self._steps[key] = step, several or step
         return self._steps[key]
 
     def _build_step(self, free: np.ndarray) -> ca.Function:
         s = self._symbols()
         n, m = self.n, len(free)
-        sensitivity, slope = ca.SX.sym("S", 2 * n, m + 1), ca.SX.sym("slope", n)
+        sensitivity, slope = ca.SX.sym("S", self.size, m + 1), ca.SX.sym("slope", n)
         by_state, by_command = ca.jacobian(s.next, s.state), ca.jacobian(s.next, s.command)
         by_parameter = ca.densify(ca.jacobian(s.next, s.parameters))[:, [int(k) for k in free]]
         after = ca.mtimes(by_state, sensitivity) + ca.horzcat(
@@ -121,75 +156,57 @@ class CommandedArm:
             [ca.densify(ca.vertcat(s.next, ca.vec(after)))],
         )
 
+    @property
+    def _parameter_count(self) -> int:
+        return (len(JOINT_PARAMETERS) + len(BODY_PARAMETERS)) * self.n + 1
+
+    def _split(self, parameters: ca.SX) -> tuple[dict[str, ca.SX], tuple[ca.SX, ...]]:
+        """Return the parameters of joints (n,) by name, and the bodies."""
+        n, joints = self.n, len(JOINT_PARAMETERS) * self.n
+        columns = ca.horzsplit(ca.reshape(parameters[:joints], n, -1))
+        own = dict(zip(JOINT_PARAMETERS, columns, strict=True))
+        return own, self._bodies(parameters[joints : self._parameter_count - 1])
+
     def _symbols(self) -> LoopSymbols:
         """Return one step of ROS2 in symbols."""
-        n = self.n
-        count = (len(JOINT_PARAMETERS) + len(BODY_PARAMETERS)) * n + 1
-        state, command = ca.SX.sym("x", 2 * n), ca.SX.sym("u", n)
-        parameters, width, h = ca.SX.sym("p", count), ca.SX.sym("width"), ca.SX.sym("h")
-        own = dict(
-            zip(
-                JOINT_PARAMETERS,
-                ca.horzsplit(ca.reshape(parameters[: len(JOINT_PARAMETERS) * n], n, -1)),
-                strict=True,
-            )
+        n, elastic = self.n, len(self.elastic)
+        state, command = ca.SX.sym("x", self.size), ca.SX.sym("u", n)
+        parameters = ca.SX.sym("p", self._parameter_count)
+        width, h = ca.SX.sym("width"), ca.SX.sym("h")
+        model = Balance(self, *self._split(parameters), command, width)
+        reading, rate, load, other = ca.vertsplit(
+            state, [0, n, 2 * n, 2 * n + elastic, 2 * (n + elastic)]
         )
-        bodies = self._bodies(parameters[len(JOINT_PARAMETERS) * n : count - 1])
-        stiffness = np.where(np.isfinite(self.law.stiffness), self.law.stiffness, 0.0)
-        kp = ca.DM(stiffness) * (1.0 + own["gain"])
-        kd = ca.DM(self.law.damping) * (1.0 + own["damping"])
-
-        def inertia(q: ca.SX) -> ca.SX:
-            still, none = ca.SX.zeros(n), np.zeros(3)
-            angle = q - own["zero"]
-            columns = [
-                torque_of_bodies(self.tree, none, angle, still, ca.SX(ca.DM.eye(n)[:, i]), *bodies)
-                for i in range(n)
-            ]
-            return ca.horzcat(*columns) + ca.diag(own["armature"])
-
-        def balance(q: ca.SX, v: ca.SX) -> tuple[ca.SX, ca.SX]:
-            """Return torque that accelerates, and the slope of all losses by the velocity."""
-            drive = _clip(kp * (command - q), self.law.drive_max)
-            torque = _clip(drive - kd * v, self.law.torque_max)
-            direction = ca.tanh(v / width)
-            dry = (
-                own["coulomb"]
-                + own["friction_slope"] * (q - ca.DM(self.middle))
-                + own["load_friction"] * (ca.sqrt(torque**2 + _LOAD_WIDTH**2) - _LOAD_WIDTH)
-            )
-            losses = dry * direction + own["viscous"] * v + own["drag"] * v * ca.fabs(v)
-            bias = torque_of_bodies(
-                self.tree, self.tree.gravity, q - own["zero"], v, ca.SX.zeros(n), *bodies
-            )
-            slope = kd + own["viscous"] + dry / width * (1.0 - direction**2)
-            if self.added is not None:
-                # Velocity and direction are one: both give the slope by which stages are stable.
-                speed = ca.SX.sym("v", n)
-                way = ca.tanh(speed / width)
-                more = self.added(q, speed, way, torque)
-                by_speed = ca.diag(ca.jacobian(more, speed))
-                more, by_speed = ca.substitute([more, by_speed], [speed], [v])
-                losses, slope = losses + more, slope + by_speed
-            return torque + own["offset"] - losses - bias, slope
-
-        q, v = state[:n], state[n:]
-        mass, (torque, slope) = inertia(q), balance(q, v)
+        place, speed = ca.vertcat(reading, load), ca.vertcat(rate, other)
+        mass, (force, slope) = model.mass(place, speed), model.force(place, speed)
+        rates, slopes = model.rates(place), model.slopes(place)
+        symmetric = self.physics.torque is None  # others may depend on accelerations anyhow
         # Negative slopes, as of dry friction that a fit drives below zero, stay explicit.
+        shift = _STAGE_WEIGHT * h
         implicit = _factorize(
-            mass + ca.diag(_STAGE_WEIGHT * h * ca.fmax(slope, 0) + (_STAGE_WEIGHT * h) ** 2 * kp)
+            mass + ca.diag(shift * ca.fmax(slope, 0)) + shift**2 * ca.mtimes(slopes, rates),
+            symmetric=symmetric,
         )
 
-        def stage(rate: ca.SX, force: ca.SX) -> tuple[ca.SX, ca.SX]:
-            """Solve (1 - gamma h J) k = (rate, force / mass)."""
-            second = _solve(implicit, force - _STAGE_WEIGHT * h * kp * rate)
-            return rate + _STAGE_WEIGHT * h * second, second
+        def stage(rate: ca.SX, right: ca.SX) -> tuple[ca.SX, ca.SX]:
+            """Solve (1 - gamma h J) k = (rate, right / mass)."""
+            second = _solve(implicit, right - shift * ca.mtimes(slopes, rate))
+            return rate + shift * ca.mtimes(rates, second), second
 
-        first = stage(v, torque)
-        ahead_q, ahead_v = q + h * first[0], v + h * first[1]
-        acceleration = _solve(_factorize(inertia(ahead_q)), balance(ahead_q, ahead_v)[0])
-        second = stage(ahead_v - 2.0 * first[0], ca.mtimes(mass, acceleration - 2.0 * first[1]))
-        after = state + h * (1.5 * ca.vertcat(*first) + 0.5 * ca.vertcat(*second))
+        first = stage(ca.mtimes(rates, speed), force)
+        ahead, ahead_speed = place + h * first[0], speed + h * first[1]
+        mass_ahead = model.mass(ahead, ahead_speed)
+        force_ahead = model.force(ahead, ahead_speed)[0]
+        acceleration = _solve(_factorize(mass_ahead, symmetric=symmetric), force_ahead)
+        second = stage(
+            ca.mtimes(model.rates(ahead), ahead_speed) - 2.0 * first[0],
+            ca.mtimes(mass, acceleration - 2.0 * first[1]),
+        )
+        (q, s), (v, w) = (
+            ca.vertsplit(before + h * (1.5 * one + 0.5 * two), [0, n, n + elastic])
+            for before, one, two in zip((place, speed), first, second, strict=True)
+        )
+        after = ca.vertcat(q, v, s, w)
         return LoopSymbols(state, command, parameters, width, h, after)
 
     def _bodies(self, changes: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -206,29 +223,29 @@ class CommandedArm:
         )
 
 
-def _clip(value: ca.SX, largest: np.ndarray) -> ca.SX:
-    """Return a value within plus and minus `largest`, untouched where that is infinite."""
-    return ca.vertcat(
-        *(
-            ca.fmax(ca.fmin(value[i], most), -most) if np.isfinite(most) else value[i]
-            for i, most in enumerate(largest)
-        )
-    )
+def _factorize(matrix: ca.SX, *, symmetric: bool) -> list[list[ca.SX]]:
+    """Return triangular factors of a matrix (n, n) in one, which share their diagonal.
 
-
-def _factorize(matrix: ca.SX) -> list[list[ca.SX]]:
-    """Return the Cholesky factor of a symmetric matrix (n, n) as scalar expressions."""
+    Without pivots: masses outweigh what torques by accelerations add.
+    """
     n = matrix.shape[0]
     factor: list[list[ca.SX]] = [[ca.SX(0)] * n for _ in range(n)]
     for i in range(n):
-        for j in range(i + 1):
-            rest = matrix[i, j] - sum(factor[i][k] * factor[j][k] for k in range(j))
-            factor[i][j] = ca.sqrt(rest) if i == j else rest / factor[j][j]
+        for j in range(i):
+            for row, column in ((i, j), (j, i)):
+                rest = matrix[row, column]
+                rest -= sum(factor[row][k] * factor[k][column] for k in range(j))
+                factor[row][column] = rest / factor[j][j]
+                if symmetric:
+                    factor[j][i] = factor[i][j]
+                    break
+        rest = matrix[i, i] - sum(factor[i][k] * factor[k][i] for k in range(i))
+        factor[i][i] = ca.sqrt(rest)
     return factor
 
 
 def _solve(factor: list[list[ca.SX]], right: ca.SX) -> ca.SX:
-    """Solve with a Cholesky factor."""
+    """Solve with the factors of a matrix."""
     n = len(factor)
     forward: list[ca.SX] = []
     for i in range(n):
@@ -236,6 +253,6 @@ def _solve(factor: list[list[ca.SX]], right: ca.SX) -> ca.SX:
         forward.append(rest / factor[i][i])
     found: list[ca.SX] = [ca.SX(0)] * n
     for i in reversed(range(n)):
-        rest = forward[i] - sum(factor[k][i] * found[k] for k in range(i + 1, n))
+        rest = forward[i] - sum(factor[i][k] * found[k] for k in range(i + 1, n))
         found[i] = rest / factor[i][i]
     return ca.vertcat(*found)

@@ -44,6 +44,10 @@ class Polished:
         Fitted parameters.
     covariance : array (m, m)
         Of the fitted parameters.
+    expected : Parameters
+        Before the fit.
+    expected_deviations : array (p,)
+        One standard deviation of each; 0 of those that were held.
     """
 
     parameters: Parameters
@@ -52,6 +56,8 @@ class Polished:
     evaluations: int
     places: np.ndarray
     covariance: np.ndarray
+    expected: Parameters
+    expected_deviations: np.ndarray
 
     def over_gain(self, name: str, stiffness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return a joint parameter over the fitted gain, and its standard deviations (n,).
@@ -187,7 +193,18 @@ class _Fit:
         covariance = self.covariance(current, point, self.noise(point))
         spread[self.places] = np.sqrt(np.diag(covariance))
         residual = np.sqrt(np.nanmean(point.residual**2, axis=0))
-        return Polished(current, spread, residual, self.evaluations, self.places, covariance)
+        expected = np.zeros_like(spread)
+        expected[self.places] = self._size
+        return Polished(
+            parameters=current,
+            deviations=spread,
+            residual=residual,
+            evaluations=self.evaluations,
+            places=self.places,
+            covariance=covariance,
+            expected=self._prior,
+            expected_deviations=expected,
+        )
 
     def evaluate(self, parameters: Parameters, refinement: float = 1.0) -> _Point:
         """Simulate all runs by stretches."""

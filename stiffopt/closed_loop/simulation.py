@@ -126,12 +126,12 @@ def _simulate_together(
     # Steps of no width change nothing: they fill lanes up.
     given = np.zeros((calls * _CALL_STEPS, lanes, 2 * n))
     width = np.zeros((calls * _CALL_STEPS, lanes))
-    state = np.zeros((2 * n * (1 + m), lanes))
+    state = np.zeros((loop.size * (1 + m), lanes))
     found = []
     for lane, (own, drive) in enumerate(zip(stretches, drives, strict=True)):
         given[: len(drive.width), lane], width[: len(drive.width), lane] = drive.given, drive.width
         start = own.run.position[own.begin]
-        state[: 2 * n, lane] = *start, *own.velocity
+        state[: loop.size, lane] = loop.begin(start, own.velocity, parameters.values)
         rows = own.end - own.begin + 1
         found.append(Simulated(np.tile(start, (rows, 1)), np.zeros((rows, n, m))))
     given[:, len(stretches) :], width[:, len(stretches) :] = given[:, :1], width[:, :1]
@@ -148,7 +148,7 @@ def _simulate_together(
             met = np.flatnonzero((drive.ends > first) & (drive.ends <= first + _CALL_STEPS))
             at_rows = states[:, drive.ends[met] - first - 1, lane].T
             found[lane].position[met + 1] = at_rows[:, :n]
-            slopes = at_rows[:, 2 * n :].reshape(-1, m, 2 * n)[:, :, :n]
+            slopes = at_rows[:, loop.size :].reshape(-1, m, loop.size)[:, :, :n]
             found[lane].slopes[met + 1] = slopes.transpose(0, 2, 1)
     return found
 
@@ -186,9 +186,11 @@ def initial_velocity(loop: CommandedArm, run: CommandedRun, parameters: Paramete
     step = loop.step_function(np.zeros(0, dtype=int))
     given = np.concatenate([run.command[0], np.zeros(loop.n)])
     values = np.append(parameters.values, _DRY_FRICTION_WIDTH)
-    velocity = np.zeros(loop.n)
+    n, size = loop.n, loop.size
+    state = loop.begin(run.position[0], np.zeros(n), parameters.values)
     for _ in range(_SETTLING_STEPS):
-        state = np.concatenate([run.position[0], velocity, np.zeros(2 * loop.n)])
-        after = np.asarray(step(state, given, values, _MAX_STEP))[:, 0]
-        velocity = after[loop.n : 2 * loop.n]
-    return np.clip(velocity, np.minimum(rate, 0.0), np.maximum(rate, 0.0))
+        moved = step(np.concatenate([state, np.zeros(size)]), given, values, _MAX_STEP)
+        state = np.asarray(moved)[:size, 0]
+        state[:n] = run.position[0]
+    velocity: np.ndarray = state[n : 2 * n]
+    return velocity.clip(np.minimum(rate, 0.0), np.maximum(rate, 0.0))

@@ -48,57 +48,39 @@ _SERVO_LEAD_SHARES = (0.5,)
 _TRIAL_SAMPLES = 1001
 
 
+# Knot spacing, share of the wind-up and share of the servo's lag of a command.
+CommandChoice = tuple[float | None, float, float]
+
+
 @dataclass(frozen=True, eq=False)
 class ExistingCommand:
-    """Command of the motors, made or of an earlier solve.
+    """Command of the motors, made or of an earlier solve."""
 
-    Parameters
-    ----------
-    motors : JointMotion
-        Motion of the motors, with that of the links as its `link`.
-    spacing : float or None
-        As of `CompensatedMotion`.
-    share : float
-    """
-
-    motors: JointMotion
-    spacing: float | None
+    motors: JointMotion  # motion of the motors, with that of the links as its `link`
+    spacing: float | None  # as of `CompensatedMotion`
     share: float
+    servo_share: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class CommandOnArms:
-    """Command with its results on the arm as modelled, at its bounds and as drawn.
-
-    Parameters
-    ----------
-    motion : PlannedMotion
-    motors : JointMotion
-        The command.
-    planned, compensated : Spreads
-        Of the motion as it is planned, and of the command.
-    nominal, worst : Departure
-        The arm as modelled, and the one on which the command deviates most in flight.
-    spacing, share : as of `CompensatedMotion`
-    excess : tuple of Violation
-        Limits of the motors that the command exceeds.
-    simulated : callable
-        Full elastic simulation of the command on an arm.
-    law : MotorLaw
-        By which the command was made.
-    """
+    """Command with its results on the arm as modelled, at its bounds and as drawn."""
 
     motion: PlannedMotion
-    motors: JointMotion
+    motors: JointMotion  # the command
+    # Of the motion as it is planned, and of the command.
     planned: Spreads
     compensated: Spreads
+    # The arm as modelled, and the one on which the command deviates most in flight.
     nominal: Departure
     worst: Departure
     spacing: float | None
     share: float
-    excess: tuple[Violation, ...]
+    servo_share: float
+    excess: tuple[Violation, ...]  # limits of the motors that the command exceeds
+    # Full elastic simulation of the command on an arm.
     simulated: Callable[[Departure], SimulatedMotion]
-    law: MotorLaw
+    law: MotorLaw  # by which the command was made
 
     @property
     def worst_case_peaks(self) -> float:
@@ -117,43 +99,36 @@ class CommandOnArms:
             worst=self.simulated(self.worst) if optimised else None,
             spacing=self.spacing,
             share=self.share,
+            servo_share=self.servo_share,
             excess=self.excess,
         )
 
 
 @dataclass(frozen=True, eq=False)
 class _Lead:
-    """Smooth motion of the links and the motors that lead it.
-
-    Parameters
-    ----------
-    link : Trajectory
-    motors : Trajectory
-        With all of the nominal wind-up.
-    spacing : float or None
-    servo : Servo
-        Whose known lag the command leads.
-    """
+    """Smooth motion of the links and the motors that lead it."""
 
     link: Trajectory
-    motors: Trajectory
+    motors: Trajectory  # with all of the nominal wind-up
     spacing: float | None
-    servo: Servo
+    servo: Servo  # whose known lag the command leads
 
-    def commands(self, share: float) -> Iterator[Trajectory]:
+    def commands(self, share: float) -> Iterator[ExistingCommand]:
         """Commands with a share of the wind-up, and with less and less of the servo's lag."""
         motors = self._motors_with_share(share)
+        made = functools.partial(ExistingCommand, spacing=self.spacing, share=share)
         if self.servo.leads_exactly:
-            yield motors
+            yield made(motors)
             return
         whole = self.servo.lead(motors)
-        yield whole
+        yield made(whole)
         times, end = whole.times, motors.duration
         held = motors.held_for(times[-1] - end)
         for led in _SERVO_LEAD_SHARES:
             derivatives = [led * whole(times, k) + (1.0 - led) * held(times, k) for k in range(4)]
-            yield Trajectory.through(times, np.stack(derivatives), whole.link or held)
-        yield motors
+            mixed = Trajectory.through(times, np.stack(derivatives), whole.link or held)
+            yield made(mixed, servo_share=led)
+        yield made(motors, servo_share=0.0)
 
     def _motors_with_share(self, share: float) -> Trajectory:
         if share == 1.0:
@@ -175,7 +150,9 @@ class CommandSearch:
         motion: PlannedMotion,
         law: MotorLaw,
         servo: Servo | None = None,
+        choice: CommandChoice | None = None,
     ) -> None:
+        self._choice = choice
         self._problem, self._arm, self._motion, self._law = problem, arm, motion, law
         self._follows, self._plan = motion.followed, motion.planned_path
         self._servo = self._worst = servo or problem.servo
@@ -210,14 +187,17 @@ class CommandSearch:
             worst=arms[int(np.argmax(errors.peak(errors.flight)[count:]))],
             spacing=made.spacing,
             share=made.share,
+            servo_share=made.servo_share,
             excess=self.motor_violations(made.motors),
             simulated=functools.partial(self._simulate_on, command),
             law=self._law,
         )
 
     def chosen_command(self) -> SimulationRequests[ExistingCommand]:
-        """Choose the command of the least worst case."""
-        tried = self._candidates_within_limits(self._candidate_leads())
+        """Choose the command of the least worst case, or as chosen before where limits allow it."""
+        if (made := self._command_as_chosen()) is not None:
+            return made
+        tried = self._candidates_within_limits()
         commands = [MotorMotion.of(each.motors) for each in tried]
         arms = yield from self._worst_arms(commands[0])
         members = [Member(command=own, departure=arm) for own in commands for arm in arms]
@@ -239,49 +219,55 @@ class CommandSearch:
         worst = yield from worst_levels(self._many, command, self._box)
         return [self._box.departure(each) for each in (*self._box.alike_corners(), *worst)]
 
-    def _candidates_within_limits(self, leads: list[_Lead]) -> list[ExistingCommand]:
+    def _candidates_within_limits(self) -> list[ExistingCommand]:
         """Return commands that keep the plan's limits on the trial grid.
 
         Where none does, the ones that lead by the nominal wind-up alone.
         """
         found, last = [], []
-        for lead in leads:
+        for lead in map(self._lead_of, self._spacings):
             for share in _WINDUP_SHARES:
-                made = [
-                    ExistingCommand(motors, lead.spacing, share) for motors in lead.commands(share)
-                ]
+                made = list(lead.commands(share))
                 kept = [each for each in made if self._keeps_plan_limits(each.motors)]
                 # The one without the servo's lag has the largest margin on a finer grid.
                 found += [kept[0], *(kept[-1:] if kept[-1] is not kept[0] else [])] if kept else []
                 last += made[-1:] if share == 1.0 else []
         return found or last
 
-    def _candidate_leads(self) -> list[_Lead]:
-        planned, own, lead = self._motion.motors, [], self._bearing_lead
-        if planned is not None and planned.link is not None:
-            # At a limit the planned motion cannot lead by more; a smoother spline may.
-            motors = planned
-            if lead is not None:
-                motors = planned.plus(lead.held_for(planned.duration - lead.duration))
-            own = [_Lead(planned.link, motors, None, self._problem.servo)]
-        wanted = self._plan if lead is None else LedPlan(self._plan, lead)
-        links = [(smooth_motion(wanted, each), each) for each in KNOT_SPACINGS]
-        smoothing = law_smoothing(self._problem)
-        splines = [
-            _Lead(
-                link,
-                motors_with_sufficient_smoothing(
-                    functools.partial(self._law.motion, link),
-                    functools.partial(self._excess_beyond_plan, points=_TRIAL_SAMPLES),
-                    smoothing,
-                    CERTIFICATE_TOLERANCE,
-                ),
-                spacing,
-                self._problem.servo,
+    def _command_as_chosen(self) -> ExistingCommand | None:
+        """Return the command of the choice, None without one or where it exceeds a limit."""
+        spacing, share, servo_share = self._choice or (np.nan, 1.0, 1.0)
+        if spacing not in self._spacings:
+            return None
+        for made in self._lead_of(spacing).commands(share):
+            if made.servo_share == servo_share:
+                kept = self._excess_beyond_plan(made.motors) <= CERTIFICATE_TOLERANCE
+                return made if kept else None
+        return None
+
+    @property
+    def _spacings(self) -> list[float | None]:
+        """Knot spacings of the leads; None for the planned lead."""
+        # At a limit the planned motion cannot lead by more; a smoother spline may.
+        planned = self._motion.motors
+        return [*([] if planned is None or planned.link is None else [None]), *KNOT_SPACINGS]
+
+    def _lead_of(self, spacing: float | None) -> _Lead:
+        planned, own, servo = self._motion.motors, self._bearing_lead, self._problem.servo
+        if spacing is None and planned is not None and planned.link is not None:
+            link, motors = planned.link, planned
+            if own is not None:
+                motors = planned.plus(own.held_for(planned.duration - own.duration))
+        else:
+            assert spacing is not None
+            link = smooth_motion(self._plan if own is None else LedPlan(self._plan, own), spacing)
+            motors = motors_with_sufficient_smoothing(
+                functools.partial(self._law.motion, link),
+                functools.partial(self._excess_beyond_plan, points=_TRIAL_SAMPLES),
+                law_smoothing(self._problem),
+                CERTIFICATE_TOLERANCE,
             )
-            for link, spacing in links
-        ]
-        return [self._against_force(each) for each in (*own, *splines)]
+        return self._against_force(_Lead(link, motors, spacing, servo))
 
     @functools.cached_property
     def _bearing_lead(self) -> Trajectory | None:

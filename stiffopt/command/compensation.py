@@ -17,6 +17,7 @@ import numpy as np
 
 from stiffopt.certificate.assess import assess
 from stiffopt.command.command_search import (
+    CommandChoice,
     CommandOnArms,
     CommandSearch,
     ExistingCommand,
@@ -52,51 +53,46 @@ def compensate(
     *,
     known: CommandOnArms | None = None,
     rivals: Sequence[CommandOnArms] | None = None,
+    choice: CommandChoice | None = None,
     progress: Progress | None = None,
 ) -> Compensation:
     """Return the command of the first motion, and the effect of compensation on all motions.
 
-    Parameters
-    ----------
-    problem : TrajectoryProblem
-        At rest at both ends.
-    arm : ElasticArm
-    motions : sequence of PlannedMotion
-        The optimised one first.
-    known : CommandOnArms, optional
-        Of the first motion, where it is known already.
-    rivals : sequence of CommandOnArms, optional
-        Of the others, as of `rival_commands`.
-    progress : callable, optional
-        Called with the name of each motion before it is compensated.
-
-    Raises
-    ------
-    NotSimulatedError
-        The arm cannot be simulated.
-    RobotError
-        An uncertainty takes a joint's damping above critical.
+    `motions` begin with the optimised one and are at rest at both ends; commands that exist already
+    are given as `known` and `rivals`, and the `choice` of the first one is kept where limits allow
+    it. Raises `NotSimulatedError`, and `RobotError` where an
+    uncertainty takes a joint's damping above critical.
     """
-    own = known or commands_on_arms(problem, arm, motions[:1], progress=progress)[0]
-    if rivals is None:
-        rivals = rival_commands(problem, arm, motions[1:], own.law, progress=progress)
-    found = [own, *rivals]
+    own = known
+    if own is None:
+        (own,) = commands_on_arms(problem, arm, motions[:1], choice=choice, progress=progress)
     refusal, command = _explain_refusal(problem, own.excess), None
     if not refusal:
         command = assess(problem, own.motors, times=export_times(own.motors.duration))
-    result = Compensation(
-        motions=tuple(each.for_reports() for each in found),
+    alone = Compensation(
+        motions=(own.for_reports(),),
         command=command,
         refusal=refusal,
         uncertainty=problem.uncertainty.statements(arm.robot.payload is not None, problem.servo),
         ahead=problem.servo.dead_time,
         draws=problem.uncertainty.draws,
     )
+    if rivals is None:
+        rivals = rival_commands(problem, arm, motions[1:], own.law, progress=progress)
+    return compare_commands(problem, alone, rivals)
+
+
+def compare_commands(
+    problem: TrajectoryProblem, alone: Compensation, rivals: Sequence[CommandOnArms]
+) -> Compensation:
+    """Return a compensation with rivals beside the optimised motion."""
+    motions = (*alone.motions, *(each.for_reports() for each in rivals))
+    result = replace(alone, motions=motions)
     best = result.best_rival
     if best is None or not result.rival_wins:
         return result
-    place = next(k for k, each in enumerate(result.motions) if each is best)
-    motors, plan = found[place].motors, found[place].motion
+    winner = next(each for each in rivals if each.motion.name == best.name)
+    motors, plan = winner.motors, winner.motion
     assert plan.rival is not None
     duration = float(plan.time[-1])
     return replace(
@@ -162,20 +158,9 @@ def judge_existing_command(
     """Judge an existing command of the first motion beside new commands of the others.
 
     Commands of the others are chosen for the problem's uncertainties and the arm as modelled. All
-    are judged by the uncertainty, damping and servo given here.
-
-    Parameters
-    ----------
-    problem, arm, motions : as of `compensate`
-    made : ExistingCommand
-    uncertainty : Uncertainty, optional
-        Replaces the problem's.
-    damping : float, optional
-        Of all elastic joints, as a share of critical.
-    servo : Servo, optional
-        Servo of every arm; stated uncertainties of the servo are ignored then.
-    file : str
-        Name of the command's file, for reports.
+    are judged by the `uncertainty` (default the problem's), the `damping` of all elastic joints
+    [share of critical] and the `servo` given here. `file` is the name of the command's file, for
+    reports.
     """
     law = MotorLaw(problem.robot, problem.process_force)
     own, *others = motions
@@ -210,6 +195,7 @@ def commands_on_arms(
     motions: Sequence[PlannedMotion],
     law: MotorLaw | None = None,
     *,
+    choice: CommandChoice | None = None,
     progress: Progress | None = None,
 ) -> list[CommandOnArms]:
     """Return the commands of motions with their results on all arms.
@@ -218,7 +204,7 @@ def commands_on_arms(
     """
     law = law or MotorLaw(problem.robot, problem.process_force)
     return answer_together(
-        CommandSearch(problem, arm, each, law).evaluate_command()
+        CommandSearch(problem, arm, each, law, choice=choice).evaluate_command()
         for each in _tell_each(motions, progress)
     )
 
@@ -242,9 +228,14 @@ def _explain_refusal(problem: TrajectoryProblem, excess: tuple[Violation, ...]) 
         if all(name != o.name for o in problem.objectives)
     ]
     other = f"Minimise {' or '.join(others)}, which plan{'s' * (len(others) == 1)} the links"
+    exceeded = (
+        f"No command.csv: for the links to follow this motion, the motors would exceed {named}."
+    )
     if any(each.name == "duration" for each in problem.objectives):
+        if problem.uncertainty.stated:
+            return f"{exceeded} Plan with lower {limits}."
         other = "State [uncertainty], for which the links of a fastest motion are planned"
     return (
-        f"No command.csv: for the links to follow this motion, the motors would exceed {named}. "
-        f"{other} within the motors' limits, allow a longer duration, or plan with lower {limits}."
+        f"{exceeded} {other} within the motors' limits, allow a longer duration, or plan with "
+        f"lower {limits}."
     )

@@ -22,15 +22,7 @@ _SAMPLE_STEP, _KNOT_SPACING = 2e-3, 2e-2
 
 
 def force_lead(robot: Robot, plan: JointMotion, force: ForceHistory) -> Trajectory:
-    """Return the additional wind-up under the process force, by which the motors lead.
-
-    Parameters
-    ----------
-    robot : Robot
-    plan : JointMotion
-        Of the links, at rest at both ends.
-    force : ForceHistory
-    """
+    """Return the additional wind-up under the process force, by which the motors lead."""
     time = np.linspace(0.0, plan.duration, max(50, int(np.ceil(plan.duration / _SAMPLE_STEP))) + 1)
     body = rigid_body_history(robot, *(np.asarray(plan(time, k)) for k in range(3)))
     pushed = np.einsum("kij,ki->kj", body.jacobian, force(time))

@@ -44,12 +44,7 @@ _STANDSTILL_SPEED = 1e-6
 def elastic_arm(problem: TrajectoryProblem, start: np.ndarray) -> ElasticArm:
     """Return the problem's robot as an elastic arm, checked in its start pose (n,) [rad].
 
-    Raises
-    ------
-    RobotError
-        Damping or hysteresis is not physical.
-    NotSimulatedError
-        The arm cannot be simulated.
+    Raises `RobotError` for unphysical damping or hysteresis, `NotSimulatedError` for other arms.
     """
     arm = ElasticArm(problem.robot, start, problem.process_force)
     parts = {objective.kind.deflection_part for objective in problem.objectives}
@@ -62,39 +57,20 @@ def elastic_arm(problem: TrajectoryProblem, start: np.ndarray) -> ElasticArm:
 
 @dataclass(frozen=True, kw_only=True)
 class PlannedMotion:
-    """Motion to be simulated.
-
-    Parameters
-    ----------
-    name : str
-    time : array (K,)
-        From 0 [s].
-    position, velocity : array (K, n)
-        [rad], [rad/s].
-    parts : dict of PeakRms
-        Parts of its planned deflection by name, "dynamic" among them [m].
-    counted : bool
-        True where it keeps all limits and the problem's duration.
-    motors : Trajectory or None
-        Where the motors lead the planned path, as planned.
-    path : JointMotion or None
-        Planned motion of the links of a stored motion whose motors lead it.
-    exceeded : tuple of str
-        Names of limits that it exceeds.
-    rival : FairRival or None
-        By which it can be slowed.
-    """
+    """Motion to be simulated."""
 
     name: str
-    time: np.ndarray
+    time: np.ndarray  # (K,) from 0 [s]
+    # (K, n) [rad], [rad/s].
     position: np.ndarray
     velocity: np.ndarray
-    parts: dict[str, PeakRms]
-    counted: bool
-    motors: Trajectory | None = None
+    parts: dict[str, PeakRms]  # parts of its planned deflection by name, "dynamic" among them [m]
+    counted: bool  # True where it keeps all limits and the problem's duration
+    motors: Trajectory | None = None  # where the motors lead the planned path, as planned
+    # Planned motion of the links of a stored motion whose motors lead it.
     path: JointMotion | None = None
-    exceeded: tuple[str, ...] = ()
-    rival: FairRival | None = None
+    exceeded: tuple[str, ...] = ()  # names of limits that it exceeds
+    rival: FairRival | None = None  # by which it can be slowed
 
     @cached_property
     def followed(self) -> MotorMotion:
@@ -187,22 +163,9 @@ def simulate_motions(
     servo: Servo | None = None,
     band: float = SETTLING_BAND,
 ) -> Simulation:
-    """Simulate motions of a problem, the optimised one first.
+    """Simulate motions of a problem, the optimised one first, with a settling band [m].
 
-    Parameters
-    ----------
-    problem : TrajectoryProblem
-    arm : ElasticArm
-    motions : sequence of PlannedMotion
-    servo : Servo, optional
-        Default that of the problem.
-    band : float
-        Settling band of the tool [m].
-
-    Raises
-    ------
-    NotSimulatedError
-        The arm cannot be simulated.
+    `servo` defaults to the problem's. Raises `NotSimulatedError`.
     """
     terms = problem.objectives
     part = terms[0].kind.deflection_part if len(terms) == 1 else ""
@@ -270,12 +233,8 @@ def damping_sensitive_limits(problem: TrajectoryProblem, motion: Assessment) -> 
     """Return the limits after arrival that arms of other damping exceed, with the overshoot.
 
     Empty where the problem has none, or every joint states its damping. No motion is slowed for
-    that (decision 0027): a note reports it.
-
-    Raises
-    ------
-    NotSimulatedError
-        The arm cannot be simulated.
+    that (decision 0027): a note reports it. Raises `NotSimulatedError`: the arm cannot be
+    simulated.
     """
     if motion.simulated is None or motion.simulated.peak_after is None:
         return {}

@@ -32,16 +32,9 @@ def motors_with_sufficient_smoothing(
 ) -> Trajectory:
     """Return motors by the narrowest law with an allowed excess, or by that of the least excess.
 
-    Parameters
-    ----------
-    motors : callable
-        Motion of the motors for a factor on the law's smoothing widths.
-    excess : callable
-        Largest relative excess of the motors' limits.
-    smoothing : float
-        The narrowest factor.
-    allowed : float
-        Excess up to which the width is sufficient.
+    `motors`: motion of the motors for a factor on the law's smoothing widths. `excess`: largest
+    relative excess of the motors' limits. `smoothing`: the narrowest factor. `allowed`: excess up
+    to which the width is sufficient.
     """
     made: dict[float, tuple[Trajectory, float]] = {}
 
@@ -63,13 +56,8 @@ def narrowest_sufficient_width(
 ) -> float:
     """Return the narrowest factor, by doubling, with an allowed excess, or that of the least one.
 
-    Parameters
-    ----------
-    beyond : callable
-        Excess for a factor on the law's smoothing widths.
-    smoothing : float
-        The narrowest factor.
-    allowed : float
+    `beyond` gives the excess for a factor on the law's smoothing widths; `smoothing` is the
+    narrowest.
     """
     worst = beyond(smoothing)
     for _ in range(_MAX_DOUBLINGS):

@@ -38,12 +38,9 @@ class BoltedFlange(ContactConnection):
     """Annular interface under the uniform pressure p = n F/A of its bolts.
 
     Without slip the torsional stiffness is k_t(p) J_p with J_p = pi/2 (Ro^4 - Ri^4); towards the
-    slip torque it falls by the shear law. A sector of the ring has its share of A and J_p.
-
-    Notes
-    -----
-    Valid up to 0.95 of the slip torque; beyond, the wind-up continues smoothly with growing
-    compliance, while the exact compliance is infinite from slip on.
+    slip torque it falls by the shear law. A sector of the ring has its share of A and J_p. Valid up
+    to 0.95 of the slip torque; beyond, the wind-up continues smoothly with growing compliance,
+    while the exact compliance is infinite from slip on.
     """
 
     kind: ClassVar[str] = "bolted_flange"

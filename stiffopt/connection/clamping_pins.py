@@ -36,11 +36,8 @@ class ClampingPins(ContactConnection):
     """Pins with flat tips and equal preloads on the surface of a shaft.
 
     The tangential compliance of a contact is that of its rough face in series with the half space
-    under the tip, 1/(8 G* a) with a the tip radius.
-
-    Notes
-    -----
-    Valid up to 0.95 of the slip torque, see `stiffopt.contact.shear`.
+    under the tip, 1/(8 G* a) with a the tip radius. Valid up to 0.95 of the slip torque, see
+    `stiffopt.contact.shear`.
     """
 
     kind: ClassVar[str] = "clamping_pins"

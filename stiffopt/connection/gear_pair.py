@@ -33,15 +33,11 @@ _HIGHEST_PRESSURE = 2e9
 class GearPair(ContactConnection):
     """Spur gears, referred to the shaft of the first one.
 
-    Each of the `contact_ratio` tooth pairs in mesh carries an equal share of the normal force
-    T/r_b on a Hertz strip of area A_H; its rough surfaces give
-    k_n(p) A_H [r_b^2 + kappa (r sin alpha)^2] with p the mean pressure on the strip. Tooth bending
-    acts in series.
-
-    Notes
-    -----
-    Rough-contact stiffness vanishes at zero torque (no prepressure), so the smoothed wind-up near
-    zero depends on the smoothing width. Backlash is not included.
+    Each of the `contact_ratio` tooth pairs in mesh carries an equal share of the normal force T/r_b
+    on a Hertz strip of area A_H; its rough surfaces give k_n(p) A_H [r_b^2 + kappa (r sin alpha)^2]
+    with p the mean pressure on the strip. Tooth bending acts in series. Rough-contact stiffness
+    vanishes at zero torque (no prepressure), so the smoothed wind-up near zero depends on the
+    smoothing width. Backlash is not included.
     """
 
     kind: ClassVar[str] = "gear_pair"

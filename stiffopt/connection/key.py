@@ -24,12 +24,8 @@ class Key(ContactConnection):
     """Parallel key (DIN 6885): flanks at r1 = d/2 - h1/2 and r2 = d/2 + h2/2 carry the torque.
 
     Flank i has the area A_i = length * h_i, the pressure p_i = |T|/(r_i A_i) + p0 and the torsional
-    stiffness k_n(p_i) A_i r_i^2.
-
-    Notes
-    -----
-    Clearance at reversal is not part of the model. Source of the layout: DIN 6892 (flank
-    pressures); wind-up by integrating the tangent compliance over torque.
+    stiffness k_n(p_i) A_i r_i^2. Clearance at reversal is not part of the model. Source of the
+    layout: DIN 6892 (flank pressures); wind-up by integrating the tangent compliance over torque.
     """
 
     kind: ClassVar[str] = "key"

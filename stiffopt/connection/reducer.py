@@ -20,13 +20,10 @@ _RELATIVE_CORNER_WIDTH = 0.08
 class Reducer(Connection):
     """Reducer with the slopes K1 (|T| < T1), K2 (T1 to T2) and K3 (above), at its output.
 
-    phi = T/K1 + sum_j (1/K_(j+1) - 1/K_j) w_j [sp((T-T_j)/w_j) - sp((-T-T_j)/w_j)] with
-    w_j = 0.08 T_j times the smoothing factor and sp(x) = ln(1 + exp(x)).
-
-    Notes
-    -----
-    Slopes as harmonic-drive catalogues define them; hysteresis and lost motion are not included.
-    The smoothed wind-up is within 2.1 % of the exact one, the slope within 24 % near T1 and T2.
+    phi = T/K1 + sum_j (1/K_(j+1) - 1/K_j) w_j [sp((T-T_j)/w_j) - sp((-T-T_j)/w_j)] with w_j = 0.08
+    T_j times the smoothing factor and sp(x) = ln(1 + exp(x)). Slopes as harmonic-drive catalogues
+    define them; hysteresis and lost motion are not included. The smoothed wind-up is within 2.1 %
+    of the exact one, the slope within 24 % near T1 and T2.
     """
 
     kind: ClassVar[str] = "reducer"

@@ -31,15 +31,11 @@ _WRAP_ANGLE_BOUNDS = Bounds(above=0.0, below=2 * math.pi)
 class TimingBelt(LinearConnection):
     """Belt stage, referred to the shaft of the first pulley.
 
-    The pulley flank moves along the tangent, with components normal (cos beta) and parallel
-    (sin beta) to the flank of the soft belt tooth. A pulley has
-    K = z_m R^2 (K_n cos^2 beta + K_t sin^2 beta) with K_n = E b h/(w/2) and
-    K_t = G b h/(w/2); both spans act while they are taut.
-
-    Notes
-    -----
-    Valid up to `slack_torque`, where one span goes slack and the stage loses half of the spans'
-    stiffness. Belt teeth are soft and smooth: no rough-contact law applies.
+    The pulley flank moves along the tangent, with components normal (cos beta) and parallel (sin
+    beta) to the flank of the soft belt tooth. A pulley has K = z_m R^2 (K_n cos^2 beta + K_t sin^2
+    beta) with K_n = E b h/(w/2) and K_t = G b h/(w/2); both spans act while they are taut. Valid up
+    to `slack_torque`, where one span goes slack and the stage loses half of the spans' stiffness.
+    Belt teeth are soft and smooth: no rough-contact law applies.
     """
 
     kind: ClassVar[str] = "timing_belt"

@@ -37,18 +37,8 @@ def shear_travel(
 ) -> Quantity:
     """Integral of dt k_n(p)/k(t): tangential travel without slip would be t, under slip more.
 
-    Parameters
-    ----------
-    pressure : float
-        Nominal pressure p [Pa], above 0.
-    load_ratio : float
-        Shear load over slip load, 0 or above; the law itself holds up to 0.95.
-    shear : {"mindlin", "load"}
-
-    Returns
-    -------
-    float
-        Dimensionless travel; times slip traction over kappa k_n(p) it is the travel in metres.
+    For a nominal pressure p > 0 [Pa] and a shear load over slip load, which the law holds for up to
+    0.95. The dimensionless travel times slip traction over kappa k_n(p) is the travel in metres.
     """
     held = np.minimum(load_ratio, SLIP_LIMIT)
     beyond = load_ratio - held

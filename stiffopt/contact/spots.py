@@ -39,22 +39,15 @@ Loading = Annotated[
 
 @dataclass(frozen=True)
 class SpotLaw:
-    """Force and incremental normal stiffness of the spots of one regime.
+    """Force and incremental normal stiffness of the spots of one regime."""
 
-    Parameters
-    ----------
-    lower, upper : float
-        Range of the truncated area a' [m^2].
-    force_factor, force_exponent : float
-        F = force_factor * a'^force_exponent [N].
-    stiffness_factor, stiffness_exponent : float
-        k = stiffness_factor * a'^stiffness_exponent [N/m].
-    """
-
+    # Range of the truncated area a' [m^2].
     lower: float
     upper: float
+    # F = force_factor * a'^force_exponent [N].
     force_factor: float
     force_exponent: float
+    # k = stiffness_factor * a'^stiffness_exponent [N/m].
     stiffness_factor: float
     stiffness_exponent: float
 
@@ -71,27 +64,12 @@ def spot_laws(
 ) -> tuple[SpotLaw, ...]:
     """Laws of plastic, elastic-plastic and elastic spots, from the smallest to the largest.
 
-    Parameters
-    ----------
-    dimension : float
-        Fractal dimension of the surface, 2 < D < 3.
-    roughness : float
-        Fractal roughness G [m].
-    gamma : float
-        Frequency ratio of the surface, above 1.
-    modulus : float
-        Contact modulus E* [Pa].
-    hardness, poisson : float
-        Of the softer body, [Pa] and [-].
-    loading : {"first", "cyclic"}
-        cyclic: an elastic or elastic-plastic spot keeps its area a and deforms as an elastic punch,
-        k = 2 E* sqrt(a/pi). Plastic spots remain without stiffness: the sum of theirs diverges
-        towards small sizes of a fractal, so the cyclic stiffness is a lower bound.
-
-    Raises
-    ------
-    OutOfValidityError
-        When the critical area is no usable number (D very close to 2).
+    Of a surface with fractal dimension 2 < D < 3, roughness G [m] and frequency ratio gamma > 1;
+    contact modulus E* [Pa], hardness [Pa] and Poisson's ratio of the softer body. Cyclic loading:
+    an elastic or elastic-plastic spot keeps its area a and deforms as an elastic punch, k = 2 E*
+    sqrt(a/pi). Plastic spots remain without stiffness: the sum of theirs diverges towards small
+    sizes of a fractal, so the cyclic stiffness is a lower bound. Raises `OutOfValidityError` for D
+    very close to 2.
     """
     big_lambda = roughness ** (dimension - 2) * math.sqrt(math.log(gamma))
     yield_factor = 0.454 + 0.41 * poisson

@@ -60,8 +60,6 @@ FRACTAL_ROUGHNESS = Bounds(above=0.0, plausible=(0.0, 1e-3))
 class SurfacePair:
     """Two rough surfaces pressed together, with the fractal description of their roughness.
 
-    Notes
-    -----
     Refused when at 0.1 MPa the largest spot is not at least ten times above the all-plastic limit:
     such a surface would have no stiffness at light load, which is an artefact of the model.
     """

@@ -64,25 +64,15 @@ class ContactLaw(Protocol):
 
 @dataclass(frozen=True)
 class PowerLaw:
-    """k_n = c (p / 1 MPa)^m.
+    """k_n = c (p / 1 MPa)^m."""
 
-    Parameters
-    ----------
-    coefficient : float
-        c, stiffness per area at 1 MPa [N/m^3].
-    exponent : float
-        m, above 0 and below 1 (otherwise the surfaces would approach without end at p -> 0).
-    lower, upper : float
-        Range of the fit [Pa].
-    max_error : float
-        Largest relative error in it [-].
-    """
-
-    coefficient: float
+    coefficient: float  # c, stiffness per area at 1 MPa [N/m^3]
+    # m, above 0 and below 1 (otherwise the surfaces would approach without end at p -> 0).
     exponent: float
+    # Range of the fit [Pa].
     lower: float = LOWEST_PRESSURE
     upper: float = HIGHEST_PRESSURE
-    max_error: float = math.nan
+    max_error: float = math.nan  # largest relative error in it [-]
 
     def __post_init__(self) -> None:
         require_positive("power law", coefficient=self.coefficient)
@@ -109,21 +99,14 @@ class LogCubic:
 
     The straight lines make k_n positive and growing for every pressure above zero. k_n has a
     continuous slope at the two joints, its integral a continuous second derivative.
-
-    Parameters
-    ----------
-    coefficients : (4,) tuple of float
-        c0 .. c3 of ln(k_n / (N/m^3)) = c0 + c1 x + c2 x^2 + c3 x^3.
-    lower, upper : float
-        Range of the fit [Pa].
-    max_error : float
-        Largest relative error in it [-].
     """
 
+    # (4,) tuple: c0 .. c3 of ln(k_n / (N/m^3)) = c0 + c1 x + c2 x^2 + c3 x^3.
     coefficients: tuple[float, float, float, float]
+    # Range of the fit [Pa].
     lower: float = LOWEST_PRESSURE
     upper: float = HIGHEST_PRESSURE
-    max_error: float = math.nan
+    max_error: float = math.nan  # largest relative error in it [-]
 
     def __post_init__(self) -> None:
         require_positive("log-cubic law", lower=self.lower, upper=self.upper)

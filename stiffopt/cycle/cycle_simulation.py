@@ -202,14 +202,7 @@ def cycle_duty(cycle: Cycle, found: CycleSolution) -> Duty:
     for k, (leg, solved) in enumerate(zip(cycle.legs, found.legs, strict=True)):
         motion = solved.solution.assessment
         assert motion is not None
-        histories.append(
-            DutyHistory(
-                time=motion.time,
-                velocity=motion.velocity,
-                torque=motion.torque,
-                reducer_torque=motion.spring_torque,
-            )
-        )
+        histories.append(DutyHistory.of_motion(motion))
         if solved.dwell > 0.0:
             holding = cycle.legs[k + 1].problem if k + 1 < len(cycle.legs) else leg.problem
             pose = _stop_pose(leg.problem.end)

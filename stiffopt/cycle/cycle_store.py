@@ -18,7 +18,7 @@ from stiffopt.recipe.stored_result import read_guess
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.compensation import write_command
 from stiffopt.result.cycle import CYCLE_FILE, CycleSolution, leg_folder, write_cycle
-from stiffopt.result.store import export_times, write_result, write_trajectory
+from stiffopt.result.store import export_times, write_result, write_rival, write_trajectory
 
 CYCLE_TABLE = "cycle.csv"
 
@@ -39,6 +39,7 @@ def write_cycle_result(
             times = export_times(found.trajectory.duration)
             write_trajectory(assess(stated, found.trajectory, times=times), folder)
         write_command(found.compensation, folder)
+        write_rival(found.compensation, folder)
         write_result(
             found,
             folder,

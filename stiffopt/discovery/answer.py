@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from stiffopt.discovery.channel import Channel
 from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.extended.planning import planner_model
 from stiffopt.discovery.extended.value_changes import ValueChange, extended_model, value_changes
@@ -31,32 +32,16 @@ _VALUE_PLACEHOLDER = re.compile(r"\{([^{}:]+)(:%)?\}")
 
 @dataclass(frozen=True, eq=False)
 class Statement:
-    """A finding in words.
-
-    Parameters
-    ----------
-    sentence : str
-        Place and missing physics with values and standard deviations.
-    certainty : str
-        "found", "likely", "one of these" or "possible".
-    probability : str
-        In percent.
-    action : str
-        What to do about it.
-    values : tuple of str
-        Reported parameters with standard deviations.
-    rivals : tuple of str
-        Other causes that the data do not tell apart, with probabilities.
-    """
+    """A finding in words."""
 
     finding: Finding
     place: str
-    sentence: str
-    certainty: Certainty
-    probability: str
-    action: str
-    values: tuple[str, ...]
-    rivals: tuple[str, ...]
+    sentence: str  # place and missing physics with values and standard deviations
+    certainty: Certainty  # "found", "likely", "one of these" or "possible"
+    probability: str  # in percent
+    action: str  # what to do about it
+    values: tuple[str, ...]  # reported parameters with standard deviations
+    rivals: tuple[str, ...]  # other causes that the data do not tell apart, with probabilities
 
 
 @dataclass(frozen=True)
@@ -71,15 +56,14 @@ def statements(diagnosis: Diagnosis) -> list[Statement]:
     """Return the findings in words, in the order of what they explain, the named ones first."""
     listed_findings = [f for f in diagnosis.findings if f.probability >= MIN_LISTED_PROBABILITY]
     order = sorted(
-        listed_findings,
-        key=lambda f: (f.certainty == "possible", -explained_squares(diagnosis, f)),
+        listed_findings, key=lambda f: (f.certainty == "possible", -explained_squares(diagnosis, f))
     )
     return [_state_finding(diagnosis, finding) for finding in order]
 
 
 def explained_squares(diagnosis: Diagnosis, finding: Finding) -> float:
     """Return the mean squared residual over noise that a finding removes in its channel."""
-    number = channel_number(diagnosis, finding.channel)
+    number = Channel.read(finding.channel).number(diagnosis.recordings.n)
     excess = float(diagnosis.search.calibrated[number]) ** 2 - 1.0
     return max(excess, 0.0) * finding.variance_explained
 
@@ -96,12 +80,6 @@ def held_out_share(diagnosis: Diagnosis, finding: Finding) -> float:
         and any(located.key == finding.located.key for located in each.part.effects)
     ]
     return max(own, default=float("inf"))
-
-
-def channel_number(diagnosis: Diagnosis, name: str) -> int:
-    """Return the index of a channel among the torques, then the deflections, of all joints."""
-    kind, _, joint = name.rpartition("_")
-    return int(joint) - 1 + (0 if kind == "torque" else diagnosis.recordings.n)
 
 
 def changed_values(diagnosis: Diagnosis) -> list[ChangedValue]:
@@ -266,12 +244,8 @@ def fill(
 ) -> str:
     """Fill the placeholders of a phrase or remedy with values.
 
-    Parameters
-    ----------
-    words : mapping of str to str, optional
-        Further placeholders.
-    signed : bool
-        False: single values without sign, which the phrase states.
+    `words`: further placeholders. `signed`: False: single values without sign, which the phrase
+    states.
     """
 
     def value(match: re.Match[str]) -> str:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import special
 
 from stiffopt.discovery.catalogue import CATALOGUE
+from stiffopt.discovery.channel import Channel, channel_name
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect
 from stiffopt.discovery.diagnosis import (
@@ -19,8 +21,11 @@ from stiffopt.discovery.diagnosis import (
 )
 from stiffopt.discovery.experiment.design import ExperimentPlan
 from stiffopt.discovery.judging.explained_shares import MismatchShare
-from stiffopt.discovery.judging.unexplained import ChannelVerdict, Unexplained, channel_name
+from stiffopt.discovery.judging.unexplained import ChannelVerdict, Unexplained
 from stiffopt.discovery.laws.law import LAW_FAMILY
+from stiffopt.discovery.loop_effects import LOOP_VALUES
+from stiffopt.discovery.loop_fit import DRIVE_PARAMETERS, stated_tolerance
+from stiffopt.discovery.position_fit import ClosedLoopModel
 from stiffopt.discovery.search.left_out_gain import left_out_gains
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.uncertainty import (
@@ -33,6 +38,7 @@ from stiffopt.discovery.thresholds import (
     UNSTATED_DEVIATIONS,
 )
 from stiffopt.discovery.training import Training
+from stiffopt.recording.recording_set import RecordingSet
 
 if TYPE_CHECKING:
     from stiffopt.discovery.effect import Constants
@@ -41,6 +47,8 @@ if TYPE_CHECKING:
 _SMALL_SHARE = 1e-3
 # Two-sided p-value of one standard deviation: a value beyond it is zero within its deviation.
 _ONE_DEVIATION = float(2.0 * special.ndtr(-1.0))
+# Odds that a joint has no friction or no rotor worth measuring, before the recordings.
+_ABSENCE_ODDS = 0.1
 # P-value of an effect without a determined value: as likely as not.
 _UNDETERMINED_P_VALUE = 0.5
 
@@ -54,14 +62,8 @@ def build_findings(
 ) -> tuple[Finding, ...]:
     """Return the findings with probabilities and parameters.
 
-    Parameters
-    ----------
-    comparison : Comparison
-        With the noise estimated beside the effects.
-    parameters : Estimate
-        Joint estimate of the same effects.
-    again : array (e,)
-        Share of the perturbation ensemble in which each is named again.
+    `comparison`: with the noise estimated beside the effects. `parameters`: joint estimate of the
+    same effects. `again` (e,): share of the perturbation ensemble in which each is named again.
     """
     constants, n = training.constants, training.robot.n
     gains = left_out_gains(comparison, tuple(s.located for s in kept))
@@ -94,7 +96,8 @@ def build_findings(
         alike = sum(each.family == effect.family for each in CATALOGUE)
         places = n * alike if effect.only_in and located.joint is not None else 1
         sure = gain.support * float(again[index])
-        misfit = 1.0 - (1.0 - max(unknown, _null_share(chance, places))) * sure
+        zero = null_probability(chance, _ABSENCE_ODDS) if exists else _null_share(chance, places)
+        misfit = 1.0 - (1.0 - max(unknown, zero)) * sure
         findings.append(
             Finding(
                 estimated=parameters.effects[index],
@@ -176,7 +179,7 @@ def describe_next_experiment(
     Values that the nominal model does not state come last: they exist without doubt.
     """
     if unexplained is not None and shares and not unexplained.brief:
-        kind, _, _ = unexplained.channels[0].rpartition("_")
+        kind = Channel.read(unexplained.channels[0]).kind
         own = [each for each in shares if each.measured == kind]
         found = [each.share for each in own if each.part and each.part.kind == "finding"]
         if own and own[-1].share > max(found, default=0.0):
@@ -205,18 +208,51 @@ _REPEAT_INSTRUCTIONS = {
 
 def describe_next_recording(unexplained: Unexplained) -> str:
     """Describe the recording that would show most about the unexplained residual."""
-    kind, _, joint = unexplained.channels[0].rpartition("_")
-    words = "torque" if kind == "torque" else "link encoder"
+    channel = Channel.read(unexplained.channels[0])
     repeats = []
     for regressor in unexplained.regressors:
         signal, _, of = regressor.partition(" x ")[0].rpartition("_")
         how = _REPEAT_INSTRUCTIONS.get(regressor, _REPEAT_INSTRUCTIONS.get(signal, ""))
-        if how and not (signal == "q" and of == joint):
+        if how and not (signal == "q" and of == str(channel.joint)):
             repeats.append(how.format(of))
     text = (
-        f"Most of the unexplained residual is in the {words} of joint {joint}: move that joint"
-        " alone through its stroke, slowly and in both directions, the others at rest"
+        f"Most of the unexplained residual is in the {channel.sensor} of joint {channel.joint}:"
+        " move that joint alone through its stroke, slowly and in both directions, the others at"
+        " rest"
     )
     if repeats:
         text += f"; then {', '.join(dict.fromkeys(repeats))}"
     return f"{text}."
+
+
+def findings_with_loop_values(
+    recordings: RecordingSet, model: ClosedLoopModel | None, findings: Sequence[Finding]
+) -> tuple[Finding, ...]:
+    """Return findings with the values of the simulation, where it has them as parameters.
+
+    Torques derived from commands are filtered, and so are friction and its reversals: simulated,
+    they are where the arm has them. What a value adds to its nominal one is as uncertain as both.
+    """
+    if model is None:
+        return tuple(findings)
+    return tuple(_with_loop_value(recordings, model, each) for each in findings)
+
+
+def _with_loop_value(recordings: RecordingSet, model: ClosedLoopModel, finding: Finding) -> Finding:
+    joint, entry = finding.located.joint, finding.effect
+    name = DRIVE_PARAMETERS.get(entry.nominal) or LOOP_VALUES.get(entry.name)
+    if name is None or joint is None or entry.only_in:
+        return finding
+    place, robot = int(recordings.order[joint]), recordings.robot
+    if not model.loop.law.scaled[place]:
+        return finding
+    nominal, tolerance = 0.0, 0.0
+    if entry.nominal:
+        nominal = float(getattr(robot, entry.nominal)[place])
+        tolerance = nominal * stated_tolerance(recordings, entry.nominal)
+    value = float(model.fitted.of(name)[place]) - nominal
+    sd = float(np.hypot(model.deviations[model.fitted.place(name)][place], tolerance))
+    own, *others = finding.parameters
+    if value * own.value <= 0.0 or sd == 0.0:
+        return finding
+    return replace(finding, parameters=(replace(own, value=value, sd=sd), *others))

@@ -22,6 +22,7 @@ _PREREQUISITE_NEEDS: tuple[Need, ...] = (
     "link",
     "sensor",
     "torque_sensor",
+    "commanded",
     "windup",
     "moves",
     "gear_ratio",
@@ -41,6 +42,7 @@ MISSING_DATA: dict[Need, str] = {
     "link": "it has no link encoder",
     "sensor": "neither its torque nor its link angle is recorded",
     "torque_sensor": "torques are derived from commands, by their clock and scale",
+    "commanded": "its torque is measured, or its actuator is not known",
     "windup": "it has no link encoder, and not every joint has stiffness and damping",
     "moves": "it does not move",
     "reverses": "it moves in one direction only",
@@ -61,19 +63,11 @@ MISSING_DATA: dict[Need, str] = {
 
 @dataclass(frozen=True, kw_only=True)
 class EffectCheck:
-    """Result of the check if recordings can identify an effect.
-
-    Parameters
-    ----------
-    joint : int or None
-        From 1; None for an effect of the whole robot.
-    lacks : tuple of str
-        Missing data, a clause each; empty if the effect is identifiable.
-    """
+    """Result of the check if recordings can identify an effect."""
 
     effect: Effect
-    joint: int | None
-    lacks: tuple[str, ...]
+    joint: int | None  # from 1; None for an effect of the whole robot
+    lacks: tuple[str, ...]  # missing data, a clause each; empty if the effect is identifiable
 
     @property
     def possible(self) -> bool:
@@ -110,14 +104,12 @@ def effect_checks(
 ) -> tuple[EffectCheck, ...]:
     """Check every effect at every joint, then those of the whole robot.
 
-    Parameters
-    ----------
-    facts : sequence of JointFacts (n,)
-        Of the training runs.
+    `facts` (n,): of the training runs.
     """
     nominal = recordings.nominal
     of_set: dict[Need, bool] = {
         "torque_sensor": not recordings.signals.commanded,
+        "commanded": recordings.signals.commanded,
         "gear_ratio": nominal.gear_ratio is not None,
         "pole_pairs": nominal.pole_pairs is not None,
         "tool_frame": recordings.tool_frame is not None,
@@ -135,25 +127,18 @@ def effect_checks(
 
     still = any(one.at_rest for one in facts)
 
-    def check_at_rest(effect: Effect, wanted: Iterable[Need], joint: int | None) -> EffectCheck:
-        """Check an effect with poses at rest: it must act without motion."""
-        lacks = [MISSING_DATA[n] for n in wanted if n not in _MOTION_NEEDS and not met(n, joint)]
-        if not lacks and (effect.of_runs is not None or not acts_at_rest(effect)):
+    def check(effect: Effect, wanted: Iterable[Need], joint: int | None) -> EffectCheck:
+        """Check an effect; with poses at rest it must act without motion."""
+        missing = [need for need in wanted if not met(need, joint)]
+        if still:
+            missing = [need for need in missing if need not in _MOTION_NEEDS]
+        elif missing and missing[0] in _PREREQUISITE_NEEDS:
+            missing = missing[:1]
+        lacks = [MISSING_DATA[need] for need in missing]
+        if still and not lacks and (effect.of_runs is not None or not acts_at_rest(effect)):
             lacks = ["all poses are at rest"]
         place = None if joint is None else joint + 1
         return EffectCheck(effect=effect, joint=place, lacks=tuple(lacks))
-
-    def check(effect: Effect, wanted: Iterable[Need], joint: int | None) -> EffectCheck:
-        if still:
-            return check_at_rest(effect, wanted, joint)
-        missing = [need for need in wanted if not met(need, joint)]
-        if missing and missing[0] in _PREREQUISITE_NEEDS:
-            missing = missing[:1]
-        return EffectCheck(
-            effect=effect,
-            joint=None if joint is None else joint + 1,
-            lacks=tuple(MISSING_DATA[need] for need in missing),
-        )
 
     wanted = [(effect, required_signals(effect)) for effect in effects]
     robot = [pair for pair in wanted if pair[0].of_robot]
@@ -171,10 +156,7 @@ def restrict_to_identifiable(
 
     An effect that `recording check` calls not identifiable at a joint is never found there.
 
-    Parameters
-    ----------
-    checks : sequence of EffectCheck
-        Of every effect at every joint.
+    `checks`: of every effect at every joint.
     """
     told: dict[str, set[int | None]] = {}
     for check in checks:
@@ -222,10 +204,7 @@ def select_unseen(
 ) -> tuple[LocatedEffect, ...]:
     """Return the effects in channels that an extended model has no recordings and effects of.
 
-    Parameters
-    ----------
-    unseen : array (2 n,) of bool
-        Channels without recordings: torques, then link positions.
+    `unseen` (2 n,) of bool: channels without recordings: torques, then link positions.
     """
     torque, link = np.split(unseen, 2)
     known = [each.located for each in model.effects]

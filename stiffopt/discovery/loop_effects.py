@@ -1,128 +1,316 @@
-"""Findings in a closed loop: torques of effects by angle, velocity and actuator torque."""
+"""Findings in a closed loop: the catalogue's terms at one instant, of symbols in place of samples.
+
+A term that needs more than an instant (memory, clocks, temperatures) has no part in it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from stiffopt.closed_loop.arm import LoopTorque
+from stiffopt.closed_loop.physics import LoopPhysics, LoopSignals, LoopSpring
+from stiffopt.discovery.catalogue.common import motor_inertia
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect
+from stiffopt.discovery.effect import Term
 from stiffopt.discovery.extended.model import ExtendedModel
 from stiffopt.discovery.extended.planning import joint_constants, planner_model
-from stiffopt.discovery.signals import JointConstants, JointSignals
+from stiffopt.discovery.signals import (
+    JOINT_SIGNAL_NAMES,
+    JointSignals,
+    RobotConstants,
+    RobotSignals,
+)
+from stiffopt.dynamics.kinematics import point_jacobian, tool_pose
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.robot.added_torque import AddedTorque, MotionState
 from stiffopt.robot.robot import Robot
-from stiffopt.symbolic import Quantity
 
-# Samples of angle, velocity and torque at which a formula is compared with the term, over a time
-# in which memory would show; and the difference allowed over its size.
+# Samples at which a formula is compared with the term, over a time in which memory would show; and
+# the difference allowed over its size.
 _SAMPLE_COUNT, _FORMULA_TOLERANCE = 50, 1e-6
+# Angular frequency of the flanks of a joint that the model holds rigid [rad/s]: above all that
+# commands excite, slow beside the steps of the simulation.
+_FLANK_FREQUENCY = 300.0
+# Vibration on the flanks decays by itself, over critical damping.
+_FLANK_DAMPING = 0.3
+# Effects whose amplitude is a parameter of every loop, which a fit refines.
+LOOP_VALUES = {"load_friction": "load_friction", "quadratic_drag": "drag"}
+_SIGNAL_NAMES = tuple(each.name for each in fields(LoopSignals))
 
 
 def robot_in_loop(
     recordings: RecordingSet, model: ExtendedModel
-) -> tuple[Robot, LoopTorque | None, dict[int, float]]:
-    """Return the robot with findings, the torques of those it cannot hold, and encoder zeros.
+) -> tuple[Robot, LoopPhysics, dict[tuple[str, int], float]]:
+    """Return the robot with findings, the physics that it cannot hold, and values of the loop.
 
-    Zeros [rad] are readings less angles, by the joint (from 0) of the robot. Effects with memory,
-    of accelerations, of sensors, of single runs and of the whole arm are in none of these; of those
-    of several joints only laws are.
+    Values are by name of the loop's parameter and joint (from 0) of the robot. Effects with memory,
+    of sensors and of single runs are in none of these.
     """
     planner = planner_model(recordings.robot, model)
-    zeros, terms = {}, []
+    instant = _Instant(recordings, model)
+    values: dict[tuple[str, int], float] = {}
     for each in planner.not_in_robot:
         joint = each.located.joint
-        if joint is None or each.located.run is not None or each.effect.only_in:
+        if each.located.run is not None or each.effect.only_in:
             continue
-        place = int(recordings.order[joint])
-        if each.effect.moves_zero:
-            zeros[place] = -each.amplitudes[0]
-            continue
-        if each.effect.couples_joints:
-            continue
-        own = recordings.robot.chains[place]
-        formula = _torque_formula(each, joint_constants(model, joint, own))
-        if formula is not None:
-            terms.append((place, formula))
-    n, torques = recordings.n, planner.robot.added_torques
-    laws = [each for each in torques if not _needs_acceleration(each, n)]
-    if not (terms or laws):
-        return planner.robot, None, zeros
+        place = -1 if joint is None else int(recordings.order[joint])
+        if joint is not None and each.effect.moves_zero:
+            values["zero", place] = -each.amplitudes[0]
+        elif each.effect.name in LOOP_VALUES and each.amplitudes[0] > 0.0:
+            values[LOOP_VALUES[each.effect.name], place] = each.amplitudes[0]
+        else:
+            instant.add(each)
+    return planner.robot, instant.physics(planner.robot.added_torques), values
 
-    def added(q: ca.SX, v: ca.SX, direction: ca.SX, torque: ca.SX) -> ca.SX:
-        total = ca.SX.zeros(n)
-        for place, formula in terms:
-            total[place] += formula(q[place], v[place], direction[place], torque[place])
-        state = _motion_state(q, v, ca.SX(np.full(n, np.nan)), direction, torque)
+
+@dataclass(frozen=True, eq=False)
+class _Parts:
+    """Torques and deflections that a term adds at an instant, by joints in the order of the set."""
+
+    torque: ca.SX
+    deflection: ca.SX
+
+
+class _Instant:
+    """Terms of findings at one instant, as formulas of the loop's signals."""
+
+    def __init__(self, recordings: RecordingSet, model: ExtendedModel) -> None:
+        self.recordings, self.n = recordings, recordings.n
+        self.order = np.asarray(recordings.order)
+        chains = recordings.robot.chains
+        self.joints = tuple(joint_constants(model, j, chains[self.order[j]]) for j in range(self.n))
+        self.constants = RobotConstants(
+            joints=self.joints,
+            links=model.joints,
+            masses=np.zeros(self.n),
+            centres=np.zeros((self.n, 3)),
+            tool_range=np.zeros((2, 3)),
+            gravity=np.asarray(recordings.gravity, dtype=float),
+        )
+        self.symbols = LoopSignals(*(ca.SX.sym(name, self.n) for name in _SIGNAL_NAMES))
+        self.torque = ca.SX.zeros(self.n)
+        self.displacement = ca.SX.zeros(self.n)
+        self.windup: dict[int, ca.SX] = {}
+        self.at_output: set[int] = set()
+
+    def add(self, each: EstimatedEffect) -> None:
+        """Add a finding, if it is a formula of an instant."""
+        parts, s = self._parts(each), self.symbols
+        if parts is None:
+            return
+        turns_other_side = each.effect.at_motor is not None
+        torque = parts.torque
+        if ca.depends_on(parts.deflection, s.position):
+            # What the bodies' torques do on displaced links follows from the displacement.
+            (torque,) = ca.substitute(
+                [torque], [s.spring, s.drive], [0.0 * s.spring, s.drive - s.spring]
+            )
+        for j, place in enumerate(self.order.tolist()):
+            wound = parts.deflection[j]
+            if ca.depends_on(wound, s.spring):
+                self.windup[place] = self.windup.get(place, ca.SX(0.0)) + wound
+                if turns_other_side:
+                    self.at_output.add(place)
+            elif ca.depends_on(wound, s.position):
+                self.displacement[place] += wound
+            if not turns_other_side:  # otherwise by the motion of both sides
+                self._add_torque(place, torque[j])
+
+    def _add_torque(self, place: int, torque: ca.SX) -> None:
+        """Add a torque; one that bends with the load takes the actuator's torque for it.
+
+        Accelerations follow from the torques: one that bends with them is left out.
+        """
+        s = self.symbols
+        implicit = ca.vertcat(s.acceleration, s.spring, s.drive)
+        if ca.depends_on(ca.jacobian(torque, implicit), implicit):
+            (torque,) = ca.substitute([torque], [s.spring, s.drive], [s.torque, s.torque])
+        if not ca.depends_on(ca.jacobian(torque, s.acceleration), s.acceleration):
+            self.torque[place] += torque
+
+    def physics(self, laws: Sequence[AddedTorque]) -> LoopPhysics:
+        """Return the physics of all findings, and of laws."""
+        s = self.symbols
+        state = MotionState(
+            position=ca.vertsplit(s.position),
+            velocity=ca.vertsplit(s.velocity),
+            acceleration=ca.vertsplit(s.acceleration),
+            direction=ca.vertsplit(s.direction),
+            load=ca.vertsplit(s.spring),
+        )
         for each in laws:
-            total[each.joint] += each.value(state)
-        return total
+            self._add_torque(each.joint, ca.SX(each.value(state)))
+        inputs = [getattr(s, name) for name in _SIGNAL_NAMES]
 
-    return planner.robot, added, zeros
+        def added(given: LoopSignals) -> ca.SX:
+            values = [getattr(given, name) for name in _SIGNAL_NAMES]
+            (found,) = ca.substitute([self.torque], inputs, values)
+            return found
+
+        def displaced(position: ca.SX) -> ca.SX:
+            (found,) = ca.substitute([self.displacement], [s.position], [position])
+            return found
+
+        return LoopPhysics(
+            torque=added if _is_given(self.torque) else None,
+            displacement=displaced if _is_given(self.displacement) else None,
+            springs={place: self._spring(place, wound) for place, wound in self.windup.items()},
+        )
+
+    def _spring(self, place: int, wound: ca.SX) -> LoopSpring:
+        """Return the spring of a joint with its findings' wind-up."""
+        own = self.joints[int(np.flatnonzero(self.order == place)[0])]
+        load, damping = self.symbols.spring[place], own.joint_damping
+        if own.elastic:
+            wound = wound + own.windup(load)
+        else:
+            inertia = motor_inertia(own)
+            wound = wound + load / (inertia * _FLANK_FREQUENCY**2)
+            damping = 2.0 * _FLANK_DAMPING * inertia * _FLANK_FREQUENCY
+
+        def windup(torque: ca.SX) -> ca.SX:
+            return ca.substitute(wound, load, torque)
+
+        return LoopSpring(windup=windup, damping=damping, encoder_at_output=place in self.at_output)
+
+    def _parts(self, each: EstimatedEffect) -> _Parts | None:
+        """Return what an effect adds; None where its term is no formula of an instant."""
+        s = self.symbols
+        split = [
+            ca.vertsplit(getattr(s, name)[[int(k) for k in self.order]]) for name in _SIGNAL_NAMES
+        ]
+        try:
+            found = self._evaluate(each, [np.array([own], dtype=object) for own in split], 0.0)
+        except (TypeError, NotImplementedError, RuntimeError, ValueError, AttributeError):
+            return None  # written for arrays of samples alone
+        inputs = [getattr(s, name) for name in _SIGNAL_NAMES]
+        parts = _Parts(*(ca.SX(ca.vertcat(*[ca.SX(x) for x in own[0]])) for own in found))
+        function = ca.Function("parts", inputs, [parts.torque, parts.deflection])
+        rng = np.random.default_rng(0)
+        samples = [rng.uniform(-1.5, 1.5, (_SAMPLE_COUNT, self.n)) for _ in inputs]
+        samples[_SIGNAL_NAMES.index("direction")] = np.tanh(samples[1] / 0.02)
+        for name in ("torque", "spring", "drive"):
+            limits = [joint.torque_max for joint in self.joints]
+            samples[_SIGNAL_NAMES.index(name)] *= np.array(limits) / 1.5
+        # What a formula does not know takes any values: terms that depend on it differ.
+        other = np.cumsum(rng.uniform(0.5, 1.5, _SAMPLE_COUNT))
+        along = self._evaluate(each, samples, other)
+        in_robot = [x[:, np.argsort(self.order)].T for x in samples]
+        both = function.map(_SAMPLE_COUNT)(*in_robot)
+        for one, two in zip(along, both, strict=True):
+            size = float(np.abs(one).max())
+            if float(np.abs(one - np.asarray(two).T).max()) > _FORMULA_TOLERANCE * size:
+                return None
+        return parts if any(_is_given(own) for own in (parts.torque, parts.deflection)) else None
+
+    def _evaluate(
+        self, each: EstimatedEffect, given: Sequence[np.ndarray], other: Any
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return torques and deflections (K, n) by signals (K, n) in the order of the set."""
+        q, v, a, direction, torque, spring, drive = given
+        rest = 0.0 * q + np.asarray(other)[..., None]
+        known = {
+            "motor_position": q,
+            "motor_velocity": v,
+            "motor_acceleration": a,
+            "motor_direction": direction,
+            "link_position": q,
+            "link_velocity": v,
+            "link_acceleration": a,
+            "transmitted_torque": spring,
+            "spring_torque": spring,
+            "windup": 0.0 * q,
+            "drive_torque": drive,
+        }
+        values = {name: known.get(name, rest) for name in JOINT_SIGNAL_NAMES}
+        located = each.located
+        term: Term
+        if located.is_of_one_joint:
+            found = [0.0 * q, 0.0 * q]
+            assert located.joint is not None
+            columns = [located.joint] if located.joint == 0 else [located.joint, located.joint - 1]
+            own = self._of_joint(values, torque, located.joint, rest)
+            term = each.effect.at_instant(own, [float(x) for x in each.amplitudes], each.shapes)
+            parts = (term.drive_torque + term.link_torque, term.previous_torque)
+            for column, part in zip(columns, parts, strict=False):
+                found[0][:, column] = part
+            found[1][:, located.joint] = term.deflection
+            return found[0], found[1]
+        place = located.link if located.joint is None else located.joint
+        seen = RobotSignals(
+            time=rest[:, 0],
+            session_time=rest[:, 0],
+            dt=1.0,
+            arm=_ToolAtInstant(self.recordings, q),
+            last_link=self.n - 1,
+            link=self.n - 1 if place is None else place,
+            constants=self.constants,
+            asked_torque=torque,
+            **values,
+        )
+        term = each.effect.at_instant(seen, [float(x) for x in each.amplitudes], each.shapes)
+        torques = np.broadcast_to(term.drive_torque + term.link_torque, q.shape)
+        return torques, np.broadcast_to(term.deflection, q.shape)
+
+    def _of_joint(
+        self, values: Mapping[str, np.ndarray], torque: np.ndarray, joint: int, rest: np.ndarray
+    ) -> JointSignals:
+        """Return the signals of a joint (K,); one symbol of formulas, which NumPy takes as such."""
+
+        def column(whole: np.ndarray, j: int) -> Any:
+            return whole[0, j] if whole.dtype == object else whole[:, j]
+
+        before: dict[str, Any] = {
+            f"previous_{name}": column(values[f"motor_{name}"], joint - 1) if joint else 0.0
+            for name in ("position", "velocity", "acceleration")
+        }
+        return JointSignals(
+            time=column(rest, joint),
+            session_time=column(rest, joint),
+            dt=1.0,
+            constants=self.joints[joint],
+            asked_torque=column(torque, joint),
+            **before,
+            **{name: column(whole, joint) for name, whole in values.items()},
+        )
 
 
-def _motion_state(q: ca.SX, v: ca.SX, a: ca.SX, direction: ca.SX, torque: ca.SX) -> MotionState:
-    position, velocity, acceleration, sign, load = map(ca.vertsplit, (q, v, a, direction, torque))
-    return MotionState(
-        position=position, velocity=velocity, acceleration=acceleration, direction=sign, load=load
-    )
+class _ToolAtInstant:
+    """Tool of an arm in poses (K, n), or in one pose of symbols."""
+
+    def __init__(self, recordings: RecordingSet, q: np.ndarray) -> None:
+        tree, tool, order = recordings.robot.tree, recordings.robot.tool, recordings.order
+        angles = ca.SX.sym("q", recordings.n)
+        position, turn = tool_pose(tree, tool.joint, tool.offset, None, angles)
+        jacobian = point_jacobian(tree, tool.joint, tool.offset, angles)[:, [int(k) for k in order]]
+        pose = ca.Function("tool", [angles], [position, jacobian, turn])
+        back = np.argsort(order)
+        every = [pose(ca.vertcat(*row[back])) for row in q]
+        self.tool_position, self.tool_jacobian, turns = (
+            np.array([_as_rows(own, symbolic=q.dtype == object) for own in each])
+            for each in zip(*every, strict=True)
+        )
+        self.tool_position = self.tool_position[..., 0]
+        levers = np.swapaxes(self.tool_jacobian, 1, 2)
+        self.tool_levers = np.concatenate([levers, levers @ turns], axis=2)
 
 
-def _needs_acceleration(law: AddedTorque, joints: int) -> bool:
-    """Return True for a torque by accelerations, which only follow from the torques."""
-    symbols = [ca.SX.sym(name, joints) for name in ("q", "v", "a", "direction", "torque")]
-    return bool(ca.depends_on(ca.SX(law.value(_motion_state(*symbols))), symbols[2]))
+def _as_rows(matrix: Any, *, symbolic: bool) -> np.ndarray:
+    """Return the entries of a matrix, numbers or symbols, as an array."""
+    if not symbolic:
+        return np.asarray(ca.DM(matrix))
+    rows, columns = matrix.shape
+    found = np.empty((rows, columns), dtype=object)
+    for i in range(rows):
+        for j in range(columns):
+            found[i, j] = matrix[i, j]
+    return found
 
 
-def _torque_formula(each: EstimatedEffect, constants: JointConstants) -> ca.Function | None:
-    """Return (angle, velocity, direction, torque) -> torque that the effect takes [N m].
-
-    None where the term is no formula of these: it has memory, or acts on readings.
-    """
-    arguments = [ca.SX.sym(name) for name in ("q", "v", "direction", "torque")]
-    try:
-        formula = _evaluate_term(each, constants, arguments, 0.0)
-    except (TypeError, NotImplementedError, RuntimeError, ValueError):  # written for arrays alone
-        return None
-    function = ca.Function("torque", arguments, [ca.SX(formula)])
-    rng = np.random.default_rng(0)
-    q, v = rng.uniform(-1.5, 1.5, (2, _SAMPLE_COUNT))
-    direction, torque = (
-        np.tanh(v / 0.02),
-        constants.torque_max * rng.uniform(-1.0, 1.0, _SAMPLE_COUNT),
-    )
-    # What a formula does not know takes any values: terms that depend on it differ.
-    other = np.cumsum(rng.uniform(0.5, 1.5, _SAMPLE_COUNT))
-    along = _evaluate_term(each, constants, [q, v, direction, torque], other) * np.ones(
-        _SAMPLE_COUNT
-    )
-    found = np.asarray(function.map(_SAMPLE_COUNT)(q, v, direction, torque))[0]
-    size = float(np.abs(along).max())
-    same = size > 0.0 and float(np.abs(along - found).max()) <= _FORMULA_TOLERANCE * size
-    return function if same else None
-
-
-def _evaluate_term(
-    each: EstimatedEffect, constants: JointConstants, arguments: Sequence[Any], other: Quantity
-) -> Quantity:
-    """Return the torque of an effect on rigid links, of arrays or symbols; all else is `other`."""
-    q, v, direction, torque = arguments
-    signals = JointSignals.of_known(
-        constants,
-        0.0 * q + other,
-        motor_position=q,
-        motor_velocity=v,
-        motor_direction=direction,
-        link_position=q,
-        link_velocity=v,
-        transmitted_torque=torque,
-        spring_torque=torque,
-        windup=0.0 * q,
-        drive_torque=torque,
-    )
-    term = each.effect.term(signals, [float(x) for x in each.amplitudes], each.shapes)
-    return term.drive_torque + term.link_torque
+def _is_given(value: ca.SX) -> bool:
+    """Return False for an expression that is zero."""
+    return not bool(ca.SX(value).is_zero())

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from stiffopt.actuator.law import ActuatorLaw
-from stiffopt.closed_loop.arm import CommandedArm, LoopTorque
+from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.parameters import (
     BODY_PARAMETERS,
     DELAY,
@@ -17,68 +18,63 @@ from stiffopt.closed_loop.parameters import (
     Parameters,
     zero_parameters,
 )
+from stiffopt.closed_loop.physics import LoopPhysics
 from stiffopt.closed_loop.polish import Polished
 from stiffopt.closed_loop.simulation import simulate
+from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.extended.model import ExtendedModel
 from stiffopt.discovery.extended.schema import ClosedLoopSection
+from stiffopt.discovery.extended.value_changes import extended_model
 from stiffopt.discovery.loop_effects import robot_in_loop
 from stiffopt.discovery.loop_fit import (
     DRIVE_PARAMETERS,
     commanded_run,
     fit_loop,
+    is_commanded,
     nominal_parameters,
 )
+from stiffopt.discovery.progress import Say
+from stiffopt.discovery.training import Training
 from stiffopt.errors import InputError
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
+from stiffopt.recording.state_pair import StatePair
 from stiffopt.robot.batched_kinematics import frame_positions
 from stiffopt.robot.robot import Robot
+from stiffopt.units import joint_unit
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ClosedLoopModel:
-    """Nominal and fitted simulation of an arm from its commands.
+    """Nominal and fitted simulation of an arm from its commands."""
 
-    Parameters
-    ----------
-    nominal_loop, loop : CommandedArm
-        Of the nominal robot, and with the findings.
-    nominal, fitted : Parameters
-    deviations : array (p,)
-        One standard deviation of each fitted parameter.
-    ratios : mapping of str to pair of array (n,)
-        Parameters over the gain with standard deviations, where torque has no scale; else nan.
-    """
-
+    # nominal_loop, loop: of the nominal robot, and with the findings.
     nominal_loop: CommandedArm
     loop: CommandedArm
     nominal: Parameters
     fitted: Parameters
-    deviations: np.ndarray
+    deviations: np.ndarray  # (p,) one standard deviation of each fitted parameter
+    # expected, expected_deviations: the same before the fit; None of a model that was read.
+    expected: Parameters | None = None
+    expected_deviations: np.ndarray | None = None
+    # (n,) parameters over the gain with standard deviations, where torque has no scale; else nan.
     ratios: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PositionRun:
-    """One run with its simulations, which saw its commands and its first position alone.
-
-    Parameters
-    ----------
-    name, role : str
-    time : array (K,) [s]
-    command, measured, before, after : array (K, n)
-        Positions in the joint order of the set [rad]; before and after the diagnosis.
-    tool_before, tool_after : array (K,)
-        Distances of the simulated from the measured tool [m].
-    """
+    """One run with its simulations, which saw its commands and its first position alone."""
 
     name: str
     role: str
-    time: np.ndarray
+    time: np.ndarray  # (K,) [s]
+    # command, measured, before, after (K, n): positions in the joint order of the set [rad]; before
+    # and after the diagnosis.
     command: np.ndarray
     measured: np.ndarray
     before: np.ndarray
     after: np.ndarray
+    # tool_before, tool_after (K,): distances of the simulated from the measured tool [m].
     tool_before: np.ndarray
     tool_after: np.ndarray
 
@@ -88,7 +84,7 @@ def fit_positions(
     runs: Sequence[RecordedRun],
     model: ExtendedModel | None = None,
     estimated: Parameters | None = None,
-    say: Callable[[str], object] = lambda _: None,
+    say: Say = lambda _: None,
 ) -> ClosedLoopModel | None:
     """Fit a simulation from commands to training runs, beginning with the findings of a model.
 
@@ -97,7 +93,9 @@ def fit_positions(
     Findings with which the loop is unstable, or fits the training runs worse than without them,
     are left out of it. None where a joint has no gain, which would not be held, or no command.
     """
-    robots: list[tuple[Robot, LoopTorque | None, dict[int, float]]] = [(recordings.robot, None, {})]
+    robots: list[tuple[Robot, LoopPhysics | None, dict[tuple[str, int], float]]] = [
+        (recordings.robot, None, {})
+    ]
     if model is not None:
         robots.append(robot_in_loop(recordings, model))
     tried = [_fit_robot(recordings, runs, estimated, say, *each) for each in robots]
@@ -111,29 +109,53 @@ def fit_positions(
         nominal=nominal_parameters(recordings, recordings.robot),
         fitted=fitted.parameters,
         deviations=fitted.deviations,
+        expected=fitted.expected,
+        expected_deviations=fitted.expected_deviations,
         ratios=_ratios_to_gain(loop.law, fitted),
     )
+
+
+def fit_simulation(
+    recordings: RecordingSet,
+    training: Training,
+    found: Extension,
+    runs: Sequence[RecordedRun],
+    estimated: Parameters | None,
+    say: Say,
+) -> ClosedLoopModel | None:
+    """Fit the simulation from commands, beginning with friction and rotors as found.
+
+    Joints without a scale of torque, of which nothing is found, begin as `estimated`.
+
+    None where no training run holds commands of joints with known gains, and for two states of a
+    robot, of which one simulation is none.
+    """
+    if isinstance(recordings, StatePair):
+        return None
+    say("simulate the training runs from their commands")
+    model = extended_model(recordings, training.constants, found)
+    return fit_positions(recordings, runs, model, estimated, say)
 
 
 def _fit_robot(
     recordings: RecordingSet,
     runs: Sequence[RecordedRun],
     estimated: Parameters | None,
-    say: Callable[[str], object],
+    say: Say,
     robot: Robot,
-    added: LoopTorque | None,
-    zeros: Mapping[int, float],
+    physics: LoopPhysics | None,
+    values: Mapping[tuple[str, int], float],
 ) -> tuple[CommandedArm, Polished] | None:
-    """Fit the closed loop of a robot with further torques and joint zeros [rad]."""
+    """Fit the closed loop of a robot with further physics, beginning with some values."""
     prior, law = nominal_parameters(recordings, robot), recordings.actuator
-    for joint, zero in zeros.items():
-        prior.values[prior.place("zero")][joint] = zero
+    for (name, joint), value in values.items():
+        prior.values[prior.place(name)][joint] = value
     if estimated is not None and law is not None:
         unscaled = ~law.scaled[np.argsort(recordings.order)]
         for name in DRIVE_PARAMETERS.values():
             place = prior.place(name)
             prior.values[place] = np.where(unscaled, estimated.of(name), prior.of(name))
-    return fit_loop(recordings, runs, prior, say, tree=robot.tree, added=added)
+    return fit_loop(recordings, runs, prior, say, tree=robot.tree, physics=physics)
 
 
 def _ratios_to_gain(law: ActuatorLaw, fitted: Polished) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -172,6 +194,16 @@ def simulate_run(recordings: RecordingSet, model: ClosedLoopModel, run: Recorded
     )
 
 
+def simulate_held_out(
+    recordings: RecordingSet, loop: ClosedLoopModel | None
+) -> tuple[PositionRun, ...]:
+    """Simulate held-out runs from their commands."""
+    if loop is None:
+        return ()
+    runs = (recordings.open(entry) for entry in recordings.with_role("test", "extrapolate"))
+    return tuple(simulate_run(recordings, loop, run) for run in runs if is_commanded(run))
+
+
 def model_section(
     recordings: RecordingSet, model: ClosedLoopModel | None
 ) -> ClosedLoopSection | None:
@@ -179,33 +211,74 @@ def model_section(
     if model is None:
         return None
     law, order = model.loop.law.reordered(recordings.order), recordings.order
-    spread = replace(model.fitted, values=model.deviations)
-    values: dict[str, tuple[float, ...]] = {}
-    deviations: dict[str, tuple[float, ...]] = {}
-    for table, own in ((values, model.fitted), (deviations, spread)):
-        table |= {name: tuple(own.of(name)[order]) for name in JOINT_PARAMETERS}
-        table |= {name: tuple(own.of_bodies(name)[order]) for name in BODY_PARAMETERS}
-        table[DELAY] = (own.delay,)
+
+    def table(own: Parameters | None) -> dict[str, tuple[float, ...]]:
+        if own is None:
+            return {}
+        found = {name: tuple(own.of(name)[order]) for name in JOINT_PARAMETERS}
+        found |= {name: tuple(own.of_bodies(name)[order]) for name in BODY_PARAMETERS}
+        return found | {DELAY: (own.delay,)}
+
+    def spread(deviations: np.ndarray | None) -> Parameters | None:
+        return None if deviations is None else replace(model.fitted, values=deviations)
+
     return ClosedLoopSection(
         **{name: tuple(getattr(law, name)) for name in ("stiffness", "damping")},
         **{name: tuple(getattr(law, name)) for name in ("drive_max", "torque_max")},
         delay=model.nominal.delay,
         tolerance=tuple(law.tolerance),
         middle=tuple(model.loop.middle[order]),
-        values=values,
-        deviations=deviations,
+        values=table(model.fitted),
+        deviations=table(spread(model.deviations)),
+        expected=table(model.expected),
+        expected_deviations=table(spread(model.expected_deviations)),
         ratios={name: tuple(value[order]) for name, (value, _) in model.ratios.items()},
         ratio_deviations={name: tuple(sd[order]) for name, (_, sd) in model.ratios.items()},
     )
 
 
+def loop_values(
+    section: ClosedLoopSection | None, prismatic: Sequence[bool] | np.ndarray
+) -> list[dict[str, Any]]:
+    """Return the fitted values of joints and of the arm with what was expected of them.
+
+    Gains and damping of an actuator are told whole, not as changes.
+    """
+    if section is None:
+        return []
+    found: list[dict[str, Any]] = []
+    whole = {"gain": section.stiffness, "damping": section.damping}
+    units = {"gain": "N m/rad", "damping": "N m s/rad"}
+    for name, values in section.values.items():
+        if name in BODY_PARAMETERS or not section.expected:
+            continue
+        tables = (section.deviations, section.expected, section.expected_deviations)
+        for j, four in enumerate(zip(values, *(table[name] for table in tables), strict=True)):
+            value, sd, expected, expected_sd = four
+            if name in whole:
+                nominal = whole[name][j]
+                value, expected = nominal * (1.0 + value), nominal * (1.0 + expected)
+                sd, expected_sd = nominal * sd, nominal * expected_sd
+            unit = units.get(name, JOINT_PARAMETERS.get(name, "s"))
+            found.append(
+                {
+                    "joint": None if name == DELAY else j + 1,
+                    "parameter": name,
+                    "unit": unit if name == DELAY else joint_unit(unit, bool(prismatic[j])),
+                    "value": value,
+                    "sd": sd,
+                    "expected": expected,
+                    "expected_sd": expected_sd,
+                }
+            )
+    return found
+
+
 def read_model(recordings: RecordingSet, model: ExtendedModel) -> ClosedLoopModel:
     """Return the closed loop of an extended model.
 
-    Raises
-    ------
-    InputFileError
-        A list of another length than the joints, or an unknown or missing parameter.
+    Raises `InputFileError`: a list of another length than the joints, or an unknown or missing
+    parameter.
     """
     section = model.closed_loop
     assert section is not None
@@ -232,9 +305,9 @@ def read_model(recordings: RecordingSet, model: ExtendedModel) -> ClosedLoopMode
         delay=section.delay,
         tolerance=tolerance,
     )
-    robot, added, _ = robot_in_loop(recordings, model)
+    robot, physics, _ = robot_in_loop(recordings, model)
     inside = law.reordered(back)
-    loop = CommandedArm(robot.tree, inside, middle[back], added)
+    loop = CommandedArm(robot.tree, inside, middle[back], physics)
     known = recordings.with_actuator(law)
     fitted, spread = zero_parameters(recordings.robot.joint_names), None
     for table in (section.deviations, section.values):

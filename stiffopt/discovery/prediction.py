@@ -10,26 +10,18 @@ import numpy as np
 from stiffopt.discovery.comparison.channel_rows import KnownNoise
 from stiffopt.discovery.comparison.extended_run import extend_run
 from stiffopt.discovery.comparison.located_effect import Extension
-from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepared_run import PreparedRun, prepare_run
-from stiffopt.discovery.settings import MIN_MOVING_SPEED, PREDICTION_CUTOFF, Settings
-from stiffopt.discovery.signals import RobotConstants
+from stiffopt.discovery.settings import MIN_MOVING_SPEED, PREDICTION_CUTOFF
+from stiffopt.discovery.training import Training
 from stiffopt.recording.run import RecordedRun
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Prediction:
-    """Predicted channels of one run.
+    """Predicted channels of one run."""
 
-    Parameters
-    ----------
-    stamps : array (R,)
-        Every time stamp of the run [s].
-    torque, link_position : array (R, n)
-        [N m], [rad]; always finite.
-    """
-
-    stamps: np.ndarray
+    stamps: np.ndarray  # (R,) every time stamp of the run [s]
+    # torque, link_position (R, n) [N m], [rad]; always finite.
     torque: np.ndarray
     link_position: np.ndarray
 
@@ -37,46 +29,33 @@ class Prediction:
 class Predictor:
     """Predictions along the motion of one run.
 
-    Parameters
-    ----------
-    run : RecordedRun
-        Only its motor positions, temperature and times are used.
-    constants : RobotConstants
-        Of the training runs.
-    prepared : PreparedRun, optional
-        The run as prepared for a fit; with elastic joints, predictions use the same motion.
-    vibrating : bool
-        See `prepare`.
-
-    Attributes
-    ----------
-    nominal : PreparedRun
-        The run with signals of the nominal model.
+    `run`: only its motor positions, temperature and times are used. `prepared`: the run as prepared
+    for a fit; with elastic joints, predictions use the same motion. `vibrating`: as of
+    `prepare_run`. Its `nominal` is the run with signals of the nominal model.
     """
 
     def __init__(
         self,
-        robot: RobotModel,
+        training: Training,
         run: RecordedRun,
-        constants: RobotConstants,
-        settings: Settings,
         prepared: PreparedRun | None = None,
         *,
         vibrating: bool = True,
     ) -> None:
-        self.robot, self.run = robot, run
-        self._constants, self._swinging = constants, vibrating
+        self.robot, self.run = training.robot, run
+        self._training, self._vibrating = training, vibrating
         self._position = _interpolate_columns(run.time, run.position, run.stamps)
         # Joints by their band, where that differs from the usual one.
         self._others: dict[float, list[int]] = {}
-        self._settings = settings
         if prepared is not None and prepared.vibration is not None:
             self.nominal = prepared
             return
-        widest = PREDICTION_CUTOFF
-        usual = max(settings.fit_band, widest) if settings.predict is None else widest
+        settings = training.settings
+        usual = PREDICTION_CUTOFF
+        if settings.predict is None:
+            usual = max(settings.fit_band, usual)
         self.nominal = self._prepare_band(usual)
-        bands = settings.predict or (usual,) * robot.n
+        bands = settings.predict or (usual,) * self.robot.n
         self._others = {
             band: [j for j, own in enumerate(bands) if own == band]
             for band in sorted(set(bands) - {usual})
@@ -86,10 +65,9 @@ class Predictor:
         """Prepare the run in another band, without the channels to be predicted."""
         run = self.run
         blind = replace(run, torque=np.full_like(run.torque, np.nan), link_position=None)
-        settings = replace(self._settings, cutoff=cutoff)
-        return prepare_run(
-            self.robot, blind, 0, self._constants, settings, vibrating=self._swinging
-        )
+        settings = replace(self._training.settings, cutoff=cutoff)
+        constants = self._training.constants
+        return prepare_run(self.robot, blind, 0, constants, settings, vibrating=self._vibrating)
 
     @property
     def velocity(self) -> np.ndarray:
@@ -110,11 +88,18 @@ class Predictor:
 
         One at a time, since predictions of a long run need much memory.
         """
-        stamps = self.run.stamps
-        channels = [self._predict_channels(extensions) for extensions in several]
+        stamps, time = self.run.stamps, self.nominal.time
+        # Drive torque and motor minus link angle (K, n).
+        channels: list[tuple[np.ndarray, np.ndarray]] = []
+        for extensions in several:
+            usual = extend_run(self.nominal, *extensions)
+            deflection = usual.signals.windup + usual.added_deflection
+            channels.append((usual.signals.drive_torque.copy(), deflection))
         for band, joints in self._others.items():
-            self._replace_band(band, joints, [drive for drive, _ in channels], several)
-        time = self.nominal.time
+            other = self._prepare_band(band)
+            for (drive, _), extensions in zip(channels, several, strict=True):
+                along = extend_run(other, *extensions).signals.drive_torque
+                drive[:, joints] = along[:, joints]
         while channels:
             drive, deflection = channels.pop(0)
             yield Prediction(
@@ -123,26 +108,11 @@ class Predictor:
                 link_position=self._position - _interpolate_columns(time, deflection, stamps),
             )
 
-    def _predict_channels(self, extensions: Sequence[Extension]) -> tuple[np.ndarray, np.ndarray]:
-        """Return drive torque and motor minus link angle (K, n) in the usual band."""
-        prepared = extend_run(self.nominal, self.robot, *extensions)
-        return (
-            prepared.signals.drive_torque.copy(),
-            prepared.signals.windup + prepared.added_deflection,
-        )
-
-    def _replace_band(
-        self,
-        band: float,
-        joints: list[int],
-        drives: Sequence[np.ndarray],
-        several: Sequence[Sequence[Extension]],
-    ) -> None:
-        """Replace torques of joints with another band."""
-        other = self._prepare_band(band)
-        for drive, extensions in zip(drives, several, strict=True):
-            along = extend_run(other, self.robot, *extensions).signals.drive_torque
-            drive[:, joints] = along[:, joints]
+    def torque(self, band: float, *extensions: Extension) -> np.ndarray:
+        """Predict the drive torques (R, n) from the motion in one band [Hz]."""
+        own = self.nominal if band == self.nominal.low_pass.cutoff else self._prepare_band(band)
+        drive = extend_run(own, *extensions).signals.drive_torque
+        return _interpolate_columns(own.time, drive, self.run.stamps)
 
 
 def _interpolate_columns(time: np.ndarray, values: np.ndarray, stamps: np.ndarray) -> np.ndarray:
@@ -154,28 +124,17 @@ def _interpolate_columns(time: np.ndarray, values: np.ndarray, stamps: np.ndarra
     return np.column_stack(columns)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class ChannelError:
-    """Squares of the residuals of one channel of one run.
+    """Squares of the residuals of one channel of one run."""
 
-    Parameters
-    ----------
-    kind : str
-        "torque" or "link_position".
-    joint : int
-        From 0.
-    before, after : float
-        Sum of squares [(N m)^2] or [rad^2].
-    noise : float
-        One standard deviation [N m] or [rad].
-    """
-
-    kind: str
-    joint: int
+    kind: str  # "torque" or "link_position"
+    joint: int  # from 0
     samples: int
+    # before, after: sum of squares [(N m)^2] or [rad^2].
     before: float
     after: float
-    noise: float
+    noise: float  # one standard deviation [N m] or [rad]
 
     @property
     def name(self) -> str:
@@ -185,15 +144,11 @@ class ChannelError:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RunProof:
-    """One held-out run with its predictions.
-
-    Parameters
-    ----------
-    before, after : Prediction
-        Of the model that the diagnosis started from, and of the extended one.
-    """
+    """One held-out run with its predictions."""
 
     run: RecordedRun
+    velocity: np.ndarray  # (K, n) of the joints [rad/s]
+    # before, after: of the model that the diagnosis started from, and of the extended one.
     before: Prediction
     after: Prediction
     channels: tuple[ChannelError, ...]
@@ -212,9 +167,7 @@ class RunProof:
 def nrmse(proofs: list[RunProof] | tuple[RunProof, ...], when: str) -> float:
     """Return the normalised residual, all channels of all runs; nan without samples.
 
-    Parameters
-    ----------
-    when : {"before", "after"}
+    `when` {"before", "after"}.
     """
     channels = [c for proof in proofs for c in proof.channels]
     count = sum(c.samples for c in channels)
@@ -227,58 +180,47 @@ def compare_predictions(
 ) -> RunProof:
     """Compare a run with its predictions.
 
-    Parameters
-    ----------
-    velocity : array (K, n)
-        Of the joints, on the run's own samples [rad/s].
-    before, after : Prediction
-        On the run's stamps.
+    `velocity` (K, n): of the joints, on the run's own samples [rad/s]. `before`, `after`: on the
+    run's stamps.
 
-    Notes
-    -----
     Unfiltered samples are compared: torque where the joint is faster than 0.03 rad/s, the link
     position everywhere. Missing channels are skipped.
     """
-    # Indices of the used samples among all stamps.
-    places = np.searchsorted(run.stamps, run.time)
     scales = {"torque": noise.channels.torque, "link_position": noise.channels.deflection}
     channels = []
-    for kind, joint, used in used_samples(run, velocity):
-        if used is None or not np.isfinite(scales[kind][joint]):
-            continue
-        measured = getattr(run, kind)[used, joint]
-        left = [measured - getattr(p, kind)[places[used], joint] for p in (before, after)]
-        channels.append(
-            ChannelError(
-                kind=kind,
-                joint=joint,
-                samples=int(used.sum()),
-                before=float(left[0] @ left[0]),
-                after=float(left[1] @ left[1]),
-                noise=float(scales[kind][joint]),
-            )
-        )
-    return RunProof(run=run, before=before, after=after, channels=tuple(channels))
+    for kind, joint, used, left in residuals(run, velocity, before, after):
+        scale = float(scales[kind][joint])
+        if np.isfinite(scale):
+            first, last = (float(each @ each) for each in left)
+            channels.append(ChannelError(kind, joint, int(used.sum()), first, last, scale))
+    return RunProof(
+        run=run, velocity=velocity, before=before, after=after, channels=tuple(channels)
+    )
 
 
-def used_samples(
-    run: RecordedRun, velocity: np.ndarray
-) -> Iterator[tuple[str, int, np.ndarray | None]]:
-    """Yield kind, joint and mask (K,) of the samples to compare: torques, then link positions.
+def residuals(
+    run: RecordedRun, velocity: np.ndarray, *predictions: Prediction
+) -> Iterator[tuple[str, int, np.ndarray, list[np.ndarray]]]:
+    """Yield kind, joint, mask (K,) of the samples to compare, and the residual of each prediction.
 
-    Parameters
-    ----------
-    velocity : array (K, n)
-        Of the joints [rad/s].
+    Torques, then link positions; `velocity` (K, n) is of the joints [rad/s].
     """
+    # Indices of the samples among all stamps.
+    places = np.searchsorted(run.stamps, run.time)
+    for kind, joint, used in used_samples(run, velocity):
+        measured = getattr(run, kind)[used, joint]
+        left = [measured - getattr(each, kind)[places[used], joint] for each in predictions]
+        yield kind, joint, used, left
+
+
+def used_samples(run: RecordedRun, velocity: np.ndarray) -> Iterator[tuple[str, int, np.ndarray]]:
+    """Yield kind, joint and mask (K,) of the samples to compare: torques, then link positions."""
     moving = np.abs(velocity) >= MIN_MOVING_SPEED
     for kind in ("torque", "link_position"):
         measured = getattr(run, kind)
-        for joint in range(run.n):
-            if measured is None:
-                yield kind, joint, None
-                continue
+        for joint in range(0 if measured is None else run.n):
             used = np.isfinite(measured[:, joint])
             if kind == "torque" and not run.at_rest:
                 used &= moving[:, joint]
-            yield kind, joint, used if used.any() else None
+            if used.any():
+                yield kind, joint, used

@@ -14,7 +14,7 @@ import numpy as np
 
 from stiffopt.discovery.comparison.bands import candidate_bands
 from stiffopt.discovery.comparison.located_effect import Extension
-from stiffopt.discovery.prediction import Predictor, compare_predictions
+from stiffopt.discovery.prediction import Predictor, used_samples
 from stiffopt.discovery.settings import PREDICTION_CUTOFF
 from stiffopt.discovery.training import Training
 
@@ -23,19 +23,10 @@ from stiffopt.discovery.training import Training
 _MAX_WIDER_BAND_COST = 0.1
 
 
-def choose_prediction_bands(
-    training: Training, extensions: Sequence[Extension]
-) -> tuple[float, ...]:
-    """Return the band [Hz] for each joint in which the model predicts the training runs best.
-
-    Parameters
-    ----------
-    training : Training
-    extensions : sequence of Extension
-        Of the nominal model, each added to those before.
-    """
+def choose_prediction_bands(training: Training, found: Extension) -> tuple[float, ...]:
+    """Return the band [Hz] for each joint in which the model predicts the training runs best."""
     tried = candidate_bands(training.recorded, PREDICTION_CUTOFF)
-    errors = np.array([_torque_errors(training, extensions, band) for band in tried])
+    errors = _torque_errors(training, found, tried)
     # The link motion of an elastic joint is computable only below its resonance.
     slower = int(np.searchsorted(tried, PREDICTION_CUTOFF, side="right"))
     counts = [slower if joint.elastic else len(tried) for joint in training.constants.joints]
@@ -45,21 +36,22 @@ def choose_prediction_bands(
     )
 
 
-def _torque_errors(training: Training, extensions: Sequence[Extension], band: float) -> np.ndarray:
-    """Return the mean square error of every joint's unfiltered torque (n,); nan without any."""
+def _torque_errors(training: Training, found: Extension, bands: Sequence[float]) -> np.ndarray:
+    """Return the mean square errors (b, n) of unfiltered torques, by band; nan without samples."""
     n = training.robot.n
-    settings = replace(training.settings, predict=(band,) * n)
-    square, count = np.zeros(n), np.zeros(n)
+    usual = replace(training.settings, predict=(PREDICTION_CUTOFF,) * n)
+    square, count = np.zeros((len(bands), n)), np.zeros((len(bands), n))
     for run in training.recorded:
-        predictor = Predictor(training.robot, run, training.constants, settings)
-        after = predictor.predict(*extensions)
-        proof = compare_predictions(run, predictor.velocity, after, after, training.noise)
-        for channel in proof.channels:
-            if channel.kind == "torque":
-                square[channel.joint] += channel.after
-                count[channel.joint] += channel.samples
-    mean = np.divide(square, count, out=np.full(n, np.nan), where=count > 0)
-    return np.asarray(mean)
+        predictor = Predictor(replace(training, settings=usual), run)
+        places = np.searchsorted(run.stamps, run.time)
+        used = [each for each in used_samples(run, predictor.velocity) if each[0] == "torque"]
+        for k, band in enumerate(bands):
+            torque = predictor.torque(band, *training.before, found)
+            for _, joint, samples in used:
+                left = run.torque[samples, joint] - torque[places[samples], joint]
+                square[k, joint] += float(left @ left)
+                count[k, joint] += len(left)
+    return np.asarray(np.divide(square, count, out=np.full(square.shape, np.nan), where=count > 0))
 
 
 def _select_widest_adequate(tried: Sequence[float], errors: np.ndarray) -> float:

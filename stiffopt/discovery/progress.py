@@ -7,22 +7,19 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+# Called with a sentence at every step.
+Say = Callable[[str], object]
+
 # Silence after which the last progress line is repeated [s].
 _MAX_SILENCE = 4.0
 
 
 @contextmanager
-def repeat_progress(
-    say: Callable[[str], object] | None, quiet: float = _MAX_SILENCE
-) -> Iterator[Callable[[str], object]]:
+def repeat_progress(say: Say | None, quiet: float = _MAX_SILENCE) -> Iterator[Say]:
     """Pass sentences on; repeat the last one with its elapsed time after a silence.
 
-    Parameters
-    ----------
-    say : callable or None
-        Called with a sentence; repeated ones come from another thread.
-    quiet : float
-        Silence before a repetition [s].
+    `say`: called with a sentence; repeated ones come from another thread. `quiet`: silence before a
+    repetition [s].
     """
     if say is None:
         yield lambda _: None
@@ -59,9 +56,7 @@ def repeat_progress(
         beside.join()
 
 
-def throttle_progress(
-    say: Callable[[str], object], seconds: float = 4.0
-) -> Callable[[str], object]:
+def throttle_progress(say: Say, seconds: float = 4.0) -> Say:
     """Return a function that passes on a sentence if the last one is some seconds old."""
     last = time.monotonic()
 
@@ -77,10 +72,7 @@ def throttle_progress(
 class RoundProgress:
     """Estimate the remaining time of a round from the time of its finished steps.
 
-    Parameters
-    ----------
-    steps : int
-        Number of steps of the round.
+    `steps`: number of steps of the round.
     """
 
     def __init__(self, steps: int) -> None:
@@ -89,10 +81,7 @@ class RoundProgress:
     def words(self, done: int) -> str:
         """Return text such as "4 of 12, about 20 s of this round left".
 
-        Parameters
-        ----------
-        done : int
-            Number of finished steps.
+        `done`: number of finished steps.
         """
         step = f"{done + 1} of {self._steps}"
         if not done:

@@ -21,10 +21,7 @@ from stiffopt.recording.recording_set import RecordingSet
 def roll_out(recordings: RecordingSet, model: ExtendedModel) -> tuple[PositionRun, ...]:
     """Simulate all runs of a set from their commands.
 
-    Raises
-    ------
-    InputFileError
-        The set has no commands, or the model no simulation from commands.
+    Raises `InputFileError`: the set has no commands, or the model no simulation from commands.
     """
     recordings, _ = take_errors_as_commands(model.applied_to(recordings))
     if recordings.signals.command is None:

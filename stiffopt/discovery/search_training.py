@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -24,148 +24,146 @@ from stiffopt.discovery.judging.episodes import (
     mask_episodes,
     training_tracks,
 )
+from stiffopt.discovery.progress import Say
 from stiffopt.discovery.search.search import SearchResult, search
 from stiffopt.discovery.settings import Settings
-from stiffopt.discovery.thresholds import MAX_CONTACT_ROUNDS, MAX_VIBRATION_MISFIT
+from stiffopt.discovery.thresholds import (
+    MAX_CONTACT_ROUNDS,
+    MAX_EFFECTS_PER_ROUND,
+    MAX_VIBRATION_MISFIT,
+)
 from stiffopt.discovery.training import Training, prepare_training
 from stiffopt.interrupts import complete_step
 from stiffopt.recording.recording_set import RecordingSet
 
-Say = Callable[[str], object]
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrainingSearch:
+    """Search of training runs for missing effects, with retries."""
 
-def search_training_runs(
-    recordings: RecordingSet,
-    training: Training,
-    asked: Sequence[Effect],
-    settings: Settings,
-    base: ExtendedModel | None,
-    say: Say,
-) -> tuple[Training, SearchResult, tuple[Episode, ...]]:
-    """Search the training runs for missing effects.
+    recordings: RecordingSet
+    asked: Sequence[Effect]  # effects that the recordings can identify
+    settings: Settings  # before bands were chosen by the training runs
+    base: ExtendedModel | None  # model that the diagnosis starts from
+    say: Say
 
-    Parameters
-    ----------
-    asked : sequence of Effect
-        Effects that the recordings can identify.
-    settings : Settings
-        Before bands were chosen by the training runs.
-    base : ExtendedModel or None
-        Model that the diagnosis starts from.
-    say : callable
-        Called with a sentence at every step.
-
-    Returns
-    -------
-    training : Training
-        Training runs that the result refers to.
-    result : SearchResult
-    touched : tuple of Episode
-        Contact intervals excluded from it.
-    """
-    comparison = training.comparison()
-    # Contacts that show already beside the nominal model are excluded from the first search.
-    # Torque that a drive at its limit is asked for in vain looks like one.
-    touched: tuple[Episode, ...] = ()
-    if not recordings.signals.commanded:
-        touched = find_episodes(training_tracks(comparison, comparison.fit()))
-    if touched:
-        say(_describe_exclusion(touched))
-        training = _prepare_without(recordings, training, settings, base, say, touched)
+    def run(self, training: Training) -> tuple[Training, SearchResult, tuple[Episode, ...]]:
+        """Search, and return the runs searched, the result, and contact intervals left out."""
         comparison = training.comparison()
-    result = _search_once(recordings, training, asked, base, say, comparison=comparison)
-    if training.runs[0].vibration is not None and not (result.stopped or result.hurried):
-        training, result = _retry_quasi_static(recordings, training, asked, base, say, result)
-    training, result, later = _exclude_contacts(
-        recordings, training, asked, settings, base, say, result
-    )
-    return training, result, (*touched, *later)
+        # Contacts that show already beside the nominal model are excluded from the first search.
+        # Torque that a drive at its limit is asked for in vain looks like one.
+        touched: tuple[Episode, ...] = ()
+        if not self.recordings.signals.commanded:
+            touched = find_episodes(training_tracks(comparison, comparison.fit()))
+        if touched:
+            self.say(_describe_exclusion(touched))
+            training = self._prepare_without(training, touched)
+            comparison = training.comparison()
+        result = self._search_once(training, comparison=comparison)
+        if training.runs[0].vibration is not None and not (result.stopped or result.hurried):
+            training, result = self._retry_quasi_static(training, result)
+        training, result, later = self._exclude_contacts(training, result)
+        return training, result, (*touched, *later)
 
+    def _retry_quasi_static(
+        self, training: Training, result: SearchResult
+    ) -> tuple[Training, SearchResult]:
+        """Search quasi-statically where the predicted vibration is far off; return the better.
 
-def _retry_quasi_static(
-    recordings: RecordingSet,
-    training: Training,
-    asked: Sequence[Effect],
-    base: ExtendedModel | None,
-    say: Say,
-    result: SearchResult,
-) -> tuple[Training, SearchResult]:
-    """Search quasi-statically where the predicted vibration is far off; return the better result.
-
-    The linearisation about the nominal vibration does not reach a distant mode. A quasi-static
-    comparison does; its findings give the motion to linearise about next.
-    """
-    if _rms_residual(result) <= MAX_VIBRATION_MISFIT:
-        return training, result
-    say("the vibration differs from the model's: compare without vibration")
-    answers = [(training, result)]
-    result.comparison.columns.release_effects()
-    try:
-        balanced = prepare_training(
-            recordings, training.settings, base, say, training.recorded, vibrating=False
-        )
-        still = _search_once(recordings, balanced, asked, base, say)
-        answers.append((balanced, still))
-        still.comparison.columns.release_effects()
-        if still.effects and not (still.stopped or still.hurried):
-            say("search with vibration from the findings without it")
-            about = still.comparison.extension_of(still.fit)
-            answers.append((training, _search_once(recordings, training, asked, base, say, about)))
-        stopped = any(found.stopped for _, found in answers)
-    except KeyboardInterrupt:
-        stopped = True
-    # A stopped search competes as well: it may be the best.
-    own, best = min(answers, key=lambda answer: _rms_residual(answer[1]))
-    hurried = any(found.hurried for _, found in answers)
-    return own, replace(best, stopped=stopped, hurried=hurried)
-
-
-def _exclude_contacts(
-    recordings: RecordingSet,
-    training: Training,
-    asked: Sequence[Effect],
-    settings: Settings,
-    base: ExtendedModel | None,
-    say: Say,
-    result: SearchResult,
-) -> tuple[Training, SearchResult, tuple[Episode, ...]]:
-    """Search again without contact intervals; return the result and these intervals."""
-    found: tuple[Episode, ...] = ()
-    for _ in range(MAX_CONTACT_ROUNDS):
-        if result.stopped or result.hurried:
-            break
-        new, hurried = complete_step(partial(_find_contacts, result))
-        if hurried:
-            result = replace(result, hurried=True)
-        if hurried or not new:
-            break
-        say(f"{_describe_exclusion(new)}, and search again")
+        The linearisation about the nominal vibration does not reach a distant mode. A quasi-static
+        comparison does; its findings give the motion to linearise about next.
+        """
+        if _rms_residual(result) <= MAX_VIBRATION_MISFIT:
+            return training, result
+        self.say("the vibration differs from the model's: compare without vibration")
+        answers = [(training, result)]
+        result.comparison.columns.release_effects()
         try:
-            apart = _prepare_without(recordings, training, settings, base, say, new)
-            again = _search_once(recordings, apart, asked, base, say)
-            stopped = again.stopped
+            balanced = prepare_training(
+                self.recordings,
+                training.settings,
+                self.base,
+                self.say,
+                training.recorded,
+                vibrating=False,
+            )
+            still = self._search_once(balanced)
+            answers.append((balanced, still))
+            still.comparison.columns.release_effects()
+            if still.effects and not (still.stopped or still.hurried):
+                self.say("search with vibration from the findings without it")
+                about = still.comparison.extension_of(still.fit)
+                answers.append((training, self._search_once(training, about)))
+            stopped = any(found.stopped for _, found in answers)
         except KeyboardInterrupt:
             stopped = True
-        if stopped:
-            # The earlier result is complete, that of the stopped search is not.
-            result = replace(result, stopped=True)
-            break
-        training, result, found = apart, again, (*found, *new)
-    return training, result, found
+        # A stopped search competes as well: it may be the best.
+        own, best = min(answers, key=lambda answer: _rms_residual(answer[1]))
+        hurried = any(found.hurried for _, found in answers)
+        return own, replace(best, stopped=stopped, hurried=hurried)
 
+    def _exclude_contacts(
+        self, training: Training, result: SearchResult
+    ) -> tuple[Training, SearchResult, tuple[Episode, ...]]:
+        """Search again without contact intervals; return the result and these intervals."""
+        found: tuple[Episode, ...] = ()
+        for _ in range(MAX_CONTACT_ROUNDS):
+            if result.stopped or result.hurried:
+                break
+            new, hurried = complete_step(partial(_find_contacts, result))
+            if hurried:
+                result = replace(result, hurried=True)
+            if hurried or not new:
+                break
+            self.say(f"{_describe_exclusion(new)}, and search again")
+            try:
+                apart = self._prepare_without(training, new)
+                again = self._search_once(apart)
+                stopped = again.stopped
+            except KeyboardInterrupt:
+                stopped = True
+            if stopped:
+                # The earlier result is complete, that of the stopped search is not.
+                result = replace(result, stopped=True)
+                break
+            training, result, found = apart, again, (*found, *new)
+        return training, result, found
 
-def _prepare_without(
-    recordings: RecordingSet,
-    training: Training,
-    settings: Settings,
-    base: ExtendedModel | None,
-    say: Say,
-    episodes: Sequence[Episode],
-) -> Training:
-    """Prepare the training runs without contact intervals, which distort bands and noise."""
-    runs = [mask_episodes(run, episodes) for run in training.recorded]
-    vibrating = training.runs[0].vibration is not None
-    return prepare_training(recordings, settings, base, say, runs, vibrating=vibrating)
+    def _prepare_without(self, training: Training, episodes: Sequence[Episode]) -> Training:
+        """Prepare the training runs without contact intervals, which distort bands and noise."""
+        runs = [mask_episodes(run, episodes) for run in training.recorded]
+        vibrating = training.runs[0].vibration is not None
+        return prepare_training(
+            self.recordings, self.settings, self.base, self.say, runs, vibrating=vibrating
+        )
+
+    def _search_once(
+        self,
+        training: Training,
+        about: Extension | None = None,
+        comparison: Comparison | None = None,
+    ) -> SearchResult:
+        """Search once; from the extension `about` on where one is given."""
+        comparison = comparison or training.comparison()
+        asked, recordings = self.asked, self.recordings
+        unstated = locate_unstated(
+            asked, recordings, training.constants.joints, usual=training.free_bodies
+        )
+        if self.base is not None:
+            # Values in channels known to the model were fitted when it was made.
+            unstated = select_unseen(unstated, comparison.unseen, self.base.extension)
+        return search(
+            comparison,
+            remove_bounds(
+                widen_for_changes(asked) if comparison.after_model else asked, recordings
+            ),
+            start=unstated,
+            most=training.most,
+            together=MAX_EFFECTS_PER_ROUND if training.free_bodies else 1,
+            reidentify=training.reidentified,
+            about=about,
+            report=self.say,
+        )
 
 
 def _find_contacts(result: SearchResult) -> tuple[Episode, ...]:
@@ -175,35 +173,6 @@ def _find_contacts(result: SearchResult) -> tuple[Episode, ...]:
 def _describe_exclusion(episodes: Sequence[Episode]) -> str:
     runs = ", ".join(dict.fromkeys(each.run for each in episodes))
     return f"exclude contact intervals ({runs})"
-
-
-def _search_once(
-    recordings: RecordingSet,
-    training: Training,
-    asked: Sequence[Effect],
-    base: ExtendedModel | None,
-    say: Say,
-    about: Extension | None = None,
-    comparison: Comparison | None = None,
-) -> SearchResult:
-    """Search once; from the extension `about` on where one is given."""
-    comparison = comparison or training.comparison()
-    unstated = locate_unstated(
-        asked, recordings, training.constants.joints, usual=training.free_bodies
-    )
-    if base is not None:
-        # Values in channels known to the model were fitted when it was made.
-        unstated = select_unseen(unstated, comparison.unseen, base.extension)
-    return search(
-        comparison,
-        remove_bounds(widen_for_changes(asked) if comparison.after_model else asked, recordings),
-        start=unstated,
-        most=training.most,
-        strict=training.free_bodies,
-        reidentify=training.reidentified,
-        about=about,
-        report=say,
-    )
 
 
 def _rms_residual(result: SearchResult) -> float:

@@ -27,7 +27,7 @@ from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.discovery.law_search.find import FoundLaw
 from stiffopt.discovery.laws.law import law_of
 from stiffopt.discovery.laws.law_file import WrittenLaw, law_file_text
-from stiffopt.discovery.position_fit import PositionRun
+from stiffopt.discovery.position_fit import PositionRun, loop_values
 from stiffopt.discovery.prediction import Prediction
 from stiffopt.discovery.signals import RobotConstants
 from stiffopt.files import atomic_write, to_json_types
@@ -96,6 +96,7 @@ def answer_document(diagnosis: Diagnosis) -> dict[str, Any]:
         "drift": [vars(each) | {"joint": each.joint + 1} for each in diagnosis.drift],
         "episodes": [vars(each) for each in diagnosis.episodes],
         "positions": [position_entry(run) for run in diagnosis.positions],
+        "simulation": loop_values(diagnosis.closed_loop, diagnosis.recordings.prismatic),
         "detection_limits": [
             {"effect": limit.effect.name, "state": _name_state(limit.effect)}
             | _pick(limit, "joint", "parameter", "value", "unit")

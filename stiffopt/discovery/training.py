@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -20,6 +20,7 @@ from stiffopt.discovery.comparison.nuisance import merge_tolerances
 from stiffopt.discovery.comparison.prepared_run import PreparedRun, prepare_run
 from stiffopt.discovery.extended.left_open import adopt_bands, describe_assumptions, noise_factors
 from stiffopt.discovery.extended.model import ExtendedModel, check_extended
+from stiffopt.discovery.progress import Say
 from stiffopt.discovery.settings import (
     DEFAULT_TOLERANCE,
     EXTENDED_MODEL_TOLERANCE,
@@ -37,8 +38,6 @@ from stiffopt.recording.run import RecordedRun
 from stiffopt.recording.state_pair import StatePair
 from stiffopt.units import joint_unit
 
-Say = Callable[[str], object]
-
 # Largest wind-up of a drivetrain, [rad] or [m]; more is a wrong stiffness, mass or time.
 _MAX_WINDUP = 1.0
 # Longest relaxation time of a joint's spring and damper [s].
@@ -49,70 +48,43 @@ _MIN_RELATIVE_NOISE = 2.0**-24
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Training:
-    """Prepared training runs with noise, tolerances and settings.
-
-    Parameters
-    ----------
-    runs : tuple of PreparedRun
-        With signals of the nominal model.
-    start : Extension
-        Extension of the model that the diagnosis started from, as fitted.
-    recorded : tuple of RecordedRun
-        The same runs as read.
-    constants : RobotConstants
-        With the ranges of the runs.
-    free_bodies : bool
-        True if no tolerance of nominal masses is stated: inertial parameters are free.
-    reidentified : bool
-        True if all inertial parameters are then re-identified: unless starting from an extended
-        model.
-    most : int
-        Maximum number of findings, values that the set does not state apart.
-    settings : Settings
-        With the chosen bands.
-    least : array (2 n,), optional
-        Factors that raise the noise to the open residual of the starting model.
-    suspects : mapping of str to float
-        Effects that the open residual suggests, with log evidence per row.
-    leanings : mapping of str to tuple of float
-        Amplitudes that single effects would have in the open residual.
-    """
+    """Prepared training runs with noise, tolerances and settings."""
 
     robot: RobotModel
-    runs: tuple[PreparedRun, ...]
+    runs: tuple[PreparedRun, ...]  # with signals of the nominal model
+    # Extension of the model that the diagnosis started from, as fitted; and as predictions use it,
+    # none without a model.
     start: Extension
-    recorded: tuple[RecordedRun, ...]
-    constants: RobotConstants
+    before: tuple[Extension, ...]
+    recorded: tuple[RecordedRun, ...]  # the same runs as read
+    constants: RobotConstants  # with the ranges of the runs
     noise: KnownNoise
     tolerance: Tolerance
+    # True if no tolerance of nominal masses is stated: inertial parameters are free.
     free_bodies: bool
+    # True if all inertial parameters are then re-identified: unless starting from an extended
+    # model.
     reidentified: bool
-    most: int
-    settings: Settings
+    most: int  # maximum number of findings, values that the set does not state apart
+    settings: Settings  # with the chosen bands
     assumptions: tuple[str, ...]
+    # (2 n,) factors that raise the noise to the open residual of the starting model.
     least: np.ndarray | None = None
+    # Effects that the open residual suggests, with log evidence per row.
     suspects: Mapping[str, float] = field(default_factory=dict)
+    # Amplitudes that single effects would have in the open residual.
     leanings: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     @cached_property
     def _columns(self) -> DesignMatrix:
         """Design matrix that every search starts from."""
-        return DesignMatrix(
-            self.robot, self.runs, self.noise.channels, self.tolerance, self.start, Extension()
-        )
+        noise = self.noise.channels
+        return DesignMatrix(self.robot, self.runs, noise, self.tolerance, self.start)
 
     def comparison(self) -> Comparison:
         """Return the comparison that a search starts from."""
-        return Comparison(
-            self.robot,
-            self.runs,
-            self.noise.channels,
-            self.tolerance,
-            start=self.start,
-            least=self.least,
-            suspects=self.suspects,
-            columns=self._columns.with_bodies(None),
-        )
+        columns = self._columns.with_bodies(None)
+        return Comparison(columns, least=self.least, suspects=self.suspects)
 
 
 def open_training_runs(recordings: RecordingSet, say: Say = lambda _: None) -> list[RecordedRun]:
@@ -135,16 +107,8 @@ def prepare_training(
 ) -> Training:
     """Open and prepare the training runs, and no other run.
 
-    Parameters
-    ----------
-    model : ExtendedModel, optional
-        Starting model in place of the nominal one.
-    say : callable
-        Called with a sentence at every step.
-    runs : sequence of RecordedRun, optional
-        The training runs, if already read.
-    vibrating : bool
-        See `prepare`.
+    `model`: starting model in place of the nominal one. `say`: called with a sentence at every
+    step. `runs`: the training runs, if already read. `vibrating`: see `prepare`.
     """
     robot = RobotModel(recordings)
     left_open = None if model is None else model.left_open
@@ -219,6 +183,7 @@ def prepare_training(
         robot=robot,
         runs=tuple(ready),
         start=Extension() if model is None else model.extension.fitted,
+        before=() if model is None else (model.extension,),
         recorded=tuple(opened),
         constants=ranged,
         noise=noise,
@@ -227,7 +192,7 @@ def prepare_training(
         reidentified=free and model is None,
         most=_max_effects(free, isinstance(recordings, StatePair)),
         settings=settings,
-        assumptions=(*recordings.assumptions, *noise.assumptions(), *notes),
+        assumptions=(*recordings.assumptions, *noise.assumptions(recordings.prismatic), *notes),
         least=least,
         suspects={} if left_open is None or least is None else left_open.suspects,
         leanings={} if left_open is None or least is None else left_open.leanings,

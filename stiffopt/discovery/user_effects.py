@@ -36,24 +36,11 @@ _FILE_HINT = (
 def load_effects(path: str | Path) -> tuple[Effect, ...]:
     """Load the effects that a Python file defines, validated like those of the catalogue.
 
-    Parameters
-    ----------
-    path : str or Path
-        The file; it is run.
+    `path`: the file; it is run. Effects are in the order of the file.
 
-    Returns
-    -------
-    tuple of Effect
-        In the order of the file.
+    Raises `InputFileError`: the file cannot be run, defines no effect, uses a name twice or one of
+    the catalogue, or an effect is invalid: not linear in its amplitudes, out of bounds.
 
-    Raises
-    ------
-    InputFileError
-        The file cannot be run, defines no effect, uses a name twice or one of the catalogue, or
-        an effect is invalid: not linear in its amplitudes, out of bounds.
-
-    Notes
-    -----
     A term maps (signals, amplitudes, shapes) to a `Term`, with NumPy's functions. Simulation from
     commands contains those that are plain formulas of angle, speed and torque.
     """
@@ -162,12 +149,7 @@ _RELATIVE_TOLERANCE = 1e-9
 def sample_signals(count: int = 60, dt: float = 0.01) -> RobotSignals:
     """Return signals of a sample arm: smooth, with reversals and loads of both signs.
 
-    Parameters
-    ----------
-    count : int
-        Number of samples.
-    dt : float
-        Time step [s].
+    `count`: number of samples. `dt`: time step [s].
     """
     time = dt * np.arange(count)
     wave = np.arange(1, _SAMPLE_JOINTS + 1) * 0.7 + 2.0

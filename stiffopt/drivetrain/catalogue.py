@@ -43,29 +43,19 @@ from stiffopt.errors import InputError, nearest
 
 @dataclass(frozen=True, kw_only=True)
 class ReducerData(Entry):
-    """Strain-wave or cycloidal reducer: three stiffness ranges and, where known, ratings.
+    """Strain-wave or cycloidal reducer: three stiffness ranges and, where known, ratings."""
 
-    Parameters
-    ----------
-    ratio : int
-        Turns of the input for one turn of the output.
-    K1, K2, K3 : float
-        Slopes below T1, up to T2, above [N m/rad].
-    T1, T2 : float
-        [N m]
-    ratings : (rated, repeated peak, momentary peak) or None
-        [N m]
-    rated_speed, rated_life, life_exponent : float or None
-        Output speed [rad/s] and life L10 [s] of the rated torque, and the exponent of the torque.
-    """
-
-    ratio: int
+    ratio: int  # turns of the input for one turn of the output
+    # Slopes below T1, up to T2, above [N m/rad].
     K1: float
     K2: float
     K3: float
+    # [N m].
     T1: float
     T2: float
+    # (rated, repeated peak, momentary peak) [N m].
     ratings: tuple[float, float, float] | None = None
+    # Output speed [rad/s] and life L10 [s] of the rated torque, and the exponent of the torque.
     rated_speed: float | None = None
     rated_life: float | None = None
     life_exponent: float | None = None
@@ -118,28 +108,16 @@ class BeltData(Entry):
 
 @dataclass(frozen=True, kw_only=True)
 class FlangeData(Entry):
-    """Bolt pattern at a reducer.
+    """Bolt pattern at a reducer."""
 
-    Parameters
-    ----------
-    bolt : str
-        Size, for example "M5".
-    circle_diameter : float
-        Of the bolts [m].
-    inner_radius, outer_radius : float
-        Of the contact ring [m].
-    preload : float
-        Nominal, of one bolt [N].
-    tightening_torque, transmissible_torque : float
-        Of the maker's table [N m].
-    """
-
-    bolt: str
+    bolt: str  # size, for example "M5"
     count: int
-    circle_diameter: float
+    circle_diameter: float  # of the bolts [m]
+    # Of the contact ring [m].
     inner_radius: float
     outer_radius: float
-    preload: float
+    preload: float  # nominal, of one bolt [N]
+    # Of the maker's table [N m].
     tightening_torque: float
     transmissible_torque: float
 

@@ -100,20 +100,14 @@ Law = Callable[[Quantity], Quantity]
 class Chain:
     """Drivetrain of one joint, from motor to link.
 
-    Parameters
-    ----------
-    reflect : bool
-        True (physics): the wind-up of an element counts 1/ratio at the joint, its stiffness
-        ratio^2. False: the torque is still divided by the ratio, but the element's tangent
-        stiffness is added as it is; an interpretation of texts that do not mention reflection, in
-        which everything on the motor side dominates.
-
-    Notes
-    -----
     Torques and wind-ups are those of the joint [N m], [rad]. An empty chain is rigid.
     """
 
     stages: tuple[Stage, ...]
+    # True (physics): the wind-up of an element counts 1/ratio at the joint, its stiffness ratio^2.
+    # False: the torque is still divided by the ratio, but the element's tangent stiffness is added
+    # as it is; an interpretation of texts that do not mention reflection, in which everything on
+    # the motor side dominates.
     reflect: bool = True
 
     def __post_init__(self) -> None:
@@ -134,17 +128,9 @@ class Chain:
     ) -> Quantity:
         """Wind-up of the joint under a torque.
 
-        Parameters
-        ----------
-        torque : scalar or (n,) or SX or MX [N m]
-        preloads : mapping of element name to preload [N], optional
-            Replaces the elements' own; may be symbolic.
-        smoothing : scalar [-]
-            Factor on every smoothing width.
-
-        Returns
-        -------
-        same kind as `torque` [rad]
+        `torque` (n,) or SX or MX [N m]. `preloads` [N]: replaces the elements' own; may be
+        symbolic. `smoothing` [-]: factor on every smoothing width. Returns same kind as `torque`
+        [rad].
         """
         total = 0.0 * torque
         for group in self.groups(preloads):
@@ -255,17 +241,9 @@ def _group_secant(
 def smooth_shares(
     stages: Sequence[Stage], torque: Quantity, preloads: Preloads, smoothing: Quantity
 ) -> list[Quantity]:
-    """Return the share of the torque that each stage of a group carries, a smooth expression.
+    """Return the share of the torque [N m] that each stage of a group carries, a smooth expression.
 
-    Parameters
-    ----------
-    stages : sequence of Stage
-        At least two.
-    torque : scalar or (n,) or SX or MX [N m]
-
-    Returns
-    -------
-    list, one a stage, same kind as `torque` [-]; they sum to 1
+    At least two stages; the shares are of the torque's kind and sum to 1.
     """
     if len(stages) == 1:
         return [1.0 + 0.0 * torque]

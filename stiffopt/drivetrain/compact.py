@@ -39,20 +39,13 @@ _MAX_FIT_ERROR = 5e-3
 class CompactChain:
     """Compact form of a chain with its own preloads.
 
-    Parameters
-    ----------
-    torque_max : float
-        Of the joint [N m]; the fit holds from 2e-5 to 1.3 of it, or to 0.95 of the least slip
-        torque. Beyond, the secant compliance is constant; the transition takes the last tenth and
-        is 1 % off at the end.
-
-    Raises
-    ------
-    OutOfValidityError
-        The fit misses the smooth chain by more than 0.5 %.
+    Raises `OutOfValidityError`: the fit misses the smooth chain by more than 0.5 %.
     """
 
     chain: Chain
+    # Of the joint [N m]; the fit holds from 2e-5 to 1.3 of it, or to 0.95 of the least slip torque.
+    # Beyond, the secant compliance is constant; the transition takes the last tenth and is 1 % off
+    # at the end.
     torque_max: float
 
     @cached_property

@@ -9,24 +9,16 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class ElasticMount:
-    """Linear springs at a point of the link behind a joint.
+    """Linear springs at a point of the link behind a joint."""
 
-    Parameters
-    ----------
-    place : array (3,)
-        Point from the joint's origin [m], in axes of the link whose third is the joint's.
-    axes : array (3, 3)
-        Axes of the springs as columns, in the same axes.
-    compliance : array (6,)
-        Wrench [F, M] at the point to displacement and rotation there [m/N, rad/(N m)]; 0 is rigid.
-    carries : int or None
-        Next joint (from 0) of a bending link, which carries that joint and half of its own mass;
-        None: the springs carry the whole link.
-    """
-
+    # (3,) point from the joint's origin [m], in axes of the link whose third is the joint's.
     place: np.ndarray
-    axes: np.ndarray
+    axes: np.ndarray  # (3, 3) axes of the springs as columns, in the same axes
+    # (6,) wrench [F, M] at the point to displacement and rotation there [m/N, rad/(N m)]; 0 is
+    # rigid.
     compliance: np.ndarray
+    # Next joint (from 0) of a bending link, which carries that joint and half of its own mass;
+    # None: the springs carry the whole link.
     carries: int | None = None
 
     def loads(self, joint: int) -> tuple[int, ...]:

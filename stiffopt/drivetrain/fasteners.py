@@ -19,38 +19,21 @@ from stiffopt.errors import InputError, nearest
 
 @dataclass(frozen=True, kw_only=True)
 class BoltData(Entry):
-    """Socket head bolt with coarse thread.
+    """Socket head bolt with coarse thread."""
 
-    Parameters
-    ----------
-    diameter, pitch : float
-        d and P [m].
-    pitch_diameter, minor_diameter : float
-        d2 and d3 of the thread [m].
-    stress_area : float
-        A_S [m^2].
-    head_diameter : float
-        d_k, room that the head takes [m].
-    bearing_diameter : float
-        d_w, of the flat under the head [m].
-    hole : float
-        d_h, of the clearance hole [m].
-    shank_diameter : float or None
-        d_T of the part beside the thread [m]; `shanked` makes such a bolt.
-    shank_length : float
-        l of that part within the clamp length [m]; infinite: all of it.
-    """
-
+    # d and P [m].
     diameter: float
     pitch: float
+    # d2 and d3 of the thread [m].
     pitch_diameter: float
     minor_diameter: float
-    stress_area: float
-    head_diameter: float
-    bearing_diameter: float
-    hole: float
+    stress_area: float  # A_S [m^2]
+    head_diameter: float  # d_k, room that the head takes [m]
+    bearing_diameter: float  # d_w, of the flat under the head [m]
+    hole: float  # d_h, of the clearance hole [m]
+    # d_T of the part beside the thread [m]; `shanked` makes such a bolt.
     shank_diameter: float | None = None
-    shank_length: float = 0.0
+    shank_length: float = 0.0  # l of that part within the clamp length [m]; infinite: all of it
 
     @property
     def stress_diameter(self) -> float:
@@ -107,25 +90,14 @@ def shanked(bolt: BoltData, diameter: float, length: float = math.inf) -> BoltDa
 
 @dataclass(frozen=True, kw_only=True)
 class BoltGrade(Entry):
-    """Property class of bolts.
+    """Property class of bolts."""
 
-    Parameters
-    ----------
-    proof_stress, tensile_strength : float
-        R_p0.2 and R_m, least [Pa].
-    modulus : float
-        Young's modulus [Pa].
-    expansion : float
-        Thermal, for 1 K.
-    heat_treated : bool
-        Quenched and tempered; stainless bolts are work-hardened instead.
-    """
-
+    # R_p0.2 and R_m, least [Pa].
     proof_stress: float
     tensile_strength: float
-    modulus: float
-    expansion: float
-    heat_treated: bool
+    modulus: float  # Young's modulus [Pa]
+    expansion: float  # thermal, for 1 K
+    heat_treated: bool  # quenched and tempered; stainless bolts are work-hardened instead
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,37 +125,20 @@ class SetScrewData(Entry):
 
 @dataclass(frozen=True, kw_only=True)
 class ClampedMaterial(Entry):
-    """Permissible pressures and strengths of a material around fasteners.
+    """Permissible pressures and strengths of a material around fasteners."""
 
-    Parameters
-    ----------
-    modulus : float
-        Young's modulus [Pa].
-    head_pressure : float
-        Permissible under a bolt head [Pa].
-    engagement : mapping of grade to float
-        Length of thread needed, in bolt diameters; see `engagement_for`.
-    engagement_assumed : float
-        Length of thread where none is given, in bolt diameters.
-    strength, yield_stress : float
-        R_m and R_p0.2 [Pa].
-    shear_ratio : float
-        Shear over tensile strength.
-    expansion : float
-        Thermal, for 1 K.
-    key_pressure : mapping
-        "steady" and "reversing": permissible on key flanks in a hub of it [Pa]; empty for
-        materials not used for hubs.
-    """
-
-    modulus: float
-    head_pressure: float
+    modulus: float  # Young's modulus [Pa]
+    head_pressure: float  # permissible under a bolt head [Pa]
+    # By grade: length of thread needed, in bolt diameters; see `engagement_for`.
     engagement: Mapping[str, float]
-    engagement_assumed: float
+    engagement_assumed: float  # length of thread where none is given, in bolt diameters
+    # strength and yield_stress: R_m and R_p0.2 [Pa].
     strength: float
-    shear_ratio: float
+    shear_ratio: float  # shear over tensile strength
     yield_stress: float
-    expansion: float
+    expansion: float  # thermal, for 1 K
+    # "steady" and "reversing": permissible on key flanks in a hub of it [Pa]; empty for materials
+    # not used for hubs.
     key_pressure: Mapping[str, float] = field(default_factory=dict)
 
     def engagement_for(self, grade: str) -> float:
@@ -280,10 +235,7 @@ def tensile_strength(grade: str) -> float:
 def washer(size: str) -> WasherData:
     """Look up the hardened washer of a bolt: a user entry, else by size, else by diameter.
 
-    Raises
-    ------
-    InputError
-        There is none, or the head is wider than the washer.
+    Raises `InputError`: there is none, or the head is wider than the washer.
     """
     own = own_entries("washer")
     table = read_table("bolts")["washers"]

@@ -25,16 +25,8 @@ def dynamic_bearing_displacements(
 ) -> dict[int, Quantity]:
     """Return the displacement of the tool by bearing and link of each joint, less that at rest.
 
-    Parameters
-    ----------
-    robot : Robot
-    q, v, a : SX (n,)
-        Position, velocity and acceleration of the links.
-
-    Returns
-    -------
-    dict of SX (3,)
-        By index of the joint, base axes [m]. A constant force cancels.
+    `q`, `v` and `a` (n,): position, velocity and acceleration of the links. Returns dict of SX
+    (3,): by index of the joint, base axes [m]. A constant force cancels.
     """
     if not robot.tilts:
         return {}

@@ -15,9 +15,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
 
-from stiffopt.dynamics.kinematics import point_jacobian
 from stiffopt.dynamics.newton_euler import newton_euler
 from stiffopt.robot.body_tree import BodyTree
 from stiffopt.symbolic import Quantity
@@ -25,23 +23,13 @@ from stiffopt.symbolic import Quantity
 
 @dataclass(frozen=True, kw_only=True)
 class SpringTorques:
-    """Torques in the joints' springs, without rotor inertia and friction.
+    """Torques in the joints' springs, without rotor inertia and friction."""
 
-    Parameters
-    ----------
-    gravity : (n,)
-        At rest in the same pose. [N m] or [N]
-    motion : (n,)
-        tau_0: links and payload in motion. [N m] or [N]
-    spring : (n,)
-        tau_0 minus J^T F; the same as `motion` without a process force. [N m] or [N]
-    held : (n,)
-        At rest under the process force; the same as `gravity` without one. [N m] or [N]
-    """
-
-    gravity: Quantity
-    motion: Quantity
+    gravity: Quantity  # (n,) at rest in the same pose [N m] or [N]
+    motion: Quantity  # (n,) tau_0: links and payload in motion [N m] or [N]
+    # (n,) tau_0 minus J^T F; the same as `motion` without a process force [N m] or [N].
     spring: Quantity
+    # (n,) at rest under the process force; the same as `gravity` without one [N m] or [N].
     held: Quantity
 
 
@@ -60,31 +48,17 @@ class Deflection:
 
 
 def spring_torques(
-    tree: BodyTree,
-    joint: int,
-    offset: ArrayLike,
-    q: Quantity,
-    v: Quantity,
-    a: Quantity,
-    process_force: Quantity = None,
+    tree: BodyTree, q: Quantity, v: Quantity, a: Quantity, pushed: Quantity = None
 ) -> SpringTorques:
-    """Return the spring torques of an arm in motion under a process force on its tool.
+    """Return the spring torques of an arm in motion (q, v, a) under a process force on its tool.
 
-    Parameters
-    ----------
-    joint, offset : int, array_like (3,)
-        The tool point: number of its joint and the place in that joint's frame. [m]
-    q, v, a : SX or MX (n,)
-        Position, velocity, acceleration of the joints.
-    process_force : array_like or SX or MX (3,), optional
-        Acts ON the tool, base axes. [N]
+    `pushed` (n,): joint torques J^T F of the force F ON the tool [N m] or [N].
     """
     rest = np.zeros(tree.n)
     gravity = newton_euler(tree, q, rest, rest)
     motion = newton_euler(tree, q, v, a)
-    if process_force is None:
+    if pushed is None:
         return SpringTorques(gravity=gravity, motion=motion, spring=motion, held=gravity)
-    pushed = ca.mtimes(point_jacobian(tree, joint, offset, q).T, process_force)
     return SpringTorques(
         gravity=gravity, motion=motion, spring=motion - pushed, held=gravity - pushed
     )
@@ -95,12 +69,8 @@ def tool_deflection(
 ) -> Deflection:
     """Return the deflection of the tool under spring torques.
 
-    Parameters
-    ----------
-    jacobian : array, SX or MX (3, n)
-        Position Jacobian of the tool, base axes. [m/rad] or [1]
-    windup : callable
-        Spring torques (n,) -> wind-up angles (n,) [rad] (or shortening [m]).
+    `jacobian` (3, n): position Jacobian of the tool, base axes [m/rad] or [1]. `windup`: spring
+    torques (n,) -> wind-up angles (n,) [rad] (or shortening [m]).
     """
     sag, moving = windup(torques.gravity), windup(torques.motion)
     # Without a process force both are the same expression, and the process part is exactly zero.

@@ -15,24 +15,11 @@ DRY_FRICTION_WIDTH_SHARE = 0.01
 def friction_torque(
     velocity: Quantity, *, coulomb: Quantity, viscous: Quantity, width: Quantity
 ) -> Quantity:
-    """Return the friction torque of the drive, with the sign of the velocity.
+    """Return the friction torque of the drive [N m] or [N], with the sign of the velocity (..., n).
 
-    Parameters
-    ----------
-    velocity : float, array, SX or MX (..., n)
-        Of the joints. [rad/s] or [m/s]
-    coulomb : array (n,)
-        Dry friction, independent of the speed. [N m] or [N]
-    viscous : array (n,)
-        Slope with the speed. [N m s/rad] or [N s/m]
-    width : array (n,)
-        Speed at which the dry part reaches 76 % (tanh 1) of `coulomb`; it makes the law smooth
-        at standstill, where the sharp law jumps. [rad/s] or [m/s]
-
-    Returns
-    -------
-    same kind and shape as `velocity`
-        [N m] or [N]
+    `coulomb` (n,) is independent of the speed, `viscous` (n,) the slope with it. At the speed
+    `width` (n,) the dry part reaches 76 % (tanh 1) of `coulomb`: the law is smooth at standstill,
+    where the sharp law jumps.
     """
     return coulomb * np.tanh(velocity / width) + viscous * velocity
 
@@ -52,24 +39,11 @@ def drive_torque(
     viscous: Quantity,
     velocity_max: Quantity,
 ) -> Quantity:
-    """Return the drive torque at the output side, which torque limits bound.
+    """Return the drive torque at the output side (..., n) [N m] or [N], which torque limits bound.
 
-    The spring sits between drive and link, so that rotor inertia and friction load the drive but
-    not the spring.
-
-    Parameters
-    ----------
-    spring_torque : array, SX or MX (..., n)
-        Torque of links, payload and process force in the joints' springs. [N m] or [N]
-    velocity, acceleration : array, SX or MX (..., n)
-        [rad/s, rad/s^2] or [m/s, m/s^2]
-    rotor_inertia : array (n,)
-        Reflected to the output. [kg m^2] or [kg]
-    coulomb, viscous : array (n,)
-        As for `friction_torque`.
-    velocity_max : array (n,)
-        Sets the smoothing width of dry friction, 1 % of it; where it is infinite, of 1 rad/s or
-        1 m/s. [rad/s] or [m/s]
+    The spring sits between drive and link, so that rotor inertia (reflected to the output) and
+    friction load the drive but not the spring. Dry friction is smoothed within 1 % of
+    `velocity_max`; where that is infinite, of 1 rad/s or 1 m/s.
     """
     width: Quantity = DRY_FRICTION_WIDTH_SHARE * np.where(
         np.isfinite(velocity_max), velocity_max, 1.0

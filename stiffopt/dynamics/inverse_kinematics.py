@@ -24,14 +24,8 @@ _MAX_GAUSS_NEWTON_STEPS = 200
 class UnreachablePoseError(ProblemError):
     """No joint angles within the limits reach the tool pose.
 
-    Parameters
-    ----------
-    distance : float
-        Smallest distance reached. [m]
-    angle : float or None
-        Angle error there, where an orientation was given. [rad]
-    joints : array (n,)
-        Joint angles there.
+    `distance`: smallest distance reached [m]. `angle`: angle error there, where an orientation was
+    given [rad]. `joints` (n,): joint angles there.
     """
 
     def __init__(
@@ -51,37 +45,13 @@ def solve_pose(
     restarts: int = 60,
     tolerance: float = 1e-10,
 ) -> np.ndarray:
-    """Return joint angles of a tool pose, or of a position of the tool point.
+    """Return joint angles (n,) of a tool pose, or of a position of the tool point.
 
-    Damped Gauss-Newton steps from `near`, kept inside the joint limits; where they do not converge,
-    from seeded random angles as well, and the solution closest to `near` is returned.
-
-    Parameters
-    ----------
-    position : array_like (3,)
-        Of the tool point, base axes. [m]
-    rotation : array_like (3, 3), optional
-        Of the tool frame, base axes; free if left out.
-    near : array_like (n,), optional
-        Chooses between solutions; the middle of the joint ranges if left out. [rad] or [m]
-    seed : int
-        Of the random starts: equal seeds give equal answers.
-    restarts : int
-        Number of random starts.
-    tolerance : float
-        Of the pose: [m], and 0.3 m a radian.
-
-    Returns
-    -------
-    array (n,)
-        [rad] or [m]
-
-    Raises
-    ------
-    UnreachablePoseError
-        States the smallest distance and the active joint limits.
-    ProblemError
-        For poses that are not finite or have the wrong shape.
+    Damped Gauss-Newton steps from `near` (default the middle of the ranges), kept inside the joint
+    limits; where they do not converge, from `restarts` seeded random angles as well, and the
+    solution closest to `near` is returned. `tolerance` is of the pose: [m], and 0.3 m a radian.
+    Raises `UnreachablePoseError` with the smallest distance and the active joint limits,
+    `ProblemError` for poses that are not finite or have the wrong shape.
     """
     search = _Search.of(robot, position, rotation)
     middle = 0.5 * (search.lower + search.upper)

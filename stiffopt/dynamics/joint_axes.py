@@ -21,39 +21,18 @@ _ROUND_OFF = 1e-14
 
 @dataclass(frozen=True)
 class AxisJoint:
-    """One joint and the body it carries, in axis frames.
+    """One joint and the body it carries, in axis frames."""
 
-    Parameters
-    ----------
-    parent : int
-        Number of the parent joint, from 1; 0 is the base.
-    prismatic : bool
-        Shift along z instead of turn about z.
-    rotation : array (3, 3)
-        Axis frame at zero angle seen from the parent's axis frame.
-    angle_offset : float
-        Constant turn about z after `rotation`. [rad]
-    translation : array (3,)
-        Origin in the parent's axis frame; for a prismatic joint at q = 0. [m]
-    mass : float
-        Of the body with everything fixed to it. [kg]
-    first_moment : array (3,)
-        Mass times centre of mass, in the axis frame. [kg m]
-    inertia : array (3, 3)
-        About the origin of the axis frame. [kg m^2]
-    from_joint_frame : array (3, 3)
-        Turns vectors of the joint frame into the axis frame.
-    """
-
-    parent: int
-    prismatic: bool
-    rotation: np.ndarray
-    angle_offset: float
+    parent: int  # number of the parent joint, from 1; 0 is the base
+    prismatic: bool  # shift along z instead of turn about z
+    rotation: np.ndarray  # (3, 3) axis frame at zero angle seen from the parent's axis frame
+    angle_offset: float  # constant turn about z after `rotation` [rad]
+    # (3,) origin in the parent's axis frame; for a prismatic joint at q = 0 [m].
     translation: np.ndarray
-    mass: float
-    first_moment: np.ndarray
-    inertia: np.ndarray
-    from_joint_frame: np.ndarray
+    mass: float  # of the body with everything fixed to it [kg]
+    first_moment: np.ndarray  # (3,) mass times centre of mass, in the axis frame [kg m]
+    inertia: np.ndarray  # (3, 3) about the origin of the axis frame [kg m^2]
+    from_joint_frame: np.ndarray  # (3, 3) turns vectors of the joint frame into the axis frame
 
 
 def clean(values: np.ndarray) -> np.ndarray:

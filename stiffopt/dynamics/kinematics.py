@@ -6,8 +6,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,72 +13,17 @@ from numpy.typing import ArrayLike
 from stiffopt.dynamics.joint_axes import AxisJoint, axis_joints, clean
 from stiffopt.dynamics.newton_euler import joint_pose
 from stiffopt.robot.body_tree import BodyTree
+from stiffopt.robot.frames import LinkFrame
 from stiffopt.symbolic import Quantity
-
-
-def forward_kinematics(
-    tree: BodyTree, joint: int, offset: ArrayLike = (0.0, 0.0, 0.0), rotation: object = None
-) -> ca.Function:
-    """Return the pose of a tool frame as a CasADi function.
-
-    Parameters
-    ----------
-    joint : int
-        Number of the joint, from 1, that carries the point.
-    offset : array_like (3,)
-        Of the point in the joint frame. [m]
-    rotation : array_like (3, 3), optional
-        Tool frame seen from the joint frame; the joint frame itself if left out.
-
-    Returns
-    -------
-    casadi.Function
-        q (n,) -> (position (3,) [m], rotation (3, 3)), in the base frame.
-    """
-    q = ca.SX.sym("q", tree.n)
-    pose = tool_pose(tree, joint, offset, rotation, q)
-    return ca.Function("forward_kinematics", [q], list(pose), ["q"], ["position", "rotation"])
-
-
-def point_kinematics(
-    tree: BodyTree, joint: int, offset: ArrayLike = (0.0, 0.0, 0.0)
-) -> ca.Function:
-    """Return the position of a point and its Jacobian as a CasADi function.
-
-    Parameters
-    ----------
-    joint : int
-        Number of the joint, from 1, that carries the point.
-    offset : array_like (3,)
-        Of the point in the joint frame. [m]
-
-    Returns
-    -------
-    casadi.Function
-        q (n,) -> (position (3,) [m], J (3, n) [m/rad] or [1]) with d position/dt = J v, in base
-        axes.
-    """
-    q = ca.SX.sym("q", tree.n)
-    return ca.Function(
-        "point_kinematics",
-        [q],
-        [point_position(tree, joint, offset, q), point_jacobian(tree, joint, offset, q)],
-        ["q"],
-        ["position", "jacobian"],
-    )
 
 
 def tool_pose(
     tree: BodyTree, joint: int, offset: ArrayLike, rotation: object, q: Quantity
 ) -> tuple[Quantity, Quantity]:
-    """Return position (3,) [m] and rotation (3, 3) of a tool frame, of SX or MX q (n,).
+    """Return position (3,) [m] and rotation (3, 3) of a tool frame, expressions of SX q (n,).
 
     With `rotation` None the tool frame is parallel to the joint frame.
     """
-    if isinstance(q, ca.MX):
-        function: Any = forward_kinematics(tree, joint, offset, rotation)
-        position, turn = function(q)
-        return position, turn
     joints = axis_joints(tree)
     frames = axis_frames(joints, q, joint)
     origin, turn = frames[joint]
@@ -92,21 +35,45 @@ def tool_pose(
 
 
 def point_position(tree: BodyTree, joint: int, offset: ArrayLike, q: Quantity) -> Quantity:
-    """Return the position (3,) [m] of a point, an expression of q (n,) (SX or MX), base axes."""
+    """Return the position (3,) [m] of a point, an expression of SX q (n,), base axes."""
     return tool_pose(tree, joint, offset, None, q)[0]
 
 
 def point_jacobian(tree: BodyTree, joint: int, offset: ArrayLike, q: Quantity) -> Quantity:
-    """Return the position Jacobian (3, n) of a point, an expression of q (n,) (SX or MX)."""
-    if isinstance(q, ca.MX):
-        function: Any = point_kinematics(tree, joint, offset)
-        return function(q)[1]
+    """Return the position Jacobian (3, n) of a point, an expression of SX q (n,)."""
     joints = axis_joints(tree)
     frames = axis_frames(joints, q, joint)
     origin, turn = frames[joint]
     point = origin + ca.mtimes(
         turn, _as_casadi_vector(joints[joint - 1].from_joint_frame @ _as_point(offset))
     )
+    return _columns_of_point(joints, frames, point)
+
+
+def frame_pose(tree: BodyTree, frame: LinkFrame, q: Quantity) -> tuple[Quantity, Quantity]:
+    """Return position and rotation of a frame as of `tool_pose`, relative to its `seen_from`."""
+    position, rotation = tool_pose(tree, frame.joint, frame.offset, frame.rotation, q)
+    if frame.seen_from is None:
+        return position, rotation
+    origin, axes = frame_pose(tree, frame.seen_from, q)
+    return ca.mtimes(axes.T, position - origin), ca.mtimes(axes.T, rotation)
+
+
+def frame_jacobian(tree: BodyTree, frame: LinkFrame, q: Quantity) -> Quantity:
+    """Return the position Jacobian (3, n) of a frame, relative to its `seen_from`."""
+    moved, work = point_jacobian(tree, frame.joint, frame.offset, q), frame.seen_from
+    if work is None:
+        return moved
+    point = point_position(tree, frame.joint, frame.offset, q)
+    axes, joints = frame_pose(tree, work, q)[1], axis_joints(tree)
+    carried = _columns_of_point(joints, axis_frames(joints, q, work.joint), point)
+    return ca.mtimes(axes.T, moved - carried)
+
+
+def _columns_of_point(
+    joints: tuple[AxisJoint, ...], frames: dict[int, tuple[Quantity, Quantity]], point: Quantity
+) -> Quantity:
+    """Jacobian (3, n) of a point (3,), base axes, that moves with the last of the axis frames."""
     columns = [ca.SX.zeros(3) for _ in joints]
     for i, (center, rotation) in frames.items():
         if i:
@@ -147,21 +114,11 @@ ROW_PARAMETERS = 11
 
 
 def height_over_plane(tree: BodyTree, first: int, second: int) -> ca.Function:
-    """Return the height of the lowest point over a plane as a CasADi function.
+    """Return (q (n,), numbers (11,)) -> height [m] of the lowest point over a plane.
 
-    Parameters
-    ----------
-    first : int
-        Number of the joint, from 1, that carries the point, ball or disc.
-    second : int
-        Of the joint that carries the plane; 0 is the base.
-
-    Returns
-    -------
-    casadi.Function
-        (q (n,), numbers (11,)) -> height [m]. The numbers are a centre (3) [m], the unit axis (3)
-        of a disc (zero for a ball or a point) and a radius [m] in the frame of the first joint; the
-        plane's unit normal (3) and its height along it [m] in that of the second.
+    The numbers are a centre (3) [m], the unit axis (3) of a disc (zero for a ball or a point) and a
+    radius [m] in the frame of joint `first`; the plane's unit normal (3) and its height along it
+    [m] in that of `second` (0: base).
     """
     q, numbers = ca.SX.sym("q", tree.n), ca.SX.sym("numbers", ROW_PARAMETERS)
     centre, axis, radius, normal, height = ca.vertsplit(numbers, [0, 3, 6, 7, 10, 11])

@@ -19,32 +19,16 @@ from stiffopt.symbolic import Quantity
 
 
 def inverse_dynamics(tree: BodyTree) -> ca.Function:
-    """Return the inverse dynamics as a CasADi function of SX operations.
-
-    Returns
-    -------
-    casadi.Function
-        (q (n,) [rad or m], v (n,) [rad/s or m/s], a (n,) [rad/s^2 or m/s^2]) -> tau (n,)
-        [N m or N].
-    """
+    """Return the inverse dynamics (q, v, a), each (n,), -> tau (n,) as SX operations."""
     q, v, a = (ca.SX.sym(name, tree.n) for name in ("q", "v", "a"))
     tau = newton_euler(tree, q, v, a)
     return ca.Function("inverse_dynamics", [q, v, a], [tau], ["q", "v", "a"], ["tau"])
 
 
 def newton_euler(tree: BodyTree, q: Quantity, v: Quantity, a: Quantity) -> Quantity:
-    """Return the joint torques of the links' motion, without rotor inertia and friction.
+    """Return the torques (n,) of joints on their links' motion, without rotor inertia and friction.
 
-    Parameters
-    ----------
-    q, v, a : SX or MX or array (n,)
-        Position, velocity and acceleration of the joints. Zeros given as constants vanish from
-        the graph, so v = a = 0 gives the bare gravity torque.
-
-    Returns
-    -------
-    SX or MX or DM (n,)
-        Torque [N m] or force [N] that the joint exerts on its link.
+    Zeros given as constants vanish from the graph, so v = a = 0 gives the bare gravity torque.
     """
     if any(isinstance(x, ca.MX) for x in (q, v, a)):
         return inverse_dynamics(tree)(q, v, a)

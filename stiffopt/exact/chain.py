@@ -48,8 +48,6 @@ def exact_compliance(chain: Chain, torque: np.ndarray, preloads: Preloads = None
 def exact_windup(chain: Chain, torque: np.ndarray, preloads: Preloads = None) -> np.ndarray:
     """Return the unsmoothed wind-up, (k,) [N m] -> (k,) [rad]; arguments as `exact_compliance`.
 
-    Notes
-    -----
     Accurate to about 1e-9 of itself. Infinite where a contact has no stiffness at zero pressure (a
     key without pre-pressure).
     """

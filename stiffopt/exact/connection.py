@@ -28,19 +28,9 @@ def tangent_compliance(
 ) -> np.ndarray:
     """Return the compliance of the unsmoothed law, d phi/dT [rad/(N m)], shape as `torque`.
 
-    Parameters
-    ----------
-    element : Connection
-        Of a kind known here, or a subclass with a method
-        `exact_tangent_compliance(torque, preload=...)`.
-    torque : array [N m]
-        On the connection's own shaft.
-    preload : float, optional [N]
-        Replaces the connection's own.
-
-    Notes
-    -----
-    Infinite where a contact carries no pressure or slips.
+    `element`: of a kind known here, or a subclass with a method `exact_tangent_compliance(torque,
+    preload=...)`. `torque` [N m]: on the connection's own shaft. `preload` [N]: replaces the
+    connection's own. Infinite where a contact carries no pressure or slips.
     """
     torque = np.asarray(torque, dtype=float)
     law = _COMPLIANCE_LAWS.get(getattr(element, "kind", ""))

@@ -27,24 +27,13 @@ _LEGENDRE_PROJECTION = (
 
 @dataclass(frozen=True)
 class Antiderivative:
-    """Integral from zero of a positive even function, as an odd function of its upper limit.
+    """Integral from zero of a positive even function, as an odd function of its upper limit."""
 
-    Parameters
-    ----------
-    edges : array (k + 1,)
-        Panel borders from 0 to the largest argument.
-    coefficients : array (k, order + 1)
-        Legendre series of the integral inside each panel.
-    slopes : array (k, order)
-        Of the function itself.
-    sharp : array (k,) of bool
-        True where that series holds to 1e-8 at every point: False beside an undeclared jump and
-        where the panel's contribution to the integral is negligible.
-    """
-
-    edges: np.ndarray
-    coefficients: np.ndarray
-    slopes: np.ndarray
+    edges: np.ndarray  # (k + 1,) panel borders from 0 to the largest argument
+    coefficients: np.ndarray  # (k, order + 1) Legendre series of the integral inside each panel
+    slopes: np.ndarray  # (k, order) of the function itself
+    # (k,) True where that series holds to 1e-8 at every point: False beside an undeclared jump and
+    # where the panel's contribution to the integral is negligible.
     sharp: np.ndarray
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
@@ -118,20 +107,10 @@ def antiderivative(
 ) -> Antiderivative:
     """Return the antiderivative of `function` on [0, `upper`].
 
-    Parameters
-    ----------
-    function : callable
-        (k,) -> (k,), positive; vectorised.
-    upper : float
-        Largest argument, above 0.
-    breakpoints : sequence of float
-        Known jumps and kinks of the function.
-    relative_tolerance : float
-        Of the integral over each panel, hence of the whole.
-
-    Notes
-    -----
-    Where the function is infinite or NaN the integral is infinite from there on.
+    `function`: (k,) -> (k,), positive; vectorised. `upper`: largest argument, above 0.
+    `breakpoints`: known jumps and kinks of the function. `relative_tolerance`: of the integral over
+    each panel, hence of the whole. Where the function is infinite or NaN the integral is infinite
+    from there on.
     """
     # Contact compliance changes over decades of torque: panels grow geometrically from zero.
     graded = upper * 2.0 ** np.arange(-30.0, 1.0)

@@ -23,45 +23,26 @@ _SEAL_SUBJECTS = ("payload", "robot", "limits", "motion")
 
 @dataclass(frozen=True, kw_only=True)
 class CheckedMotion:
-    """Exported motion that is unchanged and keeps its limits.
+    """Exported motion that is unchanged and keeps its limits."""
 
-    Parameters
-    ----------
-    format, which, title, robot : str
-        Name of `--to`, "motor" or "link", title of the result, name of the robot.
-    payload : float or None [kg]
-    rate : float [Hz]
-    duration : float [s]
-    tightest : str
-        Description of the limit with the least margin.
-    """
-
+    # Name of `--to`, "motor" or "link", title of the result, name of the robot.
     format: str
     which: str
     title: str
     robot: str
-    payload: float | None
-    rate: float
-    duration: float
+    payload: float | None  # [kg]
+    rate: float  # [Hz]
+    duration: float  # [s]
     samples: int
-    tightest: str
+    tightest: str  # description of the limit with the least margin
 
 
 def check_file(file: Path, result: Path, problem: Path | None = None) -> CheckedMotion:
     """Check an exported file against its result, whose motion is assessed again.
 
-    Parameters
-    ----------
-    result : Path
-        Folder of the solve.
-    problem : Path, optional
-        Problem file in place of that of the result.
-
-    Raises
-    ------
-    InputError
-        The file has no header, was changed, or belongs to another result; or the motion of the
-        result is not the certified one.
+    `result`: folder of the solve. `problem`: problem file in place of that of the result. Raises
+    `InputError`: the file has no header, was changed, or belongs to another result; or the motion
+    of the result is not the certified one.
     """
     entries, body = read_seal(read_text(file))
     kind, which = entries.get("format", ""), entries.get("of", "")

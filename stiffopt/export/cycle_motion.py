@@ -32,16 +32,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class StoredCycle(StoredMotion):
-    """Motion of a cycle; `problem` and `link` are those of its first leg.
-
-    Parameters
-    ----------
-    starts : tuple of float
-        Of the legs [s].
-    """
+    """Motion of a cycle; `problem` and `link` are those of its first leg."""
 
     legs: tuple[StoredMotion, ...]
-    starts: tuple[float, ...]
+    starts: tuple[float, ...]  # of the legs [s]
 
     def judge(self, motion: SampledMotion) -> Violation:
         """Return the tightest limit of the drives at the samples of all legs."""

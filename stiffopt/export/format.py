@@ -17,34 +17,17 @@ from stiffopt.problem.registry import Registry
 
 
 class ExportFormat(ABC):
-    """Format of an exported motion.
+    """Format of an exported motion."""
 
-    Attributes
-    ----------
-    name : str
-        Name for `--to`.
-    title : str
-        Reader of the format.
-    rate : float
-        Default rate [Hz].
-    rate_max : float
-        Largest rate [Hz].
-    whole_steps : bool
-        True for a fixed cycle: every step is 1/rate.
-    maker : str
-        Maker of the arms that run its programs; "" for any.
-    from_rest : bool
-        True if its programs approach the start and stop at the end, so that the motion must start
-        and end at rest.
-    """
-
-    name: str
-    title: str
-    rate: float
-    rate_max: float
-    whole_steps = False
+    name: str  # name for `--to`
+    title: str  # reader of the format
+    rate: float  # default rate [Hz]
+    rate_max: float  # largest rate [Hz]
+    whole_steps = False  # True for a fixed cycle: every step is 1/rate
+    # True if its programs approach the start and stop at the end, so that the motion must start and
+    # end at rest.
     from_rest = False
-    maker = ""
+    maker = ""  # maker of the arms that run its programs; "" for any
 
     def export(self, stored: StoredMotion, rate: float | None = None) -> dict[str, str]:
         """Export a motion as texts by file name.
@@ -78,13 +61,7 @@ class ExportFormat(ABC):
         return stored.sampled(rate, whole_steps=self.whole_steps)
 
     def with_pulses(self, pulses: Sequence[float]) -> ExportFormat:
-        """Return the format with pulses per degree of each axis.
-
-        Raises
-        ------
-        InputError
-            Its positions are no pulses.
-        """
+        """Return the format with pulses per degree of each axis; `InputError` if it has none."""
         raise InputError(f"--pulses: {self.title} takes no pulses. Leave it out.")
 
     def check(self, stored: StoredMotion, rate: float) -> None:  # noqa: B027
@@ -116,24 +93,12 @@ class CyclicFormat(ExportFormat):
 
 @dataclass(frozen=True, kw_only=True)
 class PointStep:
-    """Step of a program of points: a move, a rest or an event.
+    """Step of a program of points: a move, a rest or an event."""
 
-    Parameters
-    ----------
-    sample : int
-        Sample that a move goes to.
-    speed : float
-        Share of the joints' largest velocities [%]; 0 for a rest or an event.
-    stop : bool
-        True where a move comes to rest.
-    rest : float
-        Duration of a rest [s].
-    """
-
-    sample: int = 0
-    speed: float = 0.0
-    stop: bool = False
-    rest: float = 0.0
+    sample: int = 0  # sample that a move goes to
+    speed: float = 0.0  # share of the joints' largest velocities [%]; 0 for a rest or an event
+    stop: bool = False  # True where a move comes to rest
+    rest: float = 0.0  # duration of a rest [s]
     event: MotionEvent | None = None
 
 

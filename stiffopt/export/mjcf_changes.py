@@ -31,23 +31,15 @@ _OTHER_INERTIA_ATTRIBUTES = ("diaginertia", "quat", "axisangle", "xyaxes", "zaxi
 
 @dataclass(frozen=True, kw_only=True)
 class AttributeChange:
-    """Changed attribute of an element.
-
-    Parameters
-    ----------
-    line : int
-        Of the element, in the file as it was.
-    element, name, attribute : str
-        Such as "joint", "elbow", "frictionloss".
-    old, new : str
-        In the units of the file; the old value may be that of a default class or of shapes.
-    """
+    """Changed attribute of an element."""
 
     file: str
-    line: int
+    line: int  # of the element, in the file as it was
+    # Such as "joint", "elbow", "frictionloss".
     element: str
     name: str
     attribute: str
+    # In the units of the file; the old value may be that of a default class or of shapes.
     old: str
     new: str
     unit: str
@@ -55,19 +47,12 @@ class AttributeChange:
 
 @dataclass(frozen=True, kw_only=True)
 class ChangedMjcf:
-    """Files of an MJCF with the findings.
+    """Files of an MJCF with the findings."""
 
-    Parameters
-    ----------
-    contents : mapping of path to bytes
-        Of the file and its includes, in the folder that holds all of them.
-    left_out : tuple of str
-        Findings that the file cannot take, a sentence each.
-    """
-
+    # By path: of the file and its includes, in the folder that holds all of them.
     contents: dict[str, bytes]
     changes: tuple[AttributeChange, ...]
-    left_out: tuple[str, ...]
+    left_out: tuple[str, ...]  # findings that the file cannot take, a sentence each
 
 
 def change_mjcf(found: DiagnosedRobot, path: Path) -> ChangedMjcf:

@@ -19,18 +19,11 @@ _START_TAG = re.compile(rb"""<[^\s/>]+(?:\s+[^\s=/>]+\s*=\s*(?:"[^"]*"|'[^']*'))
 
 @dataclass(frozen=True, kw_only=True)
 class MjcfElement:
-    """Start tag of an element.
+    """Start tag of an element."""
 
-    Parameters
-    ----------
-    file : str
-        Path of its file in the folder that holds all files of the model.
-    begin, end : int
-        Bytes of the start tag.
-    """
-
-    file: str
+    file: str  # path of its file in the folder that holds all files of the model
     tag: str
+    # Bytes of the start tag.
     begin: int
     end: int
     line: int
@@ -39,15 +32,8 @@ class MjcfElement:
 class MjcfSource:
     """Files of an MJCF, and changes of named elements.
 
-    Parameters
-    ----------
-    path : Path
-        The MJCF.
-
-    Notes
-    -----
-    Elements that MuJoCo makes of others (replicas, attached models) have other names than in the
-    files, and are not found.
+    `path`: the MJCF. Elements that MuJoCo makes of others (replicas, attached models) have other
+    names than in the files, and are not found.
     """
 
     def __init__(self, path: Path) -> None:

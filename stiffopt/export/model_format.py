@@ -33,33 +33,19 @@ _UNREPRESENTED_PARAMETERS = ("load_friction", "friction_slope", "drag", "offset"
 
 @dataclass(frozen=True, kw_only=True)
 class DiagnosedRobot:
-    """Recorded arm with the findings of a diagnosis.
+    """Recorded arm with the findings of a diagnosis."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the recording set.
-    nominal, robot : Robot
-        Nominal robot, and the robot with the findings.
-    gain : array (n,)
-        Actual over reported drive torque, in the order of the robot's joints.
-    zeros : array (n,)
-        Position of each joint where its encoder reads 0 [rad].
-    stiffness, damping : array (n,)
-        Gains of the joints' position servos [N m/rad], [N m s/rad]; nan where not estimated.
-    left_out : tuple of str
-        Findings that such a model cannot represent.
-    """
-
-    name: str
+    name: str  # name of the recording set
+    # Nominal robot, and the robot with the findings.
     nominal: Robot
     robot: Robot
-    gain: np.ndarray
-    zeros: np.ndarray
+    gain: np.ndarray  # (n,) actual over reported drive torque, in the order of the robot's joints
+    zeros: np.ndarray  # (n,) position of each joint where its encoder reads 0 [rad]
+    # (n,) gains of the joints' position servos [N m/rad], [N m s/rad]; nan where not estimated.
     stiffness: np.ndarray
     damping: np.ndarray
     changes: tuple[ValueChange, ...]
-    left_out: tuple[str, ...]
+    left_out: tuple[str, ...]  # findings that such a model cannot represent
 
 
 def read_diagnosed_robot(
@@ -67,19 +53,9 @@ def read_diagnosed_robot(
 ) -> DiagnosedRobot:
     """Read extended.toml of a diagnosis and the robot of its recording set.
 
-    Parameters
-    ----------
-    diagnosis : Path
-        Folder of `stiffopt diagnose`.
-    recordings : Path
-        The recording set.
-    effects : Path, optional
-        File of effects outside the catalogue.
-
-    Raises
-    ------
-    InputFileError
-        A file is missing, or the set belongs to another robot.
+    `diagnosis`: folder of `stiffopt diagnose`. `recordings`: the recording set. `effects`: file of
+    effects outside the catalogue. Raises `InputFileError`: a file is missing, or the set belongs to
+    another robot.
     """
     check_result(diagnosis, MODEL_FILE)
     model = read_model(diagnosis / MODEL_FILE, effects)
@@ -154,31 +130,17 @@ def _with_closed_loop(
 
 @dataclass(frozen=True, kw_only=True)
 class ExportedRobot:
-    """Files of an exported robot.
-
-    Parameters
-    ----------
-    remarks : tuple of str
-        Further differences from the robot, a line each.
-    """
+    """Files of an exported robot."""
 
     files: Mapping[str, str | bytes]
-    remarks: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()  # further differences from the robot, a line each
 
 
 class ModelFormat(ABC):
-    """Format of an exported robot.
+    """Format of an exported robot."""
 
-    Attributes
-    ----------
-    name : str
-        Name for `--to`.
-    file : str
-        Name of the written file.
-    """
-
-    name: str
-    file: str
+    name: str  # name for `--to`
+    file: str  # name of the written file
 
     @abstractmethod
     def text(self, found: DiagnosedRobot) -> str:

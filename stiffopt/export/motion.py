@@ -39,20 +39,11 @@ Which = Literal["motor", "link"]
 
 @dataclass(frozen=True, kw_only=True)
 class MotionEvent:
-    """Event of the gripper or tool changer.
+    """Event of the gripper or tool changer."""
 
-    Parameters
-    ----------
-    time : float [s]
-    kind : str
-        "grip", "release" or "tool_change".
-    mass : float
-        All that the flange carries afterwards [kg].
-    """
-
-    time: float
-    kind: str
-    mass: float
+    time: float  # [s]
+    kind: str  # "grip", "release" or "tool_change"
+    mass: float  # all that the flange carries afterwards [kg]
 
     def __str__(self) -> str:
         return f"{self.kind.replace('_', ' ')} at {self.time:.3f} s, then {self.mass:g} kg"
@@ -60,36 +51,19 @@ class MotionEvent:
 
 @dataclass(frozen=True, kw_only=True)
 class SampledMotion:
-    """Sampled motion for a controller.
+    """Sampled motion for a controller."""
 
-    Parameters
-    ----------
-    title : str
-        Title of the result.
-    which : "motor" or "link"
-        Motion of motors or links.
-    prismatic : array (n,) of bool
-        True for prismatic joints.
-    time : array (K,) [s]
-        Times from 0.
-    position, velocity, acceleration : array (K, n)
-        [rad], [rad/s], [rad/s^2]; metres for radians of prismatic joints.
-    velocity_max : array (n,) [rad/s]
-        Limits of the robot.
-    events : tuple of MotionEvent
-        In order.
-    """
-
-    title: str
-    which: Which
+    title: str  # title of the result
+    which: Which  # "motor" or "link": motion of motors or links
     joint_names: tuple[str, ...]
-    prismatic: np.ndarray
-    velocity_max: np.ndarray
-    time: np.ndarray
+    prismatic: np.ndarray  # (n,) True for prismatic joints
+    velocity_max: np.ndarray  # (n,) [rad/s] limits of the robot
+    time: np.ndarray  # (K,) [s] times from 0
+    # (K, n) [rad], [rad/s], [rad/s^2]; metres for radians of prismatic joints.
     position: np.ndarray
     velocity: np.ndarray
     acceleration: np.ndarray
-    events: tuple[MotionEvent, ...] = ()
+    events: tuple[MotionEvent, ...] = ()  # in order
 
     def events_until(self, sample: int) -> list[MotionEvent]:
         """Events after the sample before and up to this one."""
@@ -99,30 +73,17 @@ class SampledMotion:
 
 @dataclass(frozen=True, kw_only=True)
 class StoredMotion:
-    """Motion of a result folder, interpolated between the rows of its trajectory.csv.
-
-    Parameters
-    ----------
-    which : "motor" or "link"
-    prismatic : array (n,) of bool
-    curve : BPoly or CubicSpline
-        Position over time [s].
-    link : CubicSpline or None
-        Motion of the links, which determines motor loads, if this is the motion of the motors.
-    problem : TrajectoryProblem
-        Problem whose limits apply.
-    seal : dict
-        Hashes of the motion's file, the robot, its payload and the limits.
-    """
+    """Motion of a result folder, interpolated between the rows of its trajectory.csv."""
 
     title: str
-    which: Which
+    which: Which  # "motor" or "link"
     joint_names: tuple[str, ...]
-    prismatic: np.ndarray
-    curve: BPoly | CubicSpline
+    prismatic: np.ndarray  # (n,)
+    curve: BPoly | CubicSpline  # position over time [s]
+    # Motion of the links, which determines motor loads, if this is the motion of the motors.
     link: CubicSpline | None
-    problem: TrajectoryProblem
-    seal: dict[str, str]
+    problem: TrajectoryProblem  # problem whose limits apply
+    seal: dict[str, str]  # hashes of the motion's file, the robot, its payload and the limits
     events: tuple[MotionEvent, ...] = ()
 
     def sampled(
@@ -130,14 +91,9 @@ class StoredMotion:
     ) -> SampledMotion:
         """Sample at a rate [Hz].
 
-        Parameters
-        ----------
-        rate : float [Hz]
-        whole_steps : bool
-            Hold the end position to the next multiple of 1/rate; else the last step ends with the
-            motion.
-        at_events : bool
-            Sample at the events in place of the nearest samples of the grid.
+        `rate` [Hz]. `whole_steps`: hold the end position to the next multiple of 1/rate; else the
+        last step ends with the motion. `at_events`: sample at the events in place of the nearest
+        samples of the grid.
         """
         end = float(self.curve.x[-1])
         times = export_times(end, rate)
@@ -169,13 +125,7 @@ class StoredMotion:
         )
 
     def judge(self, motion: SampledMotion) -> Violation:
-        """Return the tightest limit of the drives at the exported samples.
-
-        Raises
-        ------
-        InputError
-            A limit is exceeded.
-        """
+        """Return the tightest limit of the drives at the samples; `InputError` beyond it."""
         rows = (motion.position, motion.velocity, motion.acceleration)
         return judge_samples(
             self.problem, SampledRows(motion.time, rows, self.link), f"{self.title}, sampled"
@@ -219,21 +169,10 @@ def read_motion(
 ) -> StoredMotion:
     """Read and assess the motion of a result folder.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of `stiffopt solve`.
-    which : "motor" or "link"
-        Command of the drives (command.csv if present), or planned motion of the links.
-    problem : Path, optional
-        Problem file in place of that of the result.
-    stated : TrajectoryProblem, optional
-        The solved problem, where it was read already.
-
-    Raises
-    ------
-    InputError
-        No result, a motion that is not the certified one or exceeds a limit, or no link columns.
+    `folder`: folder of `stiffopt solve`. `which`: command of the drives (command.csv if present),
+    or planned motion of the links. `problem`: problem file in place of that of the result.
+    `stated`: the solved problem, where it was read already. Raises `InputError`: no result, a
+    motion that is not the certified one or exceeds a limit, or no link columns.
     """
     path = folder / RESULT_FILE
     document = read_document(path)

@@ -21,8 +21,7 @@ from stiffopt.discovery.extended.planning import extended_problem, planner_model
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.files import read_table
 from stiffopt.problem.cycle_files import load_cycle
-from stiffopt.problem.files import load_problem
-from stiffopt.recipe.stored_result import check_inputs, problem_file, read_changes
+from stiffopt.recipe.stored_result import check_inputs, problem_file, read_changes, read_problem
 from stiffopt.result.cycle import leg_folder
 from stiffopt.result.store import RESULT_FILE, export_times, file_hash, motion_seal, read_document
 
@@ -37,14 +36,9 @@ _TIME_ROUNDING = 1e-9
 class SampledRows:
     """Sampled motion with the interface of the certificate.
 
-    Parameters
-    ----------
-    time : array (K,) [s]
-    rows : three of array (K, n)
-        Position, velocity and acceleration. Jerk is the slope of the acceleration between samples,
-        at most the largest jerk of the sampled motion.
-    link : CubicSpline or None
-        Link positions, where planned apart from the motors'.
+    `time` (K,) [s]. `rows` (K, n): position, velocity and acceleration. Jerk is the slope of the
+    acceleration between samples, at most the largest jerk of the sampled motion. `link`: link
+    positions, where planned apart from the motors'.
     """
 
     def __init__(
@@ -71,10 +65,7 @@ def solved_legs(
 ) -> list[TrajectoryProblem]:
     """Return the problems of the legs of a cycle.json at `path`, each as long as it was solved.
 
-    Raises
-    ------
-    InputFileError
-        The problem file is missing, or has another number of legs.
+    Raises `InputFileError`: the problem file is missing, or has another number of legs.
     """
     cycle = load_cycle(problem_file(path, document, given), read_changes(path, document)).cycle
     found = []
@@ -96,15 +87,11 @@ def solved_problem(
 ) -> TrajectoryProblem:
     """Return the solved problem of a result.json at `path`, with its changes and model.
 
-    `known` is the problem where it was read already.
-
-    Raises
-    ------
-    InputFileError
-        A file is missing, or robot, payload, limits or problem have changed.
+    `known` is the problem where it was read already. Raises `InputFileError`: a file is missing, or
+    robot, payload, limits or problem have changed.
     """
     file = problem_file(path, document, given)
-    stated = known or load_problem(file, read_changes(path, document)).problem
+    stated = known or read_problem(path, document, file).problem
     named = [document.get(key) for key in ("model", "effects")]
     if isinstance(named[0], str):
         model, effects = (path.parent / each if isinstance(each, str) else None for each in named)
@@ -133,10 +120,7 @@ def check_seal(
 def sealed(path: Path, document: dict[str, Any]) -> dict[str, Any]:
     """Return the hashes of the motion in a result.json at `path`.
 
-    Raises
-    ------
-    InputFileError
-        The result has no hashes, as those of earlier versions.
+    Raises `InputFileError`: the result has no hashes, as those of earlier versions.
     """
     seal = document.get("seal")
     texts = isinstance(seal, dict) and all(
@@ -157,18 +141,8 @@ def read_rows(
 ) -> tuple[np.ndarray, np.ndarray, CubicSpline | None]:
     """Read times (K,), position to acceleration (3, K, n) and links of a table.
 
-    Parameters
-    ----------
-    file : Path
-        trajectory.csv or command.csv.
-    path : Path
-        Path of its result.json, whose content is `document`.
-
-    Raises
-    ------
-    InputFileError
-        The table is not the certified one: another hash, missing rows, inconsistent times or
-        columns.
+    `path` is that of its result.json, `document` its content. Raises `InputFileError` where the
+    table is not the certified one: another hash, missing rows, inconsistent times or columns.
     """
     joints = problem.joints
     names = [[f"{quantity}{j}" for j in range(1, joints + 1)] for quantity in ("q", "qd", "qdd")]
@@ -242,13 +216,7 @@ def judge_plan(problem: TrajectoryProblem, motion: SampledRows, file: Path) -> N
 
 
 def judge_samples(problem: TrajectoryProblem, motion: SampledRows, name: str) -> Violation:
-    """Return the tightest limit of the drives at the samples.
-
-    Raises
-    ------
-    InputError
-        A limit is exceeded.
-    """
+    """Return the tightest limit of the drives at the samples; raise `InputError` beyond it."""
     found = drive_violations(problem, motion, motion.time)
     _require_within_limits(found, name)
     return found[0]

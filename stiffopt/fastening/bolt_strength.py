@@ -29,11 +29,8 @@ def clamp_length(bolt: Bolt) -> float:
 def bolt_data(bolt: Bolt) -> BoltData:
     """Return the dimensions of a bolt with head and shank; a thin shank sets the stress area.
 
-    Raises
-    ------
-    InputError
-        The shank is thicker than the bolt or longer than the clamp length, an engagement is given
-        for a bolt with a nut, or a stainless thread is rolled after heat treatment.
+    Raises `InputError`: the shank is thicker than the bolt or longer than the clamp length, an
+    engagement is given for a bolt with a nut, or a stainless thread is rolled after heat treatment.
     """
     data = catalogue.bolt(bolt.size)
     if bolt.head == "hexagon":
@@ -88,14 +85,8 @@ def working_stress(
 ) -> Quantity:
     """Return the working stress sigma_red,B = sqrt(sigma_z^2 + 3 (k_tau tau)^2) [Pa] (R8/4).
 
-    Parameters
-    ----------
-    preload : scalar
-        Largest assembly preload F_M [N].
-    additional : scalar
-        F_SA and the thermal force [N].
-    friction : float
-        mu_G.
+    For the largest assembly preload F_M [N], `additional` F_SA with the thermal force [N], and
+    mu_G.
     """
     tension = (preload + additional) / bolt.stress_area
     twist = RESIDUAL_TORSION_SHARE * torsion_stress(bolt, preload, friction)
@@ -128,15 +119,8 @@ def endurance_limit(
     """Return the endurance limit of a thread, stress amplitude at 2e6 cycles and more [Pa].
 
     Rolled before heat treatment sigma_ASV = 0.85 (150/d + 45) MPa with d in mm (R9/5); after it
-    sigma_ASG = (2 - F_Sm/F_0.2) sigma_ASV (R9/6), here never below sigma_ASV.
-
-    Parameters
-    ----------
-    rolled : {"before", "after"}
-    mean_force : scalar
-        F_Sm [N]; used for "after" only. Valid for 0.3 to 1 of F_0.2 and clipped to that range.
-    proof_stress : float
-        R_p0.2 [Pa].
+    sigma_ASG = (2 - F_Sm/F_0.2) sigma_ASV (R9/6), here never below sigma_ASV and with the mean
+    force F_Sm [N] clipped to its validity, 0.3 to 1 of F_0.2.
     """
     before = 0.85e6 * (150e-3 / bolt.diameter + 45)
     if rolled == "before":
@@ -157,15 +141,9 @@ _WASHER_SPREAD_RATIO = 1.6
 
 @dataclass(frozen=True)
 class HeadBearing:
-    """Permissible force on the bearing face of a head or nut, with its source.
+    """Permissible force on the bearing face of a head or nut, with its source."""
 
-    Parameters
-    ----------
-    capacity : float
-        p_G A_p [N], the smaller of head on washer and washer on part.
-    """
-
-    capacity: float
+    capacity: float  # p_G A_p [N], the smaller of head on washer and washer on part
     provenance: str
     source: str
 
@@ -216,19 +194,9 @@ def stripping_length(bolt: BoltData, tensile_strength: float, material: ClampedM
     """Return the engagement m_eff at which a thread strips at R_m A_S of the bolt [m] (R11/1).
 
     m_eff = R_m A_S P/(C_3 tau_BM (P/2 + (d - D_2) tan 30 deg) pi d) for the tapped thread; the
-    bolt's thread likewise with C_2 at D_1. C_2 and C_3 follow from the strength ratio R_S.
-    Run-out and chamfer, about two pitches, are not included.
-
-    Parameters
-    ----------
-    tensile_strength : float
-        R_m of the bolt [Pa].
-    material : ClampedMaterial
-        Of the tapped part.
-
-    References
-    ----------
-    [VDI2230]_ R11, after Alexander; C_1 = 1, since a tapped part does not widen as a nut does.
+    bolt's thread likewise with C_2 at D_1. C_2 and C_3 follow from the strength ratio R_S, after
+    Alexander; C_1 = 1, since a tapped part does not widen as a nut does. Run-out and chamfer, about
+    two pitches, are not included.
     """
     d, pitch, middle = bolt.diameter, bolt.pitch, bolt.pitch_diameter
     inner = d - 1.0825 * pitch
@@ -263,24 +231,10 @@ def transverse_slip_limit(
 ) -> float:
     """Return the transverse displacement of the parts at which the head slips [m].
 
-    The bolt is a beam of cylinders, clamped against rotation at both ends: s = F_Q c, with
-    c = l_K^3/(12 E I_3) for a full thread. The head slips at F_Q = mu_K F_V. Repeated head slip
-    loosens the bolt at any tightening torque.
-
-    Parameters
-    ----------
-    length : float
-        l_K [m].
-    preload : float
-        Least in service [N].
-    head_friction : float
-        Least mu_K.
-    modulus : float
-        Young's modulus of the bolt [Pa].
-
-    References
-    ----------
-    [Junker1969]_, [VDI2230]_ on self-loosening.
+    The bolt is a beam of cylinders, clamped against rotation at both ends: s = F_Q c, with c =
+    l_K^3/(12 E I_3) for a full thread. The head slips at F_Q = mu_K F_V with the least preload in
+    service [N] and the least mu_K; repeated, that loosens the bolt at any tightening torque
+    ([Junker1969]_).
     """
     # Rotation per unit moment, rotation and deflection per unit end force: integrals of 1, x and
     # x^2 over E I.

@@ -219,27 +219,11 @@ def workshop_torque(flange: BoltedFlange, preload: float, tightening: Tightening
 def permissible_assembly_preload(
     bolt: BoltData, proof_stress: Quantity, thread_friction: Quantity, yield_share: Quantity = 0.9
 ) -> Quantity:
-    """Return the assembly preload at the permitted utilisation of the yield strength.
+    """Return the assembly preload at the permitted utilisation of the yield strength [N].
 
     F_M,zul = nu R_p0.2 A_0 / sqrt(1 + 3 [3/2 d2/d_0 (P/(pi d2) + mu_G/cos 30 deg)]^2), with the
-    stress area A_0 = A_S, or that of a thinner shank.
-
-    Parameters
-    ----------
-    proof_stress : scalar [Pa]
-        R_p0.2.
-    thread_friction : scalar [-]
-        mu_G; its torque twists the bolt.
-    yield_share : scalar [-]
-        nu.
-
-    Returns
-    -------
-    scalar [N]
-
-    References
-    ----------
-    [VDI2230]_, assembly preload; 1.155 = 1/cos 30 deg is printed there.
+    stress area A_0 = A_S, or that of a thinner shank ([VDI2230]_; 1.155 = 1/cos 30 deg is printed
+    there). The torque of mu_G twists the bolt.
     """
     thread = bolt.pitch / (math.pi * bolt.pitch_diameter) + thread_friction / math.cos(math.pi / 6)
     torsion = 1.5 * bolt.pitch_diameter / bolt.stress_diameter * thread

@@ -28,21 +28,8 @@ def bolt_compliance(
 ) -> float:
     """Return delta_S of a bolt: head, shank, free and engaged thread, nut or tapped hole [m/N].
 
-    Parameters
-    ----------
-    bolt : BoltData
-        With its shank, if any; else threaded over the whole clamp length.
-    clamp_length : float
-        l_K [m].
-    bolt_modulus, thread_modulus : float
-        Young's moduli of the bolt and of the nut or tapped part [Pa].
-    head : {"socket", "hexagon"}
-    nut : bool
-        A nut in place of a tapped hole.
-
-    References
-    ----------
-    [VDI2230]_, resilience of the bolt.
+    Threaded over the whole clamp length l_K [m] unless the bolt has a shank; Young's moduli [Pa] of
+    the bolt and of the nut or tapped part ([VDI2230]_).
     """
     d = bolt.diameter
     rod = sum(
@@ -60,16 +47,8 @@ def cone_compliance(
 ) -> float:
     """Return the compliance of a deformation cone under a head or nut and of its sleeve [m/N].
 
-    Parameters
-    ----------
-    bearing, hole, outer : float
-        d_w, d_h and D_A, outer diameter of the part that limits the cone [m].
-    length : float
-        Length of cone and sleeve [m].
-    slope : float
-        tan phi.
-    modulus : float
-        Young's modulus of the part [Pa].
+    Diameters d_w, d_h and D_A (of the part that limits the cone) and `length` of both [m], `slope`
+    tan phi, Young's modulus [Pa].
     """
     edge = min(outer, bearing + 2.0 * length * slope)
     spread = (bearing + hole) * (edge - hole) / ((bearing - hole) * (edge + hole))
@@ -81,22 +60,10 @@ def cone_compliance(
 def clamped_compliance(
     bolt: BoltData, clamp_length: float, outer_diameter: float, modulus: float
 ) -> float:
-    """Return delta_P of the clamped parts of a bolt in a tapped hole [m/N].
+    """Return delta_P of the clamped parts of a bolt in a tapped hole [m/N] ([VDI2230]_, w = 2).
 
-    One deformation cone from the head towards the thread; beyond the edge of the part a sleeve.
-
-    Parameters
-    ----------
-    clamp_length : float
-        l_K [m].
-    outer_diameter : float
-        D_A, of the material around one bolt [m]; at least the head's bearing diameter.
-    modulus : float
-        Young's modulus of the clamped part [Pa].
-
-    References
-    ----------
-    [VDI2230]_, resilience of the clamped parts, one cone (w = 2) for a tapped hole.
+    One deformation cone from the head towards the thread; beyond the edge D_A of the part [m], at
+    least the head's bearing diameter, a sleeve.
     """
     head, outer = bolt.bearing_diameter, max(outer_diameter, bolt.bearing_diameter)
     slope = 0.348 + 0.013 * math.log(clamp_length / head) + 0.193 * math.log(outer / head)
@@ -112,20 +79,8 @@ def through_bolted_compliance(
 ) -> float:
     """Return delta_P of the parts between head and nut, two cones that meet half way [m/N].
 
-    Parameters
-    ----------
-    nut_bearing : float
-        d_w of the nut [m]; each cone has the slope of its own bearing face.
-    clamp_length : float
-        l_K [m].
-    outer_diameter : float
-        D_A, as for `clamped_compliance` [m].
-    moduli : (float, float)
-        Young's moduli of the half under the head and the half under the nut [Pa].
-
-    References
-    ----------
-    [VDI2230]_, resilience of the clamped parts, two cones (w = 1) of a through-bolted joint.
+    Each cone has the slope of its own bearing face, d_w of the nut [m], and its own Young's modulus
+    [Pa], that under the head first ([VDI2230]_, w = 1).
     """
     found = 0.0
     for bearing, modulus in zip((bolt.bearing_diameter, nut_bearing), moduli, strict=True):
@@ -137,47 +92,22 @@ def through_bolted_compliance(
 
 
 def tip_compliance(contact_modulus: float, tip_diameter: float) -> float:
-    """Return the compliance of a flat tip on a half space, 1/(2 E* a) with the radius a [m/N].
-
-    Parameters
-    ----------
-    contact_modulus : float
-        E* [Pa].
-    tip_diameter : float
-        [m]
-    """
+    """Return 1/(2 E* a) of a flat tip of radius a on a half space [m/N]."""
     return 1 / (contact_modulus * tip_diameter)
-
-
-# Load introduction factor n by type of joint: rows l_A/h = 0, 0.1, 0.2, 0.3, columns
-# a_k/h = 0, 0.1, 0.3, 0.5 (VDI 2230 Table 2).
 
 
 @dataclass(frozen=True)
 class LoadFactor:
-    """Load factor Phi at both bounds of the load introduction factor n.
+    """Load factor Phi at both bounds of the load introduction factor n."""
 
-    Parameters
-    ----------
-    most : float
-        Phi at the largest n; loads the bolt most.
-    least : float
-        Phi at the smallest n; 1 - Phi unloads the clamped parts most.
-    """
-
-    most: float
-    least: float
+    most: float  # Phi at the largest n; loads the bolt most
+    least: float  # Phi at the smallest n; 1 - Phi unloads the clamped parts most
 
 
 def load_factor(bolt: float, plates: float, introduction: float | None) -> LoadFactor:
     """Return Phi_n = n delta_P/(delta_S + delta_P) of a concentric joint (R3/1).
 
-    Parameters
-    ----------
-    bolt, plates : float
-        delta_S, delta_P [m/N].
-    introduction : float or None
-        n; None if unknown: then 1 for the bolt and 0 for the clamped parts.
+    The `introduction` n is None where unknown: then 1 for the bolt and 0 for the clamped parts.
     """
     whole = plates / (bolt + plates)
     if introduction is None:
@@ -197,14 +127,7 @@ _EMBEDDING_BY_ROUGHNESS = (
 def embedding(roughness: float, interfaces: int, *, nut: bool = False) -> float:
     """Return the embedding f_Z of a bolt: thread, head, nut and inner interfaces [m] (Table 5).
 
-    Parameters
-    ----------
-    roughness : float
-        Rz [m], of the roughest face.
-    interfaces : int
-        Number of inner interfaces, including those at washers.
-    nut : bool
-        Counts as another head; a tapped hole adds only the thread.
+    `roughness` is Rz [m] of the roughest face; inner interfaces include those at washers.
     """
     for bound, thread, head, inner in _EMBEDDING_BY_ROUGHNESS:
         if roughness < bound:
@@ -226,17 +149,7 @@ def thermal_change(
 ) -> float:
     """Return Delta F_Vth = l_K (alpha_S - alpha_P) Delta T/(delta_S + delta_P) [N] (R4/2).
 
-    Positive values are preload lost; joint and bolt have the same temperature.
-
-    Parameters
-    ----------
-    length : float
-        l_K [m].
-    bolt_expansion, part_expansion : float
-        alpha_S, alpha_P [1/K].
-    change : float
-        Delta T from assembly [K].
-    compliance : float
-        delta_S + delta_P [m/N]; moduli at assembly, an error of 1 % for 30 K.
+    Positive values are preload lost; joint and bolt have the same temperature, and moduli are those
+    at assembly, an error of 1 % for 30 K.
     """
     return length * (bolt_expansion - part_expansion) * change / compliance

@@ -26,26 +26,16 @@ _RIB_ANGLE_COUNT = 9
 
 @dataclass(frozen=True)
 class ElasticRing:
-    """Elastic ring on its bolts, loaded through its ribs by a rigid link.
+    """Elastic ring on its bolts, loaded through its ribs by a rigid link."""
 
-    Parameters
-    ----------
-    count, supports : int
-        Number of bolts and ribs, each evenly spaced on one circle.
-    radius : float
-        Radius of that circle [m].
-    bending, torsion : float
-        E I of the ring out of its plane, and G J [N m^2].
-    spring : float
-        Axial stiffness of the ring at one bolt [N/m].
-    """
-
+    # Number of bolts and ribs, each evenly spaced on one circle.
     count: int
     supports: int
-    radius: float
+    radius: float  # radius of that circle [m]
+    # E I of the ring out of its plane, and G J [N m^2].
     bending: float
     torsion: float
-    spring: float
+    spring: float  # axial stiffness of the ring at one bolt [N/m]
 
     def shares(self, rib_angle: float) -> np.ndarray:
         """Return the bolt forces for F_z = 1, M_x = 1, M_y = 1 (n, 3), first rib at an angle.

@@ -14,21 +14,11 @@ import numpy as np
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FlangeLoads:
-    """Loads of one flange in all load cases.
+    """Loads of one flange in all load cases."""
 
-    Parameters
-    ----------
-    names : tuple of str
-        Names of load cases and instants of motions.
-    values : array (K, 6)
-        [N], [N m].
-    alternating : bool
-        The torque, or a shear force, changes its sign during a motion.
-    """
-
-    names: tuple[str, ...]
-    values: np.ndarray
-    alternating: bool = False
+    names: tuple[str, ...]  # names of load cases and instants of motions
+    values: np.ndarray  # (K, 6) [N], [N m]
+    alternating: bool = False  # the torque, or a shear force, changes its sign during a motion
 
     @property
     def shear(self) -> np.ndarray:
@@ -68,27 +58,11 @@ def bolt_angles(count: int) -> np.ndarray:
 
 
 def axial_forces(loads: np.ndarray, count: int, diameter: float, angles: np.ndarray) -> np.ndarray:
-    """Return the axial working load F_A of bolts at given angles of a rigid flange.
+    """Return the axial working load F_A of bolts at given angles of a rigid flange (..., m) [N].
 
-    F_A = F_z/n + 4 M/(n d) cos(angle from the most loaded bolt); force and moment are in
-    equilibrium.
-
-    Parameters
-    ----------
-    loads : array (..., 6)
-    count : int
-        n, at least 3: fewer cannot carry a moment about every axis.
-    diameter : float
-        d of the bolt circle [m].
-    angles : array (m,) [rad]
-
-    Returns
-    -------
-    array (..., m) [N], positive where the load opens the joint
-
-    References
-    ----------
-    [VDI2230]_ part 2, rigid flange.
+    F_A = F_z/n + 4 M/(n d) cos(angle from the most loaded bolt), positive where the load opens the
+    joint: force and moment are in equilibrium ([VDI2230]_ part 2). At least three bolts: fewer
+    cannot carry a moment about every axis.
     """
     tilt = loads[..., 3:4] * np.sin(angles) - loads[..., 4:5] * np.cos(angles)
     return np.asarray(loads[..., 2:3] / count + 4 / (count * diameter) * tilt)
@@ -97,19 +71,10 @@ def axial_forces(loads: np.ndarray, count: int, diameter: float, angles: np.ndar
 def transverse_forces(
     loads: np.ndarray, count: int, radius: float, angles: np.ndarray
 ) -> np.ndarray:
-    """Return the transverse load F_Q of bolts: equal shares of shear and tangential torque forces.
+    """Return the transverse loads F_Q (..., m, 2) of bolts: equal shares of shear and torque [N].
 
-    Parameters
-    ----------
-    loads : array (..., 6)
-    radius : float
-        Lever of the torque: bolt circle radius for bolts in shear, friction radius for friction
-        grip [m].
-    angles : array (m,) [rad]
-
-    Returns
-    -------
-    array (..., m, 2) [N]
+    `radius` is the lever of the torque: that of the bolt circle for bolts in shear, the friction
+    radius for friction grip [m].
     """
     along = np.stack([-np.sin(angles), np.cos(angles)], axis=-1)
     share = loads[..., 5] / (count * radius)
@@ -117,15 +82,7 @@ def transverse_forces(
 
 
 def friction_clamp_load(transverse: np.ndarray, friction: float) -> np.ndarray:
-    """Return F_KQ = F_Q/mu_T, clamp load that carries a transverse load by friction (R2/1).
-
-    Parameters
-    ----------
-    transverse : array (..., 2)
-        F_Q of one bolt, shear and torque added as vectors [N].
-    friction : float
-        Least coefficient of the interface, mu_Tmin.
-    """
+    """Return F_KQ = F_Q/mu_Tmin, clamp load that carries a transverse load (..., 2) [N] (R2/1)."""
     return np.asarray(np.linalg.norm(transverse, axis=-1) / friction)
 
 
@@ -141,17 +98,9 @@ def ring_opening_load(
 ) -> np.ndarray:
     """Return the clamp load of one bolt at which the rim of a flange begins to open (R2/3).
 
-    The load reduces the uniform pressure n F_K/A by F_z/A + M R_o/I at the rim. Holes are
-    subtracted from A and I, unless the undrilled ring opens earlier.
-
-    Parameters
-    ----------
-    axial, tilting : array (K,)
-        |F_z| [N], |M| [N m].
-    inner, outer : float
-        Radii of the ring [m].
-    circle, hole : float
-        Diameters of the bolt circle and of one hole [m].
+    The load, |F_z| [N] and |M| [N m], reduces the uniform pressure n F_K/A by F_z/A + M R_o/I at
+    the rim. Holes are subtracted from A and I, unless the undrilled ring opens earlier. `inner` and
+    `outer` are radii of the ring, `circle` and `hole` diameters [m].
     """
     sections = [ring_section(inner, outer, count, circle, size) for size in (hole, 0.0)]
     lever = max(outer * area / moment for area, moment in sections)

@@ -31,14 +31,7 @@ def fastener_count(element: Connection) -> int:
 
 
 def preload_limits(element: Connection, tightening: Tightening) -> tuple[PreloadLimit, ...]:
-    """Return the limits on the preload of one bolt or pin.
-
-    Returns
-    -------
-    tuple of PreloadLimit
-        Bolts: bolt utilisation, head pressure, thread engagement, bolt spacing, hole in ring.
-        Pins: screw torque (where the screw is known), tip indentation.
-    """
+    """Return the limits on the preload of one bolt or pin."""
     fastened = _require_fasteners(element)
     if isinstance(fastened, BoltedFlange):
         return bolts.limits(fastened, tightening)
@@ -95,19 +88,7 @@ def workshop_torque(element: Connection, preload: float, tightening: Tightening)
 
 
 def key_pressure_limit(hub_material: str, reversing: bool) -> tuple[float, str, str]:
-    """Return the permissible flank pressure of a parallel key.
-
-    Parameters
-    ----------
-    hub_material : str
-        steel, iron or aluminium.
-    reversing : bool
-        The torque changes its sign in service.
-
-    Returns
-    -------
-    (pressure [Pa], provenance, source)
-    """
+    """Return the permissible flank pressure of a parallel key [Pa], provenance and source."""
     data = catalogue.clamped_material(hub_material)
     kind = "reversing" if reversing else "steady"
     source = f"key in a hub of {hub_material}, {kind} torque, in the order of DIN 6892"

@@ -116,23 +116,14 @@ class WorkshopTorque:
 
     The stated friction is the lowest expected, so the setting must not be exceeded; higher friction
     and wrench error leave less preload, down to F/alpha_A.
-
-    Parameters
-    ----------
-    nominal : float
-        Setting of the wrench: leaves F at the stated friction [N m].
-    lower : float
-        Leaves F/alpha_A, the least preload of the design, at the stated friction; a bolt that still
-        turns below it is too loose [N m].
-    upper : float
-        Torque that must not be exceeded; the nominal one [N m].
-    friction_factor : float
-        Factor on the stated friction at which the nominal torque leaves F/alpha_A [-].
     """
 
-    nominal: float
+    nominal: float  # setting of the wrench: leaves F at the stated friction [N m]
+    # Leaves F/alpha_A, the least preload of the design, at the stated friction; a bolt that still
+    # turns below it is too loose [N m].
     lower: float
-    upper: float
+    upper: float  # torque that must not be exceeded; the nominal one [N m]
+    # Factor on the stated friction at which the nominal torque leaves F/alpha_A [-].
     friction_factor: float
 
 
@@ -150,19 +141,10 @@ def _torque_per_preload(
 def tightening_torque(
     bolt: BoltData, preload: Quantity, thread_friction: Quantity, head_friction: Quantity
 ) -> Quantity:
-    """Return the tightening torque for a preload.
+    """Return the tightening torque for a preload, scalar or (n,) [N m].
 
-    M_A = F (P/(2 pi) + d2/(2 cos 30 deg) mu_G + D_Km/2 mu_K); VDI 2230 prints rounded
-    coefficients, F (0.16 P + 0.58 d2 mu_G + D_Km/2 mu_K).
-
-    Parameters
-    ----------
-    preload : scalar or (n,) [N]
-    thread_friction, head_friction : scalar [-]
-
-    Returns
-    -------
-    scalar or (n,) [N m]
+    M_A = F (P/(2 pi) + d2/(2 cos 30 deg) mu_G + D_Km/2 mu_K); VDI 2230 prints rounded coefficients,
+    F (0.16 P + 0.58 d2 mu_G + D_Km/2 mu_K).
     """
     return preload * _torque_per_preload(bolt, thread_friction, head_friction)
 
@@ -175,17 +157,7 @@ def preload_at_torque(
 
 
 def standard_torques(lower: float, upper: float) -> np.ndarray:
-    """Return the preferred numbers R20 of ISO 3 from `lower` to `upper` as tightening torques.
-
-    Parameters
-    ----------
-    lower, upper : float
-        Bounds, both included [N m]; lower above 0.
-
-    Returns
-    -------
-    (n,) [N m], ascending; empty where no preferred number lies between the bounds
-    """
+    """Return the preferred numbers R20 of ISO 3 from `lower` > 0 to `upper`, ascending [N m]."""
     require_positive("standard torques", lower=lower, upper=upper)
     decades = range(math.floor(math.log10(lower)) - 1, math.floor(math.log10(upper)) + 2)
     # Rounded to the decimals printed on wrenches.

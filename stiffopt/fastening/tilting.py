@@ -24,25 +24,16 @@ class TiltingFlange:
 
     Clamped parts and rough interface in series are springs without tension, evenly spread over a
     circle with the ring's second moment of area; the bolts are springs of n/delta_S.
-
-    Parameters
-    ----------
-    bolts, face : float
-        Axial stiffness of all bolts, and of all clamped parts with the interface [N/m].
-    radius : float
-        Of the circle of springs, radius of gyration times sqrt(2) [m].
-    bolt_radius, rim : float
-        Radius of the bolt circle, outer radius of the ring [m].
-    clamp : float
-        Clamp force of all bolts together [N].
     """
 
+    # Axial stiffness of all bolts, and of all clamped parts with the interface [N/m].
     bolts: float
     face: float
-    radius: float
+    radius: float  # of the circle of springs, radius of gyration times sqrt(2) [m]
+    # Radius of the bolt circle, outer radius of the ring [m].
     bolt_radius: float
     rim: float
-    clamp: float
+    clamp: float  # clamp force of all bolts together [N]
 
     @property
     def closed_stiffness(self) -> float:
@@ -100,13 +91,7 @@ class TiltingFlange:
 
 
 def closed_compliance(flange: BoltedFlange, preload: Quantity) -> Quantity:
-    """Return the tilting compliance when closed, by the smooth contact law [rad/(N m)].
-
-    Parameters
-    ----------
-    preload : scalar
-        Of each bolt in service [N].
-    """
+    """Return the tilting compliance when closed, by the smooth contact law [rad/(N m)]."""
     bolt, plates = bolts.joint_compliances(flange)
     count = flange.bolt_count * flange.sectors
     area, moment = ring_section(flange.inner_radius, flange.outer_radius, count, 1.0, 0.0)

@@ -14,26 +14,14 @@ class PreloadLimit:
     """Limit on the largest assembly preload of one bolt or pin.
 
     The utilisation is `fixed` + F/`capacity` and must not exceed 1.
-
-    Parameters
-    ----------
-    capacity : float
-        [N]; infinite if the limit does not depend on the preload.
-    fixed : float
-        Utilisation at zero preload [-].
-    provenance : {"catalogue", "paper", "estimated"}
-    source : str
-        Origin of the permissible value.
-    remedy : str
-        Change of the design that relaxes this limit.
     """
 
     name: str
-    capacity: float
-    fixed: float = 0.0
-    provenance: str
-    source: str
-    remedy: str
+    capacity: float  # [N]; infinite if the limit does not depend on the preload
+    fixed: float = 0.0  # utilisation at zero preload [-]
+    provenance: str  # {"catalogue", "paper", "estimated"}
+    source: str  # origin of the permissible value
+    remedy: str  # change of the design that relaxes this limit
 
     @property
     def depends_on_preload(self) -> bool:
@@ -66,21 +54,11 @@ SAFETY_FACTORS = {
 
 @dataclass(frozen=True)
 class SafetyFactor:
-    """Safety factor of one verification step.
+    """Safety factor of one verification step."""
 
-    Parameters
-    ----------
-    symbol : str
-        Key of `SAFETY_FACTORS`.
-    value : float
-        [-]; infinite without load.
-    required : float
-        [-]
-    """
-
-    symbol: str
-    value: float
-    required: float
+    symbol: str  # key of `SAFETY_FACTORS`
+    value: float  # [-]; infinite without load
+    required: float  # [-]
 
 
 # A row within this of utilisation 1 is active [-]: below the digits of reports, above the accuracy
@@ -90,51 +68,25 @@ ACTIVE_TOLERANCE = 1e-4
 
 @dataclass(frozen=True, kw_only=True)
 class UtilisationRow:
-    """One requirement of a design with its utilisation.
+    """One requirement of a design with its utilisation."""
 
-    Parameters
-    ----------
-    kind : str
-        "slip safety", "bolt utilisation", "joint stiffness", ...
-    joint : int or None
-        1-based.
-    element : str
-        Key of the element, "" if the row concerns none in particular.
-    case : str
-        Load case, "" if independent of it.
-    value, limit : float
-        In `unit`.
-    utilisation : float
-        1 at the limit, above 1 if exceeded [-].
-    provenance, source : str
-        Of the limit.
-    remedy : str
-        Change of the design that relaxes this row.
-    equation : str
-        Step of VDI 2230, if any.
-    safety : SafetyFactor or None
-        Of the step, if it has one.
-    binding : bool
-        False: a warning that does not reject a design.
-    warns : str
-        Of a warning: consequence of exceeding it.
-    """
-
-    kind: str
-    joint: int | None = None
-    element: str = ""
-    case: str = ""
+    kind: str  # "slip safety", "bolt utilisation", "joint stiffness", ...
+    joint: int | None = None  # 1-based
+    element: str = ""  # key of the element, "" if the row concerns none in particular
+    case: str = ""  # load case, "" if independent of it
+    # In `unit`.
     value: float
     limit: float
-    unit: str
-    utilisation: float
+    unit: str = ""
+    utilisation: float  # 1 at the limit, above 1 if exceeded [-]
+    # Of the limit.
     provenance: str = "given"
     source: str = ""
-    remedy: str = ""
-    equation: str = ""
-    safety: SafetyFactor | None = None
-    binding: bool = True
-    warns: str = ""
+    remedy: str = ""  # change of the design that relaxes this row
+    equation: str = ""  # step of VDI 2230, if any
+    safety: SafetyFactor | None = None  # of the step, if it has one
+    binding: bool = True  # False: a warning that does not reject a design
+    warns: str = ""  # of a warning: consequence of exceeding it
 
     @property
     def name(self) -> str:

@@ -31,17 +31,10 @@ _MAX_FACE_WIDTH_RATIO = 1.5
 def vdi_rows(
     steps: Verification, preload: float, shift: float = math.nan, least: float | None = None
 ) -> tuple[UtilisationRow, ...]:
-    """Return every verification step at a largest assembly preload.
+    """Return every verification step at a largest assembly preload F_M [N].
 
-    Parameters
-    ----------
-    preload : float
-        F_M [N].
-    shift : float
-        Transverse displacement of the parts at the bolts [m]; nan omits the check of
-        self-loosening.
-    least : float, optional
-        Preload F_V in service [N]; default after scatter and losses.
+    `shift` is the transverse displacement of the parts at the bolts [m]; nan omits the check of
+    self-loosening. `least` is F_V in service [N]; default after scatter and losses.
     """
     if least is None:
         least = preload / steps.scatter - steps.loss
@@ -79,7 +72,6 @@ def _clamp_load_rows(steps: Verification, least: float) -> Iterator[UtilisationR
         safety=SafetyFactor("S_G", slips, steps.slip_safety),
         value=slips,
         limit=steps.slip_safety,
-        unit="",
         utilisation=_required_over_available(most, least),
         case=case,
         source=(

@@ -43,14 +43,8 @@ MIN_STATIC_SLIP_SAFETY, MIN_ALTERNATING_SLIP_SAFETY = 1.2, 1.8
 class Verification:
     """VDI 2230 of one flange under its loads.
 
-    Parameters
-    ----------
-    flange : BoltedFlange
-        With its bolt.
-    loads : FlangeLoads
-        In the axes of the flange, at its interface.
-    slip_safety : float or None
-        None: 1.2 for static, 1.8 for alternating torque.
+    `flange`: with its bolt. `loads`: in the axes of the flange, at its interface. `slip_safety`:
+    None: 1.2 for static, 1.8 for alternating torque.
     """
 
     def __init__(

@@ -40,13 +40,8 @@ _MIN_ARC_SAMPLES = 4001
 class GivenMotion:
     """Motion through given rows, as a controller interpolates it, in rest before and after.
 
-    Parameters
-    ----------
-    time : array (K,)
-        From 0 [s].
-    position : array (K, n)
-    velocity : array (K, n) or None
-        Cubic between rows with velocities; else a cubic spline.
+    `time` (K,): from 0 [s]. `position` (K, n). `velocity` (K, n): cubic between rows with
+    velocities; else a cubic spline.
     """
 
     def __init__(
@@ -118,22 +113,14 @@ class GivenMotion:
 
 @dataclass(frozen=True, eq=False)
 class MotionPiece:
-    """Part of a motion between two rests.
-
-    Parameters
-    ----------
-    path : JointPath
-    times, places, rates : array (K,)
-        Instants of the given motion [s], its path parameter and the rate of that [1/s].
-    dwell : float
-        Rest after it [s].
-    """
+    """Part of a motion between two rests."""
 
     path: JointPath
+    # (K,) instants of the given motion [s], its path parameter and the rate of that [1/s].
     times: np.ndarray
     places: np.ndarray
     rates: np.ndarray
-    dwell: float
+    dwell: float  # rest after it [s]
 
     def speed(self, s: np.ndarray) -> np.ndarray:
         """Rate of the path parameter [1/s] of the given motion at path parameters (K,)."""

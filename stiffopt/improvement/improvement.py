@@ -69,19 +69,11 @@ class LimitUse:
 
 @dataclass(frozen=True, kw_only=True)
 class AssessedMotion:
-    """A motion with what limits and the elastic arm say of it.
-
-    Parameters
-    ----------
-    assessment : Assessment
-    uses : tuple of LimitUse
-        Of every joint and quantity with a limit, the largest share first.
-    elastic, servo, both : SimulatedMotion or None
-        Motors that follow exactly on the elastic arm, servo alone, and both; None for rigid arms.
-    """
+    """A motion with what limits and the elastic arm say of it."""
 
     assessment: Assessment
-    uses: tuple[LimitUse, ...]
+    uses: tuple[LimitUse, ...]  # of every joint and quantity with a limit, the largest share first
+    # Motors that follow exactly on the elastic arm, servo alone, and both; None for rigid arms.
     elastic: SimulatedMotion | None
     servo: np.ndarray | None
     both: SimulatedMotion | None
@@ -94,34 +86,18 @@ class AssessedMotion:
 
 @dataclass(frozen=True, kw_only=True)
 class Improvement:
-    """A given motion and the improved one.
+    """A given motion and the improved one."""
 
-    Parameters
-    ----------
-    problem : TrajectoryProblem
-        Robot, limits, servo and uncertainty, with the improved motion's ends and duration.
-    given, improved : AssessedMotion
-    plan : Trajectory
-        Improved motion of the links.
-    compensation : Compensation or None
-        Command of the motors on nominal and uncertain arms; None for rigid arms.
-    path_deviation : float
-        Largest distance of the improved path from the given one [m].
-    retimed : bool
-        True where the timing differs from the given one.
-    margins : dict
-        Shares of limits left to the lead of the motors.
-    notes : tuple of str
-    """
-
+    # Robot, limits, servo and uncertainty, with the improved motion's ends and duration.
     problem: TrajectoryProblem
     given: AssessedMotion
     improved: AssessedMotion
-    plan: Trajectory
+    plan: Trajectory  # improved motion of the links
+    # Command of the motors on nominal and uncertain arms; None for rigid arms.
     compensation: Compensation | None
-    path_deviation: float
-    retimed: bool
-    margins: dict[str, float]
+    path_deviation: float  # largest distance of the improved path from the given one [m]
+    retimed: bool  # True where the timing differs from the given one
+    margins: dict[str, float]  # shares of limits left to the lead of the motors
     notes: tuple[str, ...]
 
     @property
@@ -167,10 +143,7 @@ def improve(
 ) -> Improvement:
     """Improve a given motion; parameters as of the command.
 
-    Raises
-    ------
-    ProblemError
-        The path exceeds a limit at rest, or a range of the joints.
+    Raises `ProblemError`: the path exceeds a limit at rest, or a range of the joints.
     """
     tell = progress or (lambda _: None)
     problem = problem_of_motion(robot, given, settings)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import ctypes
 import functools
 from pathlib import Path
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -37,29 +38,52 @@ class _Operations(ctypes.Structure):
     )
 
 
-def batched(
-    library: Path, function: ca.Function, shared: tuple[int, ...] = (), *, recalled: bool = False
-) -> ca.Function | None:
-    """The function at `POINTS` points at once.
+class Batch(NamedTuple):
+    """A function's operations as arrays, which are read once and loaded in any process."""
 
-    Parameters
-    ----------
-    library : Path
-        That interpreter.c is part of.
-    function : casadi.Function
-        Of SX. Inputs and outputs of the points stand side by side: (m, n) becomes (m, POINTS n).
-    shared : tuple of int
-        Inputs that are the same at all points.
-    recalled : bool
-        Keep the outputs of the last calls, for functions of one output that are called with the
-        same inputs again and again.
+    # Numbers of inputs and outputs, 1 to recall the last calls, and places of the work vector.
+    shape: np.ndarray
+    sides: np.ndarray  # numbers of entries, and places in `sparsity`, as interpreter.c has them
+    sparsity: np.ndarray
+    operations: np.ndarray  # (4, count) operation, its two operands and where its result is written
+    constants: np.ndarray  # of the operations that are constants, in their order
 
-    Returns
-    -------
-    casadi.Function or None
-        None where too many are in use.
+    def load(self, library: Path) -> ca.Function | None:
+        """Return the function at `POINTS` points at once; None where too many are in use."""
+        loaded, kinds = _load_library(library)
+        operation = self.operations[0]
+        if unknown := {int(each) for each in np.unique(operation) if kinds[each] < 0}:
+            raise ValueError(f"no instruction for CasADi's operations {sorted(unknown)}")
+        numbers = np.zeros(len(operation))
+        numbers[operation == ca.OP_CONST] = self.constants
+        given = _Operations(
+            len(operation),
+            int(self.shape[3]),
+            *(each.ctypes.data_as(_IntPointer) for each in self.operations),
+            numbers.ctypes.data_as(_DoublePointer),
+            kinds.ctypes.data_as(_IntPointer),
+            *(ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_ADD, ca.OP_SUB, ca.OP_MUL),
+        )
+        slot = loaded.batch_load(
+            ctypes.byref(given),
+            self.shape[:3].ctypes.data_as(_IntPointer),
+            self.sides.ctypes.data_as(_IntPointer),
+            self.sparsity.ctypes.data_as(ctypes.POINTER(ctypes.c_longlong)),
+            ctypes.c_longlong(len(self.sparsity)),
+        )
+        return None if slot < 0 else ca.external(f"batch_{slot:03x}", str(library))
+
+
+def read_batch(
+    function: ca.Function, shared: tuple[int, ...] = (), *, recalled: bool = False
+) -> Batch:
+    """Read a function for `POINTS` points at once.
+
+    `function`: of SX. Inputs and outputs of the points stand side by side: (m, n) becomes
+    (m, POINTS n). `shared`: inputs that are the same at all points. `recalled`: keep the outputs of
+    the last calls, for functions of one output that are called with the same inputs again and
+    again.
     """
-    loaded, kinds = _load_library(library)
     inputs, outputs = range(function.n_in()), range(function.n_out())
     widths = [function.nnz_in(i) * (i not in shared) for i in inputs]
     patterns = [_repeat_pattern(function.sparsity_in(i), i in shared) for i in inputs]
@@ -71,46 +95,28 @@ def batched(
         *(function.nnz_out(i) for i in outputs),
         *np.cumsum([0, *map(len, compressed)])[:-1],
     ]
-    sparsity = np.concatenate(compressed).astype(np.int64)
-    shape = np.array([len(inputs), len(outputs), recalled], dtype=np.int32)
-    slot = loaded.batch_load(
-        ctypes.byref(_read_operations(function, kinds)),
-        shape.ctypes.data_as(_IntPointer),
-        np.array(sides, dtype=np.int32).ctypes.data_as(_IntPointer),
-        sparsity.ctypes.data_as(ctypes.POINTER(ctypes.c_longlong)),
-        ctypes.c_longlong(len(sparsity)),
+    operations, constants = _read_operations(function)
+    return Batch(
+        np.array([len(inputs), len(outputs), recalled, function.sz_w()], dtype=np.int32),
+        np.array(sides, dtype=np.int32),
+        np.concatenate(compressed).astype(np.int64),
+        operations,
+        constants,
     )
-    return None if slot < 0 else ca.external(f"batch_{slot:03x}", str(library))
 
 
-def _read_operations(function: ca.Function, kinds: np.ndarray) -> _Operations:
-    count = function.n_instructions()
-    operation = [function.instruction_id(k) for k in range(count)]
-    numbers, rows = np.zeros(count), []
+def _read_operations(function: ca.Function) -> tuple[np.ndarray, np.ndarray]:
+    count, constants, rows = function.n_instructions(), [], []
     read, written = function.instruction_input, function.instruction_output
-    for k, each in enumerate(operation):
-        row = (*read(k), *written(k))
-        if len(row) == 2:
-            row = (row[0], -1, row[1])
+    for k, each in enumerate(map(function.instruction_id, range(count))):
+        row = (each, *read(k), *written(k))
+        if len(row) == 3:
+            row = (each, row[1], -1, row[2])
         elif each == ca.OP_CONST:
-            row, numbers[k] = (-1, -1, *row), function.instruction_constant(k)
+            row = (each, -1, -1, *written(k))
+            constants.append(function.instruction_constant(k))
         rows.append(row)
-    first, second, places = np.array(rows, dtype=np.int32).reshape(count, 3).T.copy()
-    if unknown := {each for each in operation if kinds[each] < 0}:
-        raise ValueError(f"no instruction for CasADi's operations {sorted(unknown)}")
-    arrays = (np.array(operation, dtype=np.int32), first, second, places, numbers, kinds)
-    found = _Operations(
-        count,
-        function.sz_w(),
-        *(
-            each.ctypes.data_as(_DoublePointer if each is numbers else _IntPointer)
-            for each in arrays
-        ),
-        *(ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_ADD, ca.OP_SUB, ca.OP_MUL),
-    )
-    # Kept as long as the pointers to them.
-    found.arrays = arrays
-    return found
+    return np.array(rows, dtype=np.int32).reshape(count, 4).T.copy(), np.array(constants)
 
 
 @functools.cache

@@ -26,72 +26,39 @@ from stiffopt.preload.utilisation import governing_safety
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BoltSheet:
-    """VDI 2230 of one flange at a design; forces of one bolt [N].
-
-    Parameters
-    ----------
-    key : str
-        Key of the element.
-    scatter : float
-        alpha_A (R1).
-    bolt_compliance, plate_compliance : float
-        delta_S, delta_P (R3) [m/N].
-    factor_most, factor_least : float
-        Phi at both bounds of the load introduction factor (R3).
-    loss : float
-        F_Z and Delta F_Vth (R4).
-    clamp_needed : float
-        F_Kerf with (1 - Phi) F_A, slip with its safety (R2, R5).
-    largest, least : float
-        F_Mmax and F_Mmin at assembly (R6).
-    in_service : float
-        F_Vmin, after all losses.
-    working_load, additional : float
-        Largest F_A, and F_SA with the thermal force (R8).
-    case : str
-        Load case that requires the largest clamp load.
-    angles : array (n,)
-        Angles of the bolts, the first on the x axis [rad].
-    axial : array (n,)
-        F_A of each bolt in that case; for an elastic ring at the least favourable rib angle.
-    transverse : array (n, 2)
-        F_Q of each bolt in that case.
-    tilting_stiffness, opening_moment : float
-        Stiffness of the closed flange and moment that opens its edge, at F_Vmin [N m/rad], [N m];
-        0 if no preload is left.
-    tilt : float
-        Tilting angle under the largest tilting moment [rad].
-    chance : SlipProbability
-        Of a bolt whose remaining preload is below its share of the load.
-    loads : FlangeLoads
-        Loads of all load cases at the interface.
-    safety : mapping of symbol to UtilisationRow
-        Step with the least value over required value of each safety factor.
-    """
+    """VDI 2230 of one flange at a design; forces of one bolt [N]."""
 
     key: str
     flange: BoltedFlange
-    scatter: float
+    scatter: float  # alpha_A (R1)
+    # delta_S, delta_P (R3) [m/N].
     bolt_compliance: float
     plate_compliance: float
+    # Phi at both bounds of the load introduction factor (R3).
     factor_most: float
     factor_least: float
-    loss: float
-    clamp_needed: float
+    loss: float  # F_Z and Delta F_Vth (R4)
+    clamp_needed: float  # F_Kerf with (1 - Phi) F_A, slip with its safety (R2, R5)
+    # F_Mmax and F_Mmin at assembly (R6).
     largest: float
     least: float
-    in_service: float
+    in_service: float  # F_Vmin, after all losses
+    # Largest F_A, and F_SA with the thermal force (R8).
     working_load: float
     additional: float
-    case: str
-    angles: np.ndarray
+    case: str  # load case that requires the largest clamp load
+    angles: np.ndarray  # (n,) angles of the bolts, the first on the x axis [rad]
+    # (n,) F_A of each bolt in that case; for an elastic ring at the least favourable rib angle.
     axial: np.ndarray
-    transverse: np.ndarray
+    transverse: np.ndarray  # (n, 2) F_Q of each bolt in that case
+    # Stiffness of the closed flange and moment that opens its edge, at F_Vmin [N m/rad], [N m]; 0
+    # if no preload is left.
     tilting_stiffness: float
     opening_moment: float
-    tilt: float
-    chance: SlipProbability
-    loads: FlangeLoads
+    tilt: float  # tilting angle under the largest tilting moment [rad]
+    chance: SlipProbability  # of a bolt whose remaining preload is below its share of the load
+    loads: FlangeLoads  # loads of all load cases at the interface
+    # By symbol: step with the least value over required value of each safety factor.
     safety: Mapping[str, UtilisationRow]
 
 
@@ -154,24 +121,14 @@ _DEVIATIONS_PER_SIDE = 2.0
 
 @dataclass(frozen=True, kw_only=True)
 class SlipProbability:
-    """Probability that the remaining preload of a bolt is below its share of the load.
+    """Probability that the remaining preload of a bolt is below its share of the load."""
 
-    Parameters
-    ----------
-    stated : float
-        In closed form.
-    drawn : float
-        Share of random draws.
-    needed : float
-        Preload in service at which the bolt's share of the interface slips or opens, safety 1 [N].
-    least, largest : float
-        Of the draws, in service [N].
-    """
-
-    stated: float
-    drawn: float
+    stated: float  # in closed form
+    drawn: float  # share of random draws
     draws: int
+    # Preload in service at which the bolt's share of the interface slips or opens, safety 1 [N].
     needed: float
+    # Of the draws, in service [N].
     least: float
     largest: float
 
@@ -187,21 +144,13 @@ def slip_probability(
 ) -> SlipProbability:
     """Compute the probability of too little preload, and confirm it by random tightening.
 
-    The wrench setting gives `preload` at the stated friction. Friction in thread and under the head
-    is independent and normal: two standard deviations below the mean is the stated, lowest value,
-    two above it the value that leaves `preload`/alpha_A. The wrench error of +-5 % is two standard
-    deviations. Embedding and thermal losses are subtracted.
-
-    Parameters
-    ----------
-    preload : float
-        Largest assembly preload [N].
-
-    Notes
-    -----
-    A preload is below F where the torque M is less than F times the lever, which is linear in both
-    frictions: M - F lever is normal, so the closed form is exact. A flange carries by the sum of
-    its bolts, so it slips less often than a single bolt is too loose.
+    The wrench setting gives `preload` (the largest assembly preload) at the stated friction.
+    Friction in thread and under the head is independent and normal: two standard deviations below
+    the mean is the stated, lowest value, two above it the value that leaves `preload`/alpha_A. The
+    wrench error of +-5 % is two standard deviations. A preload is below F where the torque M is
+    less than F times the lever, which is linear in both frictions: M - F lever is normal, so the
+    closed form is exact. A flange carries by the sum of its bolts, so it slips less often than a
+    single bolt is too loose.
     """
     tightening, bolt = steps.tightening, steps.data
     lowest = (tightening.thread_friction, tightening.head_friction)

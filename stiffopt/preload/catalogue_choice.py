@@ -52,79 +52,40 @@ NONE_KEEPS_ALL = "bound: no combination keeps all requirements"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CatalogueChoice:
-    """Optimum catalogue design of a study, with the proof.
+    """Optimum catalogue design of a study, with the proof."""
 
-    Parameters
-    ----------
-    status : SolveStatus
-        optimal: no better design in the catalogue. acceptable: best design found, optimum bounded
-        by `proof.bound`. infeasible: no feasible design, see `stoppers`. iteration_limit: none
-        found before the search ended.
-    designs : mapping of element key to CatalogueDesign
-        Empty if infeasible.
-    objective : float
-        Of the study, in its unit; nan without a design.
-    cost : float
-        In steps, including the tightening method; nan without a design.
-    solution : PreloadSolution or None
-        The chosen design evaluated by the exact law.
-    continuous : PreloadSolution or None
-        Optimum preloads of the same bolts at arbitrary torques.
-    gap : float
-        Relative loss of the catalogue design against `continuous` [-].
-    problem : PreloadProblem or None
-        The study with the chosen bolts in the robot.
-    table : tuple of TableRow
-        One for each element, size, grade and count.
-    proof : SearchProof
-        Of the search for the best objective.
-    tie_proofs : tuple of SearchProof
-        Of the searches among designs of equal objective, if any.
-    stoppers : tuple of Stopper
-        Reasons of infeasibility; empty if feasible.
-    ways : tuple of TighteningWay
-        Optimum of each tightening method and coating, if the study varies them; else empty.
-    """
-
+    # optimal: no better design in the catalogue. acceptable: best design found, optimum bounded by
+    # `proof.bound`. infeasible: no feasible design, see `stoppers`. iteration_limit: none found
+    # before the search ended.
     status: SolveStatus
     message: str
-    designs: Mapping[str, CatalogueDesign]
-    objective: float
-    solution: PreloadSolution | None
-    continuous: PreloadSolution | None
-    gap: float
-    problem: PreloadProblem | None
-    table: tuple[TableRow, ...]
-    proof: SearchProof
+    designs: Mapping[str, CatalogueDesign]  # by element key: empty if infeasible
+    objective: float  # of the study, in its unit; nan without a design
+    solution: PreloadSolution | None  # the chosen design evaluated by the exact law
+    continuous: PreloadSolution | None  # optimum preloads of the same bolts at arbitrary torques
+    gap: float  # relative loss of the catalogue design against `continuous` [-]
+    problem: PreloadProblem | None  # the study with the chosen bolts in the robot
+    table: tuple[TableRow, ...]  # one for each element, size, grade and count
+    proof: SearchProof  # of the search for the best objective
+    # Of the searches among designs of equal objective, if any.
     tie_proofs: tuple[SearchProof, ...] = ()
-    stoppers: tuple[Stopper, ...] = ()
+    stoppers: tuple[Stopper, ...] = ()  # reasons of infeasibility; empty if feasible
+    # Optimum of each tightening method and coating, if the study varies them; else empty.
     ways: tuple[TighteningWay, ...] = ()
-    cost: float = float("nan")
+    cost: float = float("nan")  # in steps, including the tightening method; nan without a design
 
 
 def choose_design(
     problem: PreloadProblem, progress: ProgressReport | None = None
 ) -> CatalogueChoice:
-    """Find the optimum catalogue design.
+    """Find the optimum catalogue design of the best tightening method and coating.
 
     Sizes, grades and counts of `problem.choose` are combined in the present ring of every bolted
-    flange; set screws stay. Torques are standard ones. The result is the best by the objective, or
-    the best of the cheapest if steps have a cost, of all combinations that satisfy every limit and
-    requirement by the exact law; of equals the one with fewer bolts, then smaller sizes, then lower
-    grades. With the stiffness of several joints as objective, each joint is the stiffest that does
-    not lower the least relative stiffness.
-
-    Parameters
-    ----------
-    problem : PreloadProblem
-        With `choose`. `individual` is ignored: one preload a connection.
-    progress : callable, optional
-        Called with a `Progress` in every iteration of the continuous solve.
-
-    Returns
-    -------
-    CatalogueChoice
-        Of the best tightening method and coating, the first of equals.
+    flange; set screws stay. Torques are standard ones, one preload a connection. The result is the
+    best by the objective, or the best of the cheapest if steps have a cost, of all combinations
+    that satisfy every limit and requirement by the exact law; of equals the one with fewer bolts,
+    then smaller sizes, then lower grades. With the stiffness of several joints as objective, each
+    joint is the stiffest that does not lower the least relative stiffness.
     """
     choose = problem.choose
     if choose is None:

@@ -45,45 +45,24 @@ _REMEDY_BY_LIMIT = {
 
 @dataclass(frozen=True, kw_only=True)
 class CatalogueDesign:
-    """Bolts or pins of one connection with their tightening torque.
-
-    Parameters
-    ----------
-    key : str
-        Key of the element.
-    joint : int
-        1-based.
-    size, grade : str
-        Of one bolt or set screw; no grade for screws.
-    count : int
-        Bolts or pins.
-    torque : float
-        Setting of the wrench [N m].
-    preload, least_preload : float
-        Largest and least preload of one bolt or pin [N].
-    stage : Stage
-        The connection with these bolts and `preload`.
-    cost : float
-        In steps (`Choice.cost`).
-    circle : float or None
-        Bolt circle diameter [m], if the study varies it.
-    utilisations : mapping of str to float
-        Of every limit of this connection, by name; above 1 if exceeded.
-    """
+    """Bolts or pins of one connection with their tightening torque."""
 
     key: str
-    joint: int
+    joint: int  # 1-based
+    # Of one bolt or set screw; no grade for screws.
     size: str
     grade: str
-    count: int
-    torque: float
+    count: int  # bolts or pins
+    torque: float  # setting of the wrench [N m]
+    # Largest and least preload of one bolt or pin [N].
     preload: float
     least_preload: float
-    stage: Stage
+    stage: Stage  # the connection with these bolts and `preload`
     limits: tuple[PreloadLimit, ...]
+    # Of every limit of this connection, by name; above 1 if exceeded.
     utilisations: Mapping[str, float]
-    cost: float = 0.0
-    circle: float | None = None
+    cost: float = 0.0  # in steps (`Choice.cost`)
+    circle: float | None = None  # bolt circle diameter [m], if the study varies it
 
     @property
     def label(self) -> str:
@@ -141,20 +120,8 @@ class CatalogueDesign:
 def catalogue_designs(
     problem: PreloadProblem, element: FreeElement, cases: tuple[LoadCase, ...]
 ) -> tuple[CatalogueDesign, ...]:
-    """Return all designs of one element in the study's catalogue, feasible or not.
+    """Return all designs of one element in the study's catalogue, feasible or not, small to large.
 
-    Parameters
-    ----------
-    problem : PreloadProblem
-        With `choose`.
-
-    Returns
-    -------
-    tuple of CatalogueDesign
-        By size, grade, count, circle and torque, each from small to large.
-
-    Notes
-    -----
     Without torques in `choose`, and for pins, these are the R20 preferred numbers from the least
     required preload to the largest that any limit allows; none outside is feasible.
     """
@@ -287,10 +254,7 @@ def _slip_utilisation(
 def design_cost(choose: Choice, stage: Stage, present: Stage) -> float:
     """Return the cost of the bolts of one connection.
 
-    Parameters
-    ----------
-    stage, present : Stage
-        The connection with these bolts, and the present one; pins cost nothing.
+    `stage` and `present`: the connection with these bolts, and the present one; pins cost nothing.
     """
     flange, before = stage.element, present.element
     if choose.cost is None or not isinstance(flange, BoltedFlange):

@@ -25,43 +25,23 @@ from stiffopt.preload.nlp import RELATIVE_ROUNDING, Levels
 
 @dataclass(frozen=True, eq=False)
 class ChoiceProgramme:
-    """Programme with one design per element: costs and contributions to each row.
+    """Programme with one design per element: costs and contributions to each row."""
 
-    Parameters
-    ----------
-    names : tuple of str
-        Of r linear rows (compliance of a joint [rad/(N m)], bolt utilisation [-]), then of k rows
-        that are norms of vectors (tool deflection [m]).
-    joints : tuple of int or None
-        Joint of each row; None if it concerns several.
-    cost, price, tie : tuple of array (m,)
-        Per element and design: total preload [N], cost in steps, and tie-breaking cost between
-        combinations of equal objective. All add up.
-    use : tuple of array (m, r)
-        Contributions of an element's designs to the linear rows.
-    vectors : tuple of array (m, k, 3)
-        Contributions to the vectors of the norm rows.
-    base : array (r,)
-        Constant part of the linear rows.
-    rest : array (k, 3)
-        Constant part of the vectors.
-    cap : array (r + k,)
-        Upper limits; infinite without a requirement.
-    weight : array (r + k,)
-        Weights of the rows in a minimax objective; 0 if not part of it.
-    """
-
+    # Of r linear rows (compliance of a joint [rad/(N m)], bolt utilisation [-]), then of k rows
+    # that are norms of vectors (tool deflection [m]).
     names: tuple[str, ...]
-    joints: tuple[int | None, ...]
+    joints: tuple[int | None, ...]  # joint of each row; None if it concerns several
+    # (m,) per element and design: total preload [N], cost in steps, and tie-breaking cost between
+    # combinations of equal objective. All add up.
     cost: tuple[np.ndarray, ...]
     price: tuple[np.ndarray, ...]
     tie: tuple[np.ndarray, ...]
-    use: tuple[np.ndarray, ...]
-    vectors: tuple[np.ndarray, ...]
-    base: np.ndarray
-    rest: np.ndarray
-    cap: np.ndarray
-    weight: np.ndarray
+    use: tuple[np.ndarray, ...]  # (m, r) contributions of an element's designs to the linear rows
+    vectors: tuple[np.ndarray, ...]  # (m, k, 3) contributions to the vectors of the norm rows
+    base: np.ndarray  # (r,) constant part of the linear rows
+    rest: np.ndarray  # (k, 3) constant part of the vectors
+    cap: np.ndarray  # (r + k,) upper limits; infinite without a requirement
+    weight: np.ndarray  # (r + k,) weights of the rows in a minimax objective; 0 if not part of it
 
     def deflections(self, picks: Sequence[int]) -> np.ndarray:
         """Return the vectors of a combination (k, 3), by positions of the designs."""
@@ -118,12 +98,8 @@ def choice_programme(
 ) -> ChoiceProgramme:
     """Compute the contributions of every design.
 
-    Parameters
-    ----------
-    designs : one sequence of CatalogueDesign an element
-        That satisfy the limits of their own connection.
-    levels : Levels
-        Weights of the joint stiffnesses.
+    `designs`: that satisfy the limits of their own connection. `levels`: weights of the joint
+    stiffnesses.
     """
     sites = [_parallel_stages(model, index) for index in range(len(model.elements))]
     compliance = _compliance_rows(model, designs, sites, levels)

@@ -29,18 +29,10 @@ _RELATIVE_TOLERANCE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """Goal of a search: a sum over the elements, or the largest weighted row value.
+    """Goal of a search: a sum over the elements, or the largest weighted row value."""
 
-    Parameters
-    ----------
-    cost : sequence of array (m,), optional
-        Cost of each element's designs.
-    weight : array (rows,), optional
-        Weights of the rows.
-    """
-
-    cost: Sequence[np.ndarray] | None = None
-    weight: np.ndarray | None = None
+    cost: Sequence[np.ndarray] | None = None  # (m,) cost of each element's designs
+    weight: np.ndarray | None = None  # (rows,) weights of the rows
 
     def value(self, programme: ChoiceProgramme, picks: Sequence[int]) -> float:
         """Return the goal's value for a combination."""
@@ -52,30 +44,14 @@ class Goal:
 
 @dataclass(frozen=True, eq=False)
 class CombinationResult:
-    """Result of one search.
+    """Result of one search."""
 
-    Parameters
-    ----------
-    picks : tuple of int or None
-        Position of each element's design; None if none was found.
-    value : float
-        Of the goal.
-    bound : float
-        Lower bound by the solver; infinite if infeasible.
-    evaluated : set of tuple
-        Combinations whose goal and rows were evaluated.
-    nodes : int
-        Of the branch-and-bound trees.
-    complete : bool
-        The search ended before the time limit.
-    """
-
-    picks: tuple[int, ...] | None
-    value: float
-    bound: float
-    evaluated: set[tuple[int, ...]]
-    nodes: int
-    complete: bool
+    picks: tuple[int, ...] | None  # position of each element's design; None if none was found
+    value: float  # of the goal
+    bound: float  # lower bound by the solver; infinite if infeasible
+    evaluated: set[tuple[int, ...]]  # combinations whose goal and rows were evaluated
+    nodes: int  # of the branch-and-bound trees
+    complete: bool  # the search ended before the time limit
 
     @property
     def gap(self) -> float:
@@ -114,10 +90,7 @@ class _ProgrammeResult:
 class CombinationSearch:
     """Lexicographic minimisation: each goal keeps the values of the former ones.
 
-    Parameters
-    ----------
-    seconds : float
-        Time limit for all goals together.
+    `seconds`: time limit for all goals together.
     """
 
     def __init__(self, programme: ChoiceProgramme, seconds: float = MAX_SEARCH_SECONDS) -> None:
@@ -297,35 +270,18 @@ class CombinationSearch:
 
 @dataclass(frozen=True, kw_only=True)
 class SearchProof:
-    """Account of a finished search; every combination is counted exactly once.
+    """Account of a finished search; every combination is counted exactly once."""
 
-    Parameters
-    ----------
-    combinations : int
-        Number of combinations of all elements' designs.
-    excluded : mapping of str to int
-        Combinations excluded without evaluation, by limit or rule; the first applicable one
-        counts.
-    evaluated : int
-        Combinations whose objective and rows were evaluated.
-    unvisited : int
-        Combinations left open by the time limit; 0 for a proof.
-    nodes : int
-        Nodes of the branch-and-bound tree.
-    bound : float
-        Lower bound of the minimised quantity: total preload [N], largest utilisation [-], largest
-        deflection [m], largest weight over stiffness [-].
-    gap : float
-        Relative distance of the best combination from the bound; infinite without one.
-    """
-
-    combinations: int
+    combinations: int  # number of combinations of all elements' designs
+    # Combinations excluded without evaluation, by limit or rule; the first applicable one counts.
     excluded: Mapping[str, int]
-    evaluated: int
-    unvisited: int
-    nodes: int
+    evaluated: int  # combinations whose objective and rows were evaluated
+    unvisited: int  # combinations left open by the time limit; 0 for a proof
+    nodes: int  # nodes of the branch-and-bound tree
+    # Lower bound of the minimised quantity: total preload [N], largest utilisation [-], largest
+    # deflection [m], largest weight over stiffness [-].
     bound: float
-    gap: float
+    gap: float  # relative distance of the best combination from the bound; infinite without one
 
     @property
     def complete(self) -> bool:

@@ -17,27 +17,13 @@ Designs = Sequence[Sequence[CatalogueDesign]]
 
 @dataclass(frozen=True, kw_only=True)
 class TableRow:
-    """Best torque for one kind of bolts of one element, all other elements as chosen.
+    """Best torque for one kind of bolts of one element, all other elements as chosen."""
 
-    Parameters
-    ----------
-    design : CatalogueDesign
-        With the best feasible torque, or the one nearest to its limits.
-    objective : float
-        Of the study with this design, in its unit; nan without any choice.
-    stopper : str
-        Limit or requirement that excludes all torques; "" if feasible.
-    utilisation : float
-        Largest utilisation of this connection [-].
-    torques : int
-        Number of torques tried for these bolts.
-    """
-
-    design: CatalogueDesign
-    objective: float
-    stopper: str
-    utilisation: float
-    torques: int
+    design: CatalogueDesign  # with the best feasible torque, or the one nearest to its limits
+    objective: float  # of the study with this design, in its unit; nan without any choice
+    stopper: str  # limit or requirement that excludes all torques; "" if feasible
+    utilisation: float  # largest utilisation of this connection [-]
+    torques: int  # number of torques tried for these bolts
     chosen: bool
 
 
@@ -49,14 +35,8 @@ def best_torques(
 ) -> tuple[TableRow, ...]:
     """Return the best torque for every kind of bolts.
 
-    Parameters
-    ----------
-    designs : one sequence of CatalogueDesign an element
-        Feasible or not.
-    programme : ChoiceProgramme or None
-        Of the feasible designs; None if an element has none.
-    picks : tuple of int or None
-        Chosen design of each element among its feasible ones; None without a choice.
+    `designs`: feasible or not. `programme`: of the feasible designs; None if an element has none.
+    `picks`: chosen design of each element among its feasible ones; None without a choice.
     """
     rows = []
     for index, own in enumerate(designs):
@@ -175,10 +155,7 @@ def element_stoppers(model: PreloadModel, designs: Designs) -> tuple[Stopper, ..
 def requirement_stoppers(programme: ChoiceProgramme, found: tuple[str, ...]) -> tuple[Stopper, ...]:
     """Return requirements that no combination meets, with the best reachable value.
 
-    Parameters
-    ----------
-    found : tuple of str
-        Rows exceeded by the nearest combination, the largest excess first.
+    `found`: rows exceeded by the nearest combination, the largest excess first.
     """
     least = programme.least_amounts()
     alone = [i for i in range(len(programme.names)) if least[i] > programme.ends[i]]
@@ -211,20 +188,7 @@ def _requirement_stopper(
         "the connections in the compliance; beyond it stiffer reducers, less load, or a lower "
         "requirement"
     )
+    cap, name = float(programme.cap[row]), programme.names[row]
     if programme.joints[row] is None:
-        return Stopper(
-            limit=programme.names[row],
-            best=least,
-            required=float(programme.cap[row]),
-            unit="m",
-            against=against,
-            remedy=remedy,
-        )
-    return Stopper(
-        limit=programme.names[row],
-        best=1.0 / least,
-        required=1.0 / float(programme.cap[row]),
-        unit="N m/rad",
-        against=against,
-        remedy=remedy,
-    )
+        return Stopper(name, least, cap, "m", against, remedy)
+    return Stopper(name, 1.0 / least, 1.0 / cap, "N m/rad", against, remedy)

@@ -31,66 +31,35 @@ _PRELOAD_RANGE = (0.05, 1.1)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PreloadCurve:
-    """Properties of a joint in one load case over the preload of one connection.
+    """Properties of a joint in one load case over the preload of one connection."""
 
-    Parameters
-    ----------
-    key : str
-        Key of the element; all other preloads are those of the design.
-    joint : int
-        1-based.
-    torque : float
-        At the joint [N m].
-    design : float
-        Preload of the design, mean of individual ones [N].
-    preload : array (K,)
-        F, largest assembly preload of one bolt or pin [N], ascending.
-    stiffness : array (K,)
-        Tangent stiffness of the joint by the exact law at the least preload in service [N m/rad]; 0
-        where a connection slips.
-    stiffness_high : array (K,)
-        The same at F, the other end of the scatter [N m/rad].
-    slip_safety : array (K,)
-        Slip torque at the least preload over torque [-]; infinite without torque.
-    utilisation : mapping of limit name to array (K,)
-        Of every limit that depends on the preload, 1 at the limit [-].
-    safety : mapping of symbol to array (K,)
-        Safety factors of VDI 2230 under all load cases, of bolted joints [-].
-    limits : mapping of name to float
-        Preload at which each requirement is active [N]: a lower bound for those of `FLOORS`, an
-        upper bound for others; "slip" at slip safety 1.
-    """
-
-    key: str
-    joint: int
+    key: str  # key of the element; all other preloads are those of the design
+    joint: int  # 1-based
     case: str
-    torque: float
-    design: float
-    preload: np.ndarray
+    torque: float  # at the joint [N m]
+    design: float  # preload of the design, mean of individual ones [N]
+    preload: np.ndarray  # (K,) F, largest assembly preload of one bolt or pin [N], ascending
+    # (K,) tangent stiffness of the joint by the exact law at the least preload in service [N
+    # m/rad]; 0 where a connection slips.
     stiffness: np.ndarray
-    stiffness_high: np.ndarray
+    stiffness_high: np.ndarray  # (K,) the same at F, the other end of the scatter [N m/rad]
+    # (K,) slip torque at the least preload over torque [-]; infinite without torque.
     slip_safety: np.ndarray
+    # By limit name (K,): of every limit that depends on the preload, 1 at the limit [-].
     utilisation: Mapping[str, np.ndarray]
+    # By symbol (K,): safety factors of VDI 2230 under all load cases, of bolted joints [-].
     safety: Mapping[str, np.ndarray]
+    # By name: preload at which each requirement is active [N]: a lower bound for those of `FLOORS`,
+    # an upper bound for others; "slip" at slip safety 1.
     limits: Mapping[str, float]
 
 
 def preload_curves(
     model: PreloadModel, preloads: np.ndarray, points: int = 60
 ) -> tuple[PreloadCurve, ...]:
-    """Vary the preload of each free element while the others keep their design.
+    """Vary the preload of each free element while the others keep their design [N].
 
-    Parameters
-    ----------
-    preloads : array (size,)
-        Of the design [N].
-    points : int
-        At least 2.
-
-    Returns
-    -------
-    tuple of PreloadCurve
-        For each element, in the load cases of least stiffness and of largest torque.
+    In the load cases of least stiffness and of largest torque.
     """
     if points < 2:
         raise ProblemError(f"preload curves: points = {points} must be 2 or above.")
@@ -118,9 +87,7 @@ def _preload_curve(
     first = max(first, 1.02 * element.largest(0.0))
     force = np.linspace(first, last, points)
     own = float(np.mean(preloads[model.slices[index]]))
-    slip = np.array(
-        [model.slip_torque(_with_preload(model, preloads, index, f), index) for f in force]
-    )
+    slip = np.array([model.slip_torque(model.replaced(preloads, index, f), index) for f in force])
     with np.errstate(divide="ignore"):
         safety = slip / abs(torque)
     stiffness = _stiffness_curve(model, preloads, index, torque, force)
@@ -150,9 +117,7 @@ def _preload_curve(
 def _safety_curves(
     model: PreloadModel, preloads: np.ndarray, index: int, forces: np.ndarray
 ) -> dict[str, np.ndarray]:
-    found = [
-        governing_safety(model, _with_preload(model, preloads, index, f), index) for f in forces
-    ]
+    found = [governing_safety(model, model.replaced(preloads, index, f), index) for f in forces]
     return {
         symbol: np.array(
             [math.nan if not (s := rows[symbol].safety) else s.value for rows in found]
@@ -162,23 +127,9 @@ def _safety_curves(
 
 
 def binding_preloads(model: PreloadModel, index: int, torque: float) -> dict[str, float]:
-    """Return the preload at which each requirement of an element is active.
-
-    Parameters
-    ----------
-    index : int
-        Of the element.
-    torque : float
-        Magnitude of the joint torque [N m].
-
-    Returns
-    -------
-    dict of name to preload [N]
-    """
+    """Return the preload [N] at which each requirement of an element is active, by name."""
     element, needs = model.elements[index], model.problem.requirements
-    # The slip torque is proportional to the least preload.
-    at_one = _with_preload(model, model.design, index, float(element.largest(1.0)))
-    unit = float(model.slip_torque(at_one, index))
+    unit = model.slip_torque_per_preload(index)
     return {
         "slip": float(element.largest(torque / unit)),
         "slip safety": float(element.largest(model.slip_safety(element.joint) * torque / unit)),
@@ -218,7 +169,7 @@ def _stiffness_binding_preloads(
     if needs.tool_deflection is not None:
         sizes = [
             np.nanmax(np.linalg.norm(model.exact_deflection(each), axis=1))
-            for each in (_with_preload(model, preloads, index, force) for force in forces)
+            for each in (model.replaced(preloads, index, force) for force in forces)
         ]
         compliant = -np.array(sizes)
         if compliant.min() < -needs.tool_deflection <= compliant.max():
@@ -236,21 +187,12 @@ def _first_crossing(values: np.ndarray, forces: np.ndarray, level: float) -> flo
     return float(forces[after - 1] + share * (forces[after] - forces[after - 1]))
 
 
-def _with_preload(
-    model: PreloadModel, preloads: np.ndarray, index: int, force: float
-) -> np.ndarray:
-    """Return the design vector with another preload of an element."""
-    changed = preloads.copy()
-    changed[model.slices[index]] = force
-    return changed
-
-
 def _stiffness_curve(
     model: PreloadModel, preloads: np.ndarray, index: int, torque: float, forces: np.ndarray
 ) -> np.ndarray:
     joint, at = model.elements[index].joint, np.array([torque])
     compliance = [
-        float(model.exact_compliance(_with_preload(model, preloads, index, force), joint, at)[0])
+        float(model.exact_compliance(model.replaced(preloads, index, force), joint, at)[0])
         for force in forces
     ]
     return np.asarray(1.0 / np.array(compliance))
@@ -261,10 +203,8 @@ def curve_rows(
 ) -> tuple[tuple[str, ...], list[tuple[str | float, ...]]]:
     """Return the table of curves, one row per preload.
 
-    Returns
-    -------
-    (columns, rows)
-        Column names include units; nan for limits that an element does not have.
+    Returns (columns, rows): column names include units; nan for limits that an element does not
+    have.
     """
     names = tuple(dict.fromkeys(name for curve in curves for name in curve.utilisation))
     symbols = tuple(dict.fromkeys(symbol for curve in curves for symbol in curve.safety))

@@ -13,6 +13,7 @@ from functools import partial
 import numpy as np
 
 from stiffopt.preload.model import PreloadModel
+from stiffopt.symbolic import Quantity
 
 # Relative step of finite differences: the laws vary on the scale of the preload.
 _RELATIVE_STEP = 1e-3
@@ -23,28 +24,24 @@ _Laws = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True)
 class ExactShift:
-    """Constants and slopes of the correction to the smooth law.
+    """Constants and slopes of the correction to the smooth law: arrays, or symbols for them."""
 
-    Parameters
-    ----------
-    compliance : array (joints, cases)
-        [rad/(N m)], including all elements independent of the preloads.
-    compliance_slope : array (size, cases)
-        By the preloads of the same joint [rad/(N m) per N].
-    windup : array (n, cases)
-        Less that at the reference torque, of all joints of the robot [rad].
-    windup_slope : array (size, cases)
-        [rad per N]
-    tilt, tilt_slope : array (elements,)
-        Of the tilting compliances [rad/(N m)], and by the mean preload of an element [.. per N].
-    """
+    # (joints, cases) [rad/(N m)], including all elements independent of the preloads.
+    compliance: Quantity
+    compliance_slope: Quantity  # (size, cases), by preloads of the same joint [rad/(N m) per N]
+    # (n, cases) less that at the reference torque, of all joints of the robot [rad].
+    windup: Quantity
+    windup_slope: Quantity  # (size, cases) [rad per N]
+    tilt: Quantity  # (elements, 1), of the tilting compliances [rad/(N m)]
+    tilt_slope: Quantity  # (elements, 1), by the mean preload of an element [rad/(N m) per N]
 
-    compliance: np.ndarray
-    compliance_slope: np.ndarray
-    windup: np.ndarray
-    windup_slope: np.ndarray
-    tilt: np.ndarray
-    tilt_slope: np.ndarray
+
+def shift_shapes(model: PreloadModel) -> tuple[tuple[int, int], ...]:
+    """Return the shapes of the fields of `ExactShift`."""
+    cases, tilt = len(model.cases), (len(model.elements), 1)
+    slopes = (model.size, cases)
+    rows = (len(model.problem.joints), model.problem.robot.n)
+    return (rows[0], cases), slopes, (rows[1], cases), slopes, tilt, tilt
 
 
 def exact_shift(
@@ -52,21 +49,10 @@ def exact_shift(
 ) -> ExactShift:
     """Return the linearised difference of exact and smooth law at a design.
 
-    Parameters
-    ----------
-    preloads : array (size,) [N]
-    compliances, windups : bool
-        Quantities to compute; the others are zero.
+    `preloads` (size,) [N]. `compliances` and `windups`: quantities to compute; the others are zero.
     """
-    n, cases, joints = model.problem.robot.n, len(model.cases), model.problem.joints
-    shift = ExactShift(
-        np.zeros((len(joints), cases)),
-        np.zeros((model.size, cases)),
-        np.zeros((n, cases)),
-        np.zeros((model.size, cases)),
-        np.zeros(len(model.elements)),
-        np.zeros(len(model.elements)),
-    )
+    n, joints = model.problem.robot.n, model.problem.joints
+    shift = ExactShift(*(np.zeros(shape) for shape in shift_shapes(model)))
     for row, joint in enumerate(joints) if compliances else ():
         found = _linear_shift(model, joint, preloads, partial(_compliance_laws, model, joint))
         shift.compliance[row] = found[0]
@@ -89,8 +75,7 @@ def _tilt_shift(model: PreloadModel, preloads: np.ndarray, index: int) -> tuple[
     mean = float(np.mean(preloads[part]))
 
     def missing(factor: float) -> float:
-        scaled = preloads.copy()
-        scaled[part] *= factor
+        scaled = model.replaced(preloads, index, factor * preloads[part])
         smooth = float(model.tilt_compliance(scaled, index))
         return model.exact_tilt_compliance(scaled, index) - smooth
 

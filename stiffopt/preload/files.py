@@ -37,26 +37,15 @@ from stiffopt.units import convert, fit_joint
 
 @dataclass(frozen=True, kw_only=True)
 class LoadedStudy:
-    """Preload study file: the problem and the settings beside it.
-
-    Parameters
-    ----------
-    expected : mapping of name to ExpectedValueSection
-        Expected results of a verification; names as in `value_units`.
-    front_points : int
-        Of the Pareto front; 0 leaves it out.
-    motion : TrajectoryProblem or None
-        Optimised together with the preloads.
-    rounds : int
-        Largest number of rounds of the joint study.
-    """
+    """Preload study file: the problem and the settings beside it."""
 
     problem: PreloadProblem
+    # By name: expected results of a verification; names as in `value_units`.
     expected: Mapping[str, ExpectedValueSection]
     path: Path
-    front_points: int
-    motion: TrajectoryProblem | None
-    rounds: int
+    front_points: int  # of the Pareto front; 0 leaves it out
+    motion: TrajectoryProblem | None  # optimised together with the preloads
+    rounds: int  # largest number of rounds of the joint study
 
 
 def load_study(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> LoadedStudy:
@@ -67,27 +56,23 @@ def load_study(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> Loa
     path = Path(path)
     named = apply_changes(load_toml(path), changes, path).get("robot")
     with with_own(load_own_entries(named, path.parent)):
-        return _load_study(path, changes)
-
-
-def _load_study(path: Path, changes: Sequence[str]) -> LoadedStudy:
-    document = read_document(path, PreloadFile, "preload", changes)
-    robot = read_robot(document.robot, document.payload, document.tool, path)
-    with locate_errors(path, ""):
-        problem = _build_problem(document, robot, path)
-    _check_present_preloads(problem, path)
-    motion, rounds = None, 1
-    if document.motion is not None:
-        motion, rounds = _load_motion(document.motion, robot, path), document.motion.rounds
-    _check_expected(document, problem, motion is not None, path)
-    return LoadedStudy(
-        problem=problem,
-        expected=dict(document.expected.values),
-        path=path,
-        front_points=document.pareto.points,
-        motion=motion,
-        rounds=rounds,
-    )
+        document = read_document(path, PreloadFile, "preload", changes)
+        robot = read_robot(document.robot, document.payload, document.tool, path)
+        with locate_errors(path, ""):
+            problem = _build_problem(document, robot, path)
+        _check_present_preloads(problem, path)
+        motion, rounds = None, 1
+        if document.motion is not None:
+            motion, rounds = _load_motion(document.motion, robot, path), document.motion.rounds
+        _check_expected(document, problem, motion is not None, path)
+        return LoadedStudy(
+            problem=problem,
+            expected=dict(document.expected.values),
+            path=path,
+            front_points=document.pareto.points,
+            motion=motion,
+            rounds=rounds,
+        )
 
 
 def _build_problem(document: PreloadFile, robot: Robot, path: Path) -> PreloadProblem:

@@ -23,21 +23,10 @@ from stiffopt.robot.joint_load import shift_wrench
 def flange_values(
     stage: Stage, joint: int, torque: np.ndarray, wrench: np.ndarray | None
 ) -> np.ndarray:
-    """Return the loads of a flange in its own axes, at its interface.
+    """Return the loads (K, 6) of a flange in its own axes, at its interface.
 
-    Parameters
-    ----------
-    stage : Stage
-        Of a bolted flange. On the motor side of a reducer it carries its share of the torque only.
-    joint : int
-        1-based.
-    torque : array (K, n)
-        Of the joints [N m].
-    wrench : array (K, n, 6) or None
-
-    Returns
-    -------
-    array (K, 6)
+    On the motor side of a reducer it carries its share of the torque (K, n) only, none of the
+    wrench (K, n, 6).
     """
     values = np.zeros((len(torque), 6))
     flange = stage.element
@@ -126,16 +115,9 @@ def tool_levers(
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return tilting moments of a flange and the vector from it to the tool, in base axes.
 
-    Parameters
-    ----------
-    joint : int
-        1-based.
-
-    Returns
-    -------
-    (moments (..., 2, 3) [N m], arm (..., 3) [m]) or None
-        Moments of the full load and of the reference load, which does not count in the deflection.
-        None if the load has no moments or the flange carries none.
+    `joint`: 1-based. Returns (moments (..., 2, 3) [N m], arm (..., 3) [m]) or None: moments of the
+    full load and of the reference load, which does not count in the deflection. None if the load
+    has no moments or the flange carries none.
     """
     if load.wrench is None or load.frames is None or load.arm is None or not carries_tilting(stage):
         return None

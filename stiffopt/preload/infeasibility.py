@@ -16,26 +16,20 @@ from stiffopt.preload.utilisation import utilisation_rows
 
 @dataclass(frozen=True)
 class Stopper:
-    """Requirement that no preload meets.
+    """Requirement that no preload meets."""
 
-    Parameters
-    ----------
-    limit : str
-        Name of the requirement.
-    best, required : float
-        Best reachable and required value, in `unit`.
-    against : str
-        Limiting condition; "" if none.
-    remedy : str
-        Change of the design or study.
-    """
-
-    limit: str
+    limit: str  # name of the requirement
+    # Best reachable and required value, in `unit`.
     best: float
     required: float
     unit: str
-    against: str
-    remedy: str
+    against: str  # limiting condition; "" if none
+    remedy: str  # change of the design or study
+
+    @classmethod
+    def of_row(cls, row: UtilisationRow, against: str, remedy: str) -> Stopper:
+        """Return the stopper of an exceeded row."""
+        return cls(row.name, row.value, row.limit, row.unit, against, remedy)
 
     def __str__(self) -> str:
         required, best = self.amounts
@@ -75,18 +69,18 @@ def _format_significant(value: float, digits: int) -> str:
 def find_stoppers(nlp: PreloadNlp) -> tuple[Stopper, ...]:
     """Return requirements that no preload within the limits can meet.
 
-    Returns
-    -------
-    tuple of Stopper
-        First rows independent of the preload, then slip and least preload, then stiffness at the
-        largest preloads. Empty if each requirement alone can be met.
+    First rows independent of the preload, then slip and least preload, then stiffness at the
+    largest preloads. Empty if each requirement alone can be met.
     """
     model = nlp.model
     _, upper = nlp.bounds()
     fixed = {
         limit.name for e in model.elements for limit in e.limits if not limit.depends_on_preload
     }
-    found = [_fixed_stopper(row) for row in _worst_by_owner(model, upper, ("key pressure", *fixed))]
+    found = [
+        Stopper.of_row(row, "", f"{row.remedy}; no preload changes this")
+        for row in _worst_by_owner(model, upper, ("key pressure", *fixed))
+    ]
     for index, element in enumerate(model.elements):
         stop = _slip_stopper(model, upper, index, element)
         if stop is not None:
@@ -118,27 +112,13 @@ def _worst_by_owner(
     return list(worst.values())
 
 
-def _fixed_stopper(row: UtilisationRow) -> Stopper:
-    return Stopper(
-        limit=row.name,
-        best=row.value,
-        required=row.limit,
-        unit=row.unit,
-        against="",
-        remedy=f"{row.remedy}; no preload changes this",
-    )
-
-
 def _floor_stopper(model: PreloadModel, row: UtilisationRow) -> Stopper:
     """Return the stopper of a least preload above the permissible one."""
     element = next(e for e in model.elements if e.key == row.element)
-    return Stopper(
-        limit=row.name,
-        best=row.value,
-        required=row.limit,
-        unit=row.unit,
-        against=describe_limit(element, model.problem.requirements.bolt_utilisation),
-        remedy="a smaller require.least_preload or a larger require.bolt_utilisation",
+    return Stopper.of_row(
+        row,
+        describe_limit(element, model.problem.requirements.bolt_utilisation),
+        "a smaller require.least_preload or a larger require.bolt_utilisation",
     )
 
 
@@ -182,14 +162,7 @@ def _service_stoppers(model: PreloadModel, upper: np.ndarray, index: int) -> lis
     element = model.elements[index]
     bound = model.problem.requirements.bolt_utilisation
     return [
-        Stopper(
-            limit=", ".join(p for p in (row.kind, element.key, row.case) if p),
-            best=row.value,
-            required=row.limit,
-            unit=row.unit,
-            against=describe_limit(element, bound),
-            remedy=row.remedy,
-        )
+        Stopper.of_row(row, describe_limit(element, bound), row.remedy)
         for row in model.vdi_rows(upper, index)
         if row.binding and not row.satisfied
     ]
@@ -209,16 +182,10 @@ def _stiffness_stopper(model: PreloadModel, row: UtilisationRow, upper: np.ndarr
         for e in model.elements
         if e.joint == row.joint
     ]
-    stop = " and ".join(ends) if ends else "no preload of this joint is free"
-    return Stopper(
-        limit=row.name,
-        best=row.value,
-        required=row.limit,
-        unit=row.unit,
-        against=stop,
-        remedy=(
-            f"the preloaded connections have {100 * share:.1f} % of the compliance, so larger "
-            "bolts gain at most that; beyond it a stiffer reducer, stiffer elements, or a lower "
-            "requirement"
-        ),
+    return Stopper.of_row(
+        row,
+        " and ".join(ends) if ends else "no preload of this joint is free",
+        f"the preloaded connections have {100 * share:.1f} % of the compliance, so larger "
+        "bolts gain at most that; beyond it a stiffer reducer, stiffer elements, or a lower "
+        "requirement",
     )

@@ -65,29 +65,18 @@ class LoadCase:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LoadHistory:
-    """Torques along a motion, whose worst instants become load cases.
-
-    Parameters
-    ----------
-    time : array (K,) [s]
-    torque : array (K, n) [N m]
-    reference_torque : array (K, n), optional [N m]
-    jacobian : array (K, 3, n), optional
-    wrench, reference_wrench : array (K, n, 6), optional
-    frames : array (K, n, 3, 3), optional
-    arm : array (K, n, 3), optional
-        As of a `LoadCase`.
-    """
+    """Torques along a motion, whose worst instants become load cases."""
 
     name: str
-    time: np.ndarray
-    torque: np.ndarray
-    reference_torque: np.ndarray | None = None
-    jacobian: np.ndarray | None = None
+    time: np.ndarray  # (K,) [s]
+    torque: np.ndarray  # (K, n) [N m]
+    reference_torque: np.ndarray | None = None  # (K, n) [N m]
+    jacobian: np.ndarray | None = None  # (K, 3, n)
+    # (K, n, 6).
     wrench: np.ndarray | None = None
     reference_wrench: np.ndarray | None = None
-    frames: np.ndarray | None = None
-    arm: np.ndarray | None = None
+    frames: np.ndarray | None = None  # (K, n, 3, 3)
+    arm: np.ndarray | None = None  # (K, n, 3) as of a `LoadCase`
     source: str = "given"
 
     def __post_init__(self) -> None:
@@ -126,23 +115,12 @@ class LoadHistory:
         critical: Callable[[LoadHistory], set[int]] | None = None,
         tilted: Callable[[LoadHistory], np.ndarray] | None = None,
     ) -> tuple[LoadCase, ...]:
-        """Return the worst instants for slip, stiffness and tool deflection.
+        """Return the worst instants for slip, stiffness and tool deflection, in order of time.
 
-        Parameters
-        ----------
-        joints : tuple of int
-            1-based; each contributes its largest torque and its least stiffness.
-        compliance, windup : callable
-            (joint, torques (K,)) -> (K,) at the design [rad/(N m)], [rad].
-        critical : callable, optional
-            Indices of the worst instants for the checks of the bolts.
-        tilted : callable, optional
-            Tool deflection by tilting flanges (K, 3) [m].
-
-        Returns
-        -------
-        tuple of LoadCase
-            In order of time, each instant once.
+        Each of the `joints`, from 1, contributes its largest torque and its least stiffness, by
+        `compliance` and `windup` of joint and torques (K,) at the design. `critical` gives indices
+        of the worst instants for the checks of the bolts, `tilted` the tool deflection by tilting
+        flanges (K, 3) [m].
         """
         found = critical(self) if critical else set()
         for joint in joints:

@@ -38,15 +38,8 @@ def pose_case(
 ) -> LoadCase:
     """Return the load case of an arm at rest, with torques gravity minus J^T F.
 
-    Parameters
-    ----------
-    robot : Robot
-        Payload and tool attached.
-    angles : array (n,) [rad]
-    force : array (3,)
-        Acts ON the tool, base axes [N].
-    deflection : {"total", "dynamic", "process"}
-        "dynamic": the case has no deflection, since the arm is at rest.
+    `robot`: payload and tool attached. `angles` (n,) [rad]. `force` (3,): acts ON the tool, base
+    axes [N]. `deflection`: "dynamic": the case has no deflection, since the arm is at rest.
     """
     rest = np.zeros_like(angles)[None]
     pose = np.asarray(angles, dtype=float)[None]
@@ -80,23 +73,12 @@ def trajectory_history(
 ) -> LoadHistory:
     """Return the spring torques along a solved trajectory.
 
-    Parameters
-    ----------
-    path : path
-        CSV with the columns t, q1.., tau_spring1.. in SI, as written by a solve.
-    force : array (3,)
-        Process force of that motion [N].
-    deflection : {"total", "dynamic", "process"} or None
-        None: torques only. Otherwise tool, payload and force must be those of the motion; checked
-        if the file has tool_x.., qd1.. and qdd1...
-    whole : bool
-        Return all six components of the joint loads. Requires payload and force of the motion and
-        the columns qd1.. and qdd1...; checked.
-
-    Raises
-    ------
-    InputFileError
-        Not a trajectory file, or one of another robot.
+    `path`: CSV with the columns t, q1.., tau_spring1.. in SI, as written by a solve. `force` (3,):
+    process force of that motion [N]. `deflection`: None: torques only. Otherwise tool, payload and
+    force must be those of the motion; checked if the file has tool_x.., qd1.. and qdd1... `whole`:
+    return all six components of the joint loads. Requires payload and force of the motion and the
+    columns qd1.. and qdd1...; checked. Raises `InputFileError`: not a trajectory file, or one of
+    another robot.
     """
     path = Path(path)
     table = _TrajectoryTable(path, robot.n)
@@ -165,18 +147,9 @@ def motion_histories(
 ) -> tuple[LoadHistory, ...]:
     """Return torques and poses along a motion by pinocchio, on the certificate's grid.
 
-    Parameters
-    ----------
-    problem : TrajectoryProblem
-        Robot and process force.
-    objective : str
-        Minimised deflection.
-
-    Returns
-    -------
-    tuple of LoadHistory
-        First the history of that deflection; a second one of the full spring torque if the process
-        force does not count in the deflection.
+    `problem`: robot and process force. `objective`: minimised deflection. First the history of that
+    deflection; a second one of the full spring torque if the process force does not count in the
+    deflection.
     """
     body = rigid_body_history(problem.robot, motion.position, motion.velocity, motion.acceleration)
     # Loaded and reference torque. Dynamic: less the sag, without force. Process: by the force only.

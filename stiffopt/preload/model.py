@@ -98,6 +98,12 @@ class PreloadModel:
         part = self.slices[index]
         return [preloads[i] for i in range(part.start, part.stop)]
 
+    def replaced(self, preloads: np.ndarray, index: int, own: float | np.ndarray) -> np.ndarray:
+        """Return the design vector with other preloads of one element [N]."""
+        changed = preloads.copy()
+        changed[self.slices[index]] = own
+        return changed
+
     @cached_property
     def present(self) -> PreloadModel:
         """Model of the present robot, whose preloads are interpreted as in the robot file."""
@@ -182,6 +188,11 @@ class PreloadModel:
         element = self.elements[index]
         least = self._mean_least_preload(preloads, index)
         return element.stage.element.slip_torque(least) * element.stage.reduction
+
+    def slip_torque_per_preload(self, index: int) -> float:
+        """Return the joint torque at slip for a least preload of 1 N, to which it is linear."""
+        largest = self.elements[index].largest(1.0)
+        return float(self.slip_torque(self.replaced(self.design, index, largest), index))
 
     # ---- exact law
 

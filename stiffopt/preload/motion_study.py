@@ -41,31 +41,12 @@ def motion_study(
     *,
     progress: ProgressCallback | None = None,
 ) -> MotionStudy:
-    """Optimise preloads and motion together.
+    """Optimise preloads and motion together, in at most `rounds` rounds.
 
-    Parameters
-    ----------
-    problem : PreloadProblem
-        Free preloads, and requirements on slip safety, bolt utilisation and least preload under the
-        motion and the study's load cases. Preloads within a connection are equal.
-    trajectory_problem : TrajectoryProblem
-        Minimises the peak of one deflection, which is the objective of the preloads as well.
-    rounds : int
-        Largest number.
-    progress : callable, optional
-        Called with a `SolveProgress` in every iteration of every solve.
-
-    Returns
-    -------
-    MotionStudy
-        After Ctrl-C the best so far, with the status interrupted.
-
-    Raises
-    ------
-    ProblemError
-        The motion's objective does not depend on preloads, or the robots differ.
-    NoSolutionFound
-        No feasible motion, or no feasible preloads for it.
+    Preloads within a connection are equal; the motion minimises the peak of one deflection, which
+    is the objective of the preloads as well. After Ctrl-C the best so far is returned. Raises
+    `ProblemError` where the motion's objective does not depend on preloads or the robots differ,
+    `NoSolutionFound` without a feasible motion or preloads for it.
     """
     return _JointStudy(problem, trajectory_problem, progress).run(rounds)
 
@@ -73,10 +54,7 @@ def motion_study(
 def deflection_objective(problem: TrajectoryProblem) -> str:
     """Return the name of the tool deflection that a motion minimises.
 
-    Raises
-    ------
-    ProblemError
-        The objective is not the peak of a tool deflection alone.
+    Raises `ProblemError`: the objective is not the peak of a tool deflection alone.
     """
     first = problem.objectives[0]
     if len(problem.objectives) == 1 and first.kind.deflection_part and first.measure == "peak":
@@ -142,7 +120,8 @@ class _JointStudy:
             moved = self._optimise_motion(last.vector, last.end)
             tightened = self._optimise_preloads(moved) if self._is_usable(moved) else None
             if tightened is None:
-                self._note_end(moved)
+                if not (self.interrupted or self._is_usable(moved)):
+                    self.remarks.append(f"The rounds ended: {moved.motion.message}")
                 break
             pairs.append((moved, tightened))
             self.converged = (
@@ -318,10 +297,6 @@ class _JointStudy:
                 f"is raised: {', '.join(raised)}."
             )
 
-    def _note_end(self, moved: _Design) -> None:
-        if not (self.interrupted or self._is_usable(moved)):
-            self.remarks.append(f"The rounds ended: {moved.motion.message}")
-
     def _progress_callback(self) -> Callable[[SolveProgress | Progress], object] | None:
         """Return a callback that reports the stage of the study with a solve's progress."""
         if self.progress is None:
@@ -398,65 +373,35 @@ def _motion_subproblem(problem: PreloadProblem) -> PreloadProblem:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotionRound:
-    """Round of the alternation.
+    """Round of the alternation."""
 
-    Parameters
-    ----------
-    deflection_before_preload, deflection_after : float
-        Of the new motion, with the preloads before and after their optimisation [m].
-    preloads : mapping of element key to float
-        Largest assembly preload after the round [N].
-    """
-
+    # Of the new motion, with the preloads before and after their optimisation [m].
     deflection_before_preload: float
     deflection_after: float
-    preloads: Mapping[str, float]
+    preloads: Mapping[str, float]  # by element key: largest assembly preload after the round [N]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotionStudy:
-    """Result of a joint optimisation of preloads and motion.
+    """Result of a joint optimisation of preloads and motion."""
 
-    Parameters
-    ----------
-    status : SolveStatus
-        acceptable if the rounds ended before the deflection converged.
-    objective_name : str
-        Deflection whose peak is minimised, by the exact law at the least preloads.
-    start : float
-        Of the motion optimised at the start preloads, with these [m].
-    separate : float
-        Of the same motion with optimised preloads [m]; nan if interrupted before.
-    joint : float
-        Of both optimised together [m]; at most `separate`.
-    gain : float
-        1 - joint/separate.
-    start_preloads, separate_preloads, preloads : mapping of element key to float
-        Largest assembly preload [N].
-    trajectory : Solution
-        The motion of `joint`, assessed with its preloads.
-    separate_trajectory : Solution
-        The motion of `start` and `separate`, assessed with the preloads of `separate`.
-    preload_solution : PreloadSolution or None
-        Preload solution of `joint`.
-    note : str
-        Interpretation of the result.
-    """
-
-    status: SolveStatus
+    status: SolveStatus  # acceptable if the rounds ended before the deflection converged
+    # Deflection whose peak is minimised, by the exact law at the least preloads.
     objective_name: str
-    start: float
-    separate: float
-    joint: float
-    gain: float
+    start: float  # of the motion optimised at the start preloads, with these [m]
+    separate: float  # of the same motion with optimised preloads [m]; nan if interrupted before
+    joint: float  # of both optimised together [m]; at most `separate`
+    gain: float  # 1 - joint/separate
     rounds: tuple[MotionRound, ...]
+    # By element key: largest assembly preload [N].
     start_preloads: Mapping[str, float]
     separate_preloads: Mapping[str, float]
     preloads: Mapping[str, float]
-    trajectory: Solution
+    trajectory: Solution  # the motion of `joint`, assessed with its preloads
+    # The motion of `start` and `separate`, assessed with the preloads of `separate`.
     separate_trajectory: Solution
-    preload_solution: PreloadSolution | None
-    note: str
+    preload_solution: PreloadSolution | None  # preload solution of `joint`
+    note: str  # interpretation of the result
     seconds: float
 
 

@@ -7,13 +7,13 @@ so an optimum for the least preload or the most stiffness is the global one.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import casadi as ca
 import numpy as np
 
-from stiffopt.preload.exact_shift import exact_shift
+from stiffopt.preload.exact_shift import ExactShift, exact_shift, shift_shapes
 from stiffopt.preload.model import PreloadModel
 from stiffopt.symbolic import Quantity
 from stiffopt.transcription.nlp import Blocks, Nlp
@@ -33,35 +33,20 @@ _MIN_SERVICE_PRELOAD_SHARE, _NEGLIGIBLE_PRELOAD_SHARE = 0.02, 1e-3
 
 @dataclass(frozen=True)
 class Levels:
-    """Scales of the objectives, which make them of order one.
+    """Scales of the objectives, which make them of order one."""
 
-    Parameters
-    ----------
-    stiffness : mapping of joint number to float
-        Weights of joint_stiffness [N m/rad].
-    deflection : float
-        [m]
-    """
-
-    stiffness: Mapping[int, float]
-    deflection: float
+    stiffness: Mapping[int, float]  # by joint number: weights of joint_stiffness [N m/rad]
+    deflection: float  # [m]
 
 
 class PreloadNlp:
     """NLP of a study under fixed load cases.
 
-    Parameters
-    ----------
-    objective : str
-        A name in `stiffopt.preload.problem.OBJECTIVES`.
-    ceiling : (objective, float) or None
-        Upper bound of another objective, "bolt_utilisation" or "tool_deflection", while the total
-        preload is minimised.
-
-    Notes
-    -----
-    The ceiling is an elastic constraint. A hard one at an optimum leaves no interior: multipliers
-    grow beyond 1e8, IPOPT scales its residuals by them and accepts points that are not optimal.
+    `objective`: a name in `stiffopt.preload.problem.OBJECTIVES`. `ceiling` (objective, float):
+    upper bound of another objective, "bolt_utilisation" or "tool_deflection", while the total
+    preload is minimised. The ceiling is an elastic constraint. A hard one at an optimum leaves no
+    interior: multipliers grow beyond 1e8, IPOPT scales its residuals by them and accepts points
+    that are not optimal.
     """
 
     def __init__(
@@ -79,13 +64,9 @@ class PreloadNlp:
         self._x = ca.SX.sym("preload", model.size)
         self._z = ca.SX.sym("level", self._level_count)
         # Corrections of compliances and net wind-ups to the exact law: see `ExactShift`.
-        cases = len(model.cases)
-        self._rest_compliance = ca.SX.sym("compliance", len(self.joints), cases)
-        self._compliance_slope = ca.SX.sym("compliance slope", model.size, cases)
-        self._rest_windup = ca.SX.sym("windup", self.n, cases)
-        self._windup_slope = ca.SX.sym("windup slope", model.size, cases)
-        self._tilt = ca.SX.sym("tilt", len(model.elements))
-        self._tilt_slope = ca.SX.sym("tilt slope", len(model.elements))
+        names = (field.name for field in fields(ExactShift))
+        shapes = shift_shapes(model)
+        self._shift = ExactShift(*(ca.SX.sym(n, *s) for n, s in zip(names, shapes, strict=True)))
         self._preloads = self._x * ca.DM(self.scale)
         # Compliances of a joint, shared by requirement and objective.
         self._built_compliances: dict[int, list[Quantity]] = {}
@@ -125,14 +106,7 @@ class PreloadNlp:
         lower_g, upper_g = rows.bounds()
         return Nlp(
             x=ca.vertcat(self._x, self._z),
-            p=ca.vertcat(
-                ca.vec(self._rest_compliance),
-                ca.vec(self._compliance_slope),
-                ca.vec(self._rest_windup),
-                ca.vec(self._windup_slope),
-                self._tilt,
-                self._tilt_slope,
-            ),
+            p=ca.vertcat(*map(ca.vec, vars(self._shift).values())),
             f=self._objective_expression(),
             g=ca.SX(ca.vertcat(*values)) if values else ca.SX.zeros(0, 1),
             variables=variables,
@@ -155,7 +129,7 @@ class PreloadNlp:
         lower, upper = [], []
         for index, element in enumerate(self.model.elements):
             torque = max(abs(float(c.torque[element.joint - 1])) for c in self.model.cases)
-            unit = float(self.model.slip_torque(self._at_least(index, 1.0), index))
+            unit = self.model.slip_torque_per_preload(index)
             carried = element.largest(torque / unit)
             tightened = needs.least_preload * element.capacity
             most = [*element.ends(needs.bolt_utilisation).values()]
@@ -175,13 +149,6 @@ class PreloadNlp:
             lower.append(max(least))
             upper.append(min(most))
         return self.model.spread(lower), self.model.spread(upper)
-
-    def _at_least(self, index: int, least: float) -> np.ndarray:
-        """Return the design vector with a given least preload of an element [N]."""
-        preloads = self.model.design.copy()
-        element = self.model.elements[index]
-        preloads[self.model.slices[index]] = element.largest(least)
-        return preloads
 
     def _preload_labels(self) -> list[str]:
         labels = []
@@ -231,8 +198,8 @@ class PreloadNlp:
             smooth = self.model.compliances(self._preloads, joint)
             self._built_compliances[joint] = [
                 smooth[k]
-                + self._rest_compliance[row, k]
-                + self._linear_term(self._compliance_slope, joint, k)
+                + self._shift.compliance[row, k]
+                + self._linear_term(self._shift.compliance_slope, joint, k)
                 for k in range(len(self.model.cases))
             ]
         return self._built_compliances[joint]
@@ -255,10 +222,10 @@ class PreloadNlp:
                 continue
             angles = []
             for j in range(self.n):
-                angle = self._rest_windup[j, k]
+                angle = self._shift.windup[j, k]
                 if j + 1 in self.joints:
                     angle = angle + smooth[j + 1][k]
-                    angle = angle + self._linear_term(self._windup_slope, j + 1, k)
+                    angle = angle + self._linear_term(self._shift.windup_slope, j + 1, k)
                 angles.append(angle)
             vector = ca.mtimes(ca.DM(case.jacobian), ca.vertcat(*angles)) + self._tilt_deflection(k)
             found.append((case.name, ca.sumsqr(vector)))
@@ -271,8 +238,9 @@ class PreloadNlp:
         for index, vectors in enumerate(model.tilt_vectors):
             if vectors[k].any():
                 own = model.of_element(self._preloads, index)
-                compliance = model.tilt_compliance(self._preloads, index) + self._tilt[index]
-                compliance = compliance + self._tilt_slope[index] * sum(own[1:], own[0]) / len(own)
+                slope = self._shift.tilt_slope[index] * sum(own[1:], own[0]) / len(own)
+                compliance = model.tilt_compliance(self._preloads, index)
+                compliance = compliance + self._shift.tilt[index] + slope
                 total = total + compliance * ca.DM(vectors[k])
         return total
 
@@ -336,15 +304,7 @@ class PreloadNlp:
             compliances=self.depends_on_stiffness,
             windups=self.depends_on_deflection,
         )
-        parts = (
-            shift.compliance,
-            shift.compliance_slope,
-            shift.windup,
-            shift.windup_slope,
-            shift.tilt,
-            shift.tilt_slope,
-        )
-        return np.concatenate([part.ravel(order="F") for part in parts])
+        return np.concatenate([part.ravel(order="F") for part in vars(shift).values()])
 
     @property
     def depends_on_stiffness(self) -> bool:

@@ -27,58 +27,29 @@ _LEVEL_TOLERANCE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class ParetoPoint:
-    """Least preloads for a level of stiffness.
+    """Least preloads for a level of stiffness."""
 
-    Parameters
-    ----------
-    total_preload : float
-        Sum of the preloads of all bolts and pins [N].
-    level : float
-        Least k_j / weight_j over joints and load cases [-].
-    stiffness : tuple of float
-        Least over the load cases of each joint, by the exact law [N m/rad].
-    preloads : mapping of element key to float
-        Largest assembly preload, mean of individual ones [N].
-    active : tuple of str
-        Names of the active requirements.
-    kkt_residual : float
-        See `stiffopt.solver.ipopt.kkt_residual`.
-    """
-
-    total_preload: float
-    level: float
+    total_preload: float  # sum of the preloads of all bolts and pins [N]
+    level: float  # least k_j / weight_j over joints and load cases [-]
+    # Least over the load cases of each joint, by the exact law [N m/rad].
     stiffness: tuple[float, ...]
+    # By element key: largest assembly preload, mean of individual ones [N].
     preloads: Mapping[str, float]
-    active: tuple[str, ...]
-    kkt_residual: float
+    active: tuple[str, ...]  # names of the active requirements
+    kkt_residual: float  # see `stiffopt.solver.ipopt.kkt_residual`
 
 
 @dataclass(frozen=True, eq=False)
 class ParetoFront:
-    """Designs of which none has both less preload and more stiffness than another.
+    """Designs of which none has both less preload and more stiffness than another."""
 
-    Parameters
-    ----------
-    points : tuple of ParetoPoint
-        By ascending total preload.
-    knee : int
-        Position of the knee in `points`.
-    knee_reason : str
-        Definition and location of the knee.
-    note : str
-        Gain along the front.
-    weights : mapping of joint number to float
-        Stiffness of level 1 [N m/rad]: given, or that at the largest preloads.
-    interrupted : bool
-        Stopped by Ctrl-C; the points are those found so far.
-    """
-
-    points: tuple[ParetoPoint, ...]
-    knee: int
-    knee_reason: str
-    note: str
+    points: tuple[ParetoPoint, ...]  # by ascending total preload
+    knee: int  # position of the knee in `points`
+    knee_reason: str  # definition and location of the knee
+    note: str  # gain along the front
+    # By joint number: stiffness of level 1 [N m/rad]: given, or that at the largest preloads.
     weights: Mapping[int, float]
-    interrupted: bool = False
+    interrupted: bool = False  # stopped by Ctrl-C; the points are those found so far
 
 
 def pareto_front(
@@ -90,26 +61,9 @@ def pareto_front(
 ) -> ParetoFront:
     """Compute the front of least total preload over required stiffness.
 
-    Parameters
-    ----------
-    problem : PreloadProblem
-        Its requirements hold along the front, except joint stiffness, which is varied.
-    cases : sequence of LoadCase
-        Loads of the designs; worst instants of motions are not updated.
-    points : int
-        Evenly spaced levels, 2 or more; some more are added beside the knee.
-    progress : callable, optional
-        Called with a `Progress` in every iteration.
-
-    Returns
-    -------
-    ParetoFront
-        A single point if the limits fix the stiffness.
-
-    Raises
-    ------
-    NoSolutionFound
-        No preload satisfies the other requirements.
+    Other requirements hold along the front; loads stay `cases`. `points` levels are evenly spaced,
+    some more are added beside the knee; a single point if the limits fix the stiffness. Raises
+    `NoSolutionFound` where no preload satisfies the other requirements.
     """
     trace = _FrontTrace(problem, tuple(cases), progress)
     least, most = trace.least_level, trace.most_level

@@ -175,33 +175,15 @@ class Choice:
 
 @dataclass(frozen=True)
 class FreeElement:
-    """Connection with a free preload.
+    """Connection with a free preload."""
 
-    Parameters
-    ----------
-    joint : int
-        1-based.
-    stage : Stage
-        The connection with its present preload and place in the drivetrain.
-    limits : tuple of PreloadLimit
-        On the largest assembly preload.
-    count : int
-        Bolts or pins.
-    loss : float
-        Preload loss of one bolt or pin by embedding and temperature [N].
-    scatter : float
-        alpha_A, largest over least preload at assembly.
-    key : str
-        Name in results.
-    """
-
-    joint: int
-    stage: Stage
-    limits: tuple[PreloadLimit, ...]
-    count: int
-    loss: float
-    scatter: float
-    key: str
+    joint: int  # 1-based
+    stage: Stage  # the connection with its present preload and place in the drivetrain
+    limits: tuple[PreloadLimit, ...]  # on the largest assembly preload
+    count: int  # bolts or pins
+    loss: float  # preload loss of one bolt or pin by embedding and temperature [N]
+    scatter: float  # alpha_A, largest over least preload at assembly
+    key: str  # name in results
 
     @property
     def name(self) -> str:

@@ -8,7 +8,6 @@ from pydantic import Field, model_validator
 
 from stiffopt.declaration import (
     POSITIVE,
-    Angle,
     Bounds,
     Doc,
     Force,
@@ -20,7 +19,7 @@ from stiffopt.declaration import (
 )
 from stiffopt.fastening.tightening import Tightening
 from stiffopt.preload.problem import Choice, Requirements
-from stiffopt.problem.schema import PayloadSection, ToolSection, Vector3
+from stiffopt.problem.schema import Force3, PayloadSection, RollPitchYaw, ToolSection, Vector3
 from stiffopt.validation import Section
 
 # Keys of a load case of which exactly one gives the origin of its torques.
@@ -50,17 +49,16 @@ class LoadCaseSection(Section):
     ] = None
     joints: Annotated[list[JointPosition] | None, Doc("Pose at rest, one a joint.")] = None
     position: Annotated[Vector3 | None, Doc("Place of the tool in a pose at rest.")] = None
-    rpy: Annotated[
-        tuple[Angle, Angle, Angle] | None, Doc("Roll, pitch and yaw of the tool at `position`.")
-    ] = None
+    rpy: Annotated[RollPitchYaw | None, Doc("Roll, pitch and yaw of the tool at `position`.")] = (
+        None
+    )
     near: Annotated[
         list[JointPosition] | None,
         Doc("Chooses between the solutions of the inverse kinematics for `position`."),
     ] = None
-    force: Annotated[
-        tuple[Force, Force, Force] | None,
-        Doc("Acts ON the tool, base axes; default that of [tool]."),
-    ] = None
+    force: Annotated[Force3 | None, Doc("Acts ON the tool, base axes; default that of [tool].")] = (
+        None
+    )
 
     @model_validator(mode="after")
     def _one_kind(self) -> LoadCaseSection:

@@ -16,85 +16,45 @@ from stiffopt.preload.model import PreloadModel
 
 @dataclass(frozen=True, kw_only=True)
 class PreloadWorth:
-    """Sensitivity of a joint's stiffness to the preload of an element's bolts or pins.
-
-    Parameters
-    ----------
-    key : str
-        Key of the element.
-    joint : int
-        1-based.
-    stiffness : float
-        Exact tangent stiffness K of the joint [N m/rad].
-    slope : float
-        dK/dF [N m/rad per N], F the largest assembly preload of one bolt or pin; 0 where a
-        connection slips.
-    elasticity : float
-        d ln K/d ln F [-].
-    """
+    """Sensitivity of a joint's stiffness to the preload of an element's bolts or pins."""
 
     key: str
-    joint: int
+    joint: int  # 1-based
     case: str
-    stiffness: float
+    stiffness: float  # exact tangent stiffness K of the joint [N m/rad]
+    # dK/dF [N m/rad per N], F the largest assembly preload of one bolt or pin; 0 where a connection
+    # slips.
     slope: float
-    elasticity: float
+    elasticity: float  # d ln K/d ln F [-]
 
 
 @dataclass(frozen=True, kw_only=True)
 class WindupShare:
-    """Share of an element in wind-up and compliance of its joint.
+    """Share of an element in wind-up and compliance of its joint."""
 
-    Parameters
-    ----------
-    joint : int
-        1-based.
-    kind : str
-        Kind of connection, such as "reducer".
-    share : float
-        Of the wind-up from zero to the torque of the case [-].
-    compliance_share : float
-        Of the tangent compliance at that torque [-].
-    """
-
-    joint: int
+    joint: int  # 1-based
     case: str
     element: str
-    kind: str
-    share: float
-    compliance_share: float
+    kind: str  # kind of connection, such as "reducer"
+    share: float  # of the wind-up from zero to the torque of the case [-]
+    compliance_share: float  # of the tangent compliance at that torque [-]
 
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """Sensitivities to the preloads and shares of the elements at one design.
+    """Sensitivities to the preloads and shares of the elements at one design."""
 
-    Parameters
-    ----------
-    worth : tuple of PreloadWorth
-        Every free element in every load case.
-    shares : tuple of WindupShare
-        Every element of the study's joints in every load case, from motor to link; shares of a
-        joint and case sum to 1.
-    weakest : dict of joint number to element name
-        Largest share of the wind-up under the largest torque of the joint.
-    """
-
-    worth: tuple[PreloadWorth, ...]
+    worth: tuple[PreloadWorth, ...]  # every free element in every load case
+    # Every element of the study's joints in every load case, from motor to link; shares of a joint
+    # and case sum to 1.
     shares: tuple[WindupShare, ...]
+    # By joint number: largest share of the wind-up under the largest torque of the joint.
     weakest: dict[int, str]
 
 
 def sensitivity(model: PreloadModel, preloads: np.ndarray) -> Sensitivity:
-    """Compute sensitivities to the preloads and shares of the elements in wind-up.
+    """Compute sensitivities to the largest preloads [N] and shares of the elements in wind-up.
 
-    Parameters
-    ----------
-    preloads : array (size,)
-        Largest preloads [N].
-
-    Notes
-    -----
     Stiffness and shares follow the exact law. The slope is -K^2 dC/dF with the derivative of the
     smooth law, valid up to 0.95 of the slip torque.
     """
@@ -133,16 +93,7 @@ def _preload_worths(model: PreloadModel, preloads: np.ndarray) -> Iterator[Prelo
 
 
 def compliance_slopes(model: PreloadModel, preloads: np.ndarray) -> np.ndarray:
-    """Return the derivatives of the joints' tangent compliances by the preloads.
-
-    Parameters
-    ----------
-    preloads : array (size,) [N]
-
-    Returns
-    -------
-    array (joints, cases, size) [rad/(N m) per N]
-    """
+    """Derivatives of tangent compliances by preloads (joints, cases, size) [rad/(N m) per N]."""
     symbol = ca.SX.sym("preload", model.size)
     joints = model.problem.joints
     values = [model.compliances(symbol, joint) for joint in joints]
@@ -178,53 +129,26 @@ def _windup_shares(model: PreloadModel, preloads: np.ndarray) -> Iterator[Windup
 
 @dataclass(frozen=True, kw_only=True)
 class LoosenedConnection:
-    """Joint with one connection at a fraction of its preload, under its largest torque.
-
-    Parameters
-    ----------
-    key : str
-        Key of the element.
-    joint : int
-        1-based.
-    fraction : float
-        Of the least preload in service, for all bolts or pins of the element [-].
-    case : str
-        Load case with the largest torque at the joint.
-    slip_safety : float
-        Slip torque over torque [-]; infinite without torque.
-    first_slip : bool
-        The rim of the ring slips; pins at one radius slip simultaneously.
-    slips : bool
-        The whole connection slips.
-    stiffness : float
-        Tangent stiffness of the joint by the exact law [N m/rad]; 0 in slip.
-    lost : float
-        Relative loss of the joint stiffness [-].
-    """
+    """Joint with one connection at a fraction of its preload, under its largest torque."""
 
     key: str
-    joint: int
-    fraction: float
-    case: str
-    slip_safety: float
-    first_slip: bool
-    slips: bool
-    stiffness: float
-    lost: float
+    joint: int  # 1-based
+    fraction: float  # of the least preload in service, for all bolts or pins of the element [-]
+    case: str  # load case with the largest torque at the joint
+    slip_safety: float  # slip torque over torque [-]; infinite without torque
+    first_slip: bool  # the rim of the ring slips; pins at one radius slip simultaneously
+    slips: bool  # the whole connection slips
+    stiffness: float  # tangent stiffness of the joint by the exact law [N m/rad]; 0 in slip
+    lost: float  # relative loss of the joint stiffness [-]
 
 
 @dataclass(frozen=True)
 class Loosening:
-    """Joints of a study with one connection loosened at a time.
-
-    Parameters
-    ----------
-    first_slip_fraction, slip_fraction : dict of element key to float
-        Fraction of the least preload below which the rim, or the whole connection, slips under the
-        largest torque [-]; above 1 if it slips at full preload.
-    """
+    """Joints of a study with one connection loosened at a time."""
 
     rows: tuple[LoosenedConnection, ...]
+    # By element key: fraction of the least preload below which the rim, or the whole connection,
+    # slips under the largest torque [-]; above 1 if it slips at full preload.
     first_slip_fraction: dict[str, float]
     slip_fraction: dict[str, float]
 
@@ -236,10 +160,7 @@ def loosening(
 ) -> Loosening:
     """Loosen one connection at a time, to fractions of its least preload in service.
 
-    Parameters
-    ----------
-    preloads : array (size,)
-        Largest assembly preloads [N].
+    `preloads` (size,): largest assembly preloads [N].
     """
     rims = [first_slip_torque(model, preloads, i) for i in range(len(model.elements))]
     slips = [float(model.slip_torque(preloads, i)) for i in range(len(model.elements))]
@@ -274,10 +195,8 @@ def loosen_element(
     model: PreloadModel, preloads: np.ndarray, index: int, fraction: float
 ) -> np.ndarray:
     """Return the design vector with a fraction of the least preloads of one element [N]."""
-    element, part = model.elements[index], model.slices[index]
-    changed = preloads.copy()
-    changed[part] = element.largest(fraction * element.least(preloads[part]))
-    return changed
+    element, own = model.elements[index], preloads[model.slices[index]]
+    return model.replaced(preloads, index, element.largest(fraction * element.least(own)))
 
 
 def _loosened_rows(

@@ -30,54 +30,31 @@ _MESSAGE_BY_STATUS = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PreloadSolution:
-    """Preloads of a study with stiffness, deflection and utilisation by the exact law.
-
-    Parameters
-    ----------
-    preloads : mapping of element key to float
-        Largest assembly preload of one bolt or pin, mean of individual ones [N].
-    individual : mapping of element key to tuple of float
-        One number per bolt or pin [N]; empty unless individual preloads are free.
-    tightening : mapping of element key to WorkshopTorque or None
-        None without a given screw.
-    vector : array (size,)
-        The design vector [N].
-    cases : tuple of LoadCase
-        Load cases, including the worst instants of motions.
-    rows, rows_before : tuple of UtilisationRow
-        Of this design and of the robot's present preloads.
-    stiffness, stiffness_before : array (joints, cases)
-        Tangent stiffness [N m/rad]; zero in slip.
-    deflection, deflection_before : array (cases,)
-        Of the tool [m]; nan for cases without a pose.
-    objective : float
-        In its unit.
-    total_preload : float
-        [N]
-    kkt_residual : float
-        See `stiffopt.solver.ipopt.kkt_residual`; nan without a solve.
-    stoppers : tuple of Stopper
-        Reasons of infeasibility; empty if feasible.
-    """
+    """Preloads of a study with stiffness, deflection and utilisation by the exact law."""
 
     status: SolveStatus
     message: str
+    # By element key: largest assembly preload of one bolt or pin, mean of individual ones [N].
     preloads: Mapping[str, float]
+    # By element key: one number per bolt or pin [N]; empty unless individual preloads are free.
     individual: Mapping[str, tuple[float, ...]]
-    tightening: Mapping[str, WorkshopTorque | None]
-    vector: np.ndarray
-    cases: tuple[LoadCase, ...]
+    tightening: Mapping[str, WorkshopTorque | None]  # by element key: None without a given screw
+    vector: np.ndarray  # (size,) the design vector [N]
+    cases: tuple[LoadCase, ...]  # load cases, including the worst instants of motions
+    # Of this design and of the robot's present preloads.
     rows: tuple[UtilisationRow, ...]
     rows_before: tuple[UtilisationRow, ...]
+    # (joints, cases) tangent stiffness [N m/rad]; zero in slip.
     stiffness: np.ndarray
     stiffness_before: np.ndarray
+    # (cases,) of the tool [m]; nan for cases without a pose.
     deflection: np.ndarray
     deflection_before: np.ndarray
-    objective: float
-    total_preload: float
-    kkt_residual: float
+    objective: float  # in its unit
+    total_preload: float  # [N]
+    kkt_residual: float  # see `stiffopt.solver.ipopt.kkt_residual`; nan without a solve
     iterations: int
-    stoppers: tuple[Stopper, ...] = ()
+    stoppers: tuple[Stopper, ...] = ()  # reasons of infeasibility; empty if feasible
     notes: tuple[str, ...] = field(default_factory=tuple)
 
     @property
@@ -97,12 +74,8 @@ def evaluate_design(
 ) -> PreloadSolution:
     """Evaluate a design by the exact law.
 
-    Parameters
-    ----------
-    preloads : array (size,) [N]
-    status : SolveStatus
-        Of the solver; a usable one becomes `certificate_failed` if a requirement is exceeded by the
-        exact law.
+    `preloads` (size,) [N]. `status`: of the solver; a usable one becomes `certificate_failed` if a
+    requirement is exceeded by the exact law.
     """
     rows = utilisation_rows(model, preloads)
     if status.usable and not all(row.satisfied for row in rows):

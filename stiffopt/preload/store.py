@@ -33,75 +33,62 @@ CURVES_FILE = "study.csv"
 
 
 def study_document(study: PreloadStudy) -> dict[str, Any]:
-    """Return the content of study.json.
-
-    Parameters
-    ----------
-    study : PreloadStudy
-        Of any status; missing parts (front, choice, motion) are None.
-
-    Returns
-    -------
-    dict
-        Plain numbers, strings, lists and dicts; no NaN and no infinity.
-    """
+    """Content of study.json as plain data; missing parts (front, choice, motion) are None."""
     with with_own(study.problem.robot.own):
-        return _compose_document(study)
-
-
-def _compose_document(study: PreloadStudy) -> dict[str, Any]:
-    problem, solution = study.problem, study.solution
-    document = {
-        "schema": SCHEMA,
-        "status": str(solution.status),
-        "message": solution.message,
-        "objective": {
-            "name": problem.objective,
-            "value": solution.objective,
-            "unit": OBJECTIVES[problem.objective],
-        },
-        "preloads": solution.preloads,
-        "individual": solution.individual,
-        "least_preloads": {e.key: e.least(solution.preloads[e.key]) for e in problem.elements},
-        "tightening_torques": solution.tightening,
-        "utilisations": {row.name: row.utilisation for row in solution.rows},
-        "active_limits": solution.active,
-        **_stiffness_entries(study),
-        "tool_deflection": _values_by_case(solution, solution.deflection),
-        "tool_deflection_before": _values_by_case(solution, solution.deflection_before),
-        "kkt_residual": solution.kkt_residual,
-        "iterations": solution.iterations,
-        "values": {name: value for name, (value, _) in named_values(study).items()},
-        "rows": [{"name": row.name, **vars(row), "active": row.active} for row in solution.rows],
-        "bolts": {sheet.key: _sheet_entry(sheet) for sheet in _study_sheets(study)},
-        "stoppers": solution.stoppers,
-        "load_cases": [
-            {
-                "name": c.name,
-                "torque": c.torque,
-                "wrench": c.wrench,
-                "time": c.time,
-                "source": c.source,
-            }
-            for c in solution.cases
-        ],
-        "tightening": {**vars(problem.tightening), "scatter": problem.tightening.alpha},
-        "front": study.front,
-        "choice": None if study.choice is None else _choice_entry(study.choice),
-        "sensitivity": {
-            "worth": study.sensitivity.worth,
-            "windup_shares": study.sensitivity.shares,
-            "weakest": study.sensitivity.weakest,
-        },
-        "loosening": study.loosening,
-        "motion": None if study.motion is None else _motion_entry(study.motion),
-        "notes": solution.notes,
-        "seconds": study.seconds,
-        "inputs_hash": study_hash(problem),
-        "versions": study.versions,
-    }
-    found: dict[str, Any] = to_json_types(document)
-    return found
+        problem, solution = study.problem, study.solution
+        document = {
+            "schema": SCHEMA,
+            "status": str(solution.status),
+            "message": solution.message,
+            "objective": {
+                "name": problem.objective,
+                "value": solution.objective,
+                "unit": OBJECTIVES[problem.objective],
+            },
+            "preloads": solution.preloads,
+            "individual": solution.individual,
+            "least_preloads": {e.key: e.least(solution.preloads[e.key]) for e in problem.elements},
+            "tightening_torques": solution.tightening,
+            "utilisations": {row.name: row.utilisation for row in solution.rows},
+            "active_limits": solution.active,
+            **_stiffness_entries(study),
+            "tool_deflection": _values_by_case(solution, solution.deflection),
+            "tool_deflection_before": _values_by_case(solution, solution.deflection_before),
+            "kkt_residual": solution.kkt_residual,
+            "iterations": solution.iterations,
+            "values": {name: value for name, (value, _) in named_values(study).items()},
+            "rows": [
+                {"name": row.name, **vars(row), "active": row.active} for row in solution.rows
+            ],
+            "bolts": {sheet.key: _sheet_entry(sheet) for sheet in _study_sheets(study)},
+            "stoppers": solution.stoppers,
+            "load_cases": [
+                {
+                    "name": c.name,
+                    "torque": c.torque,
+                    "wrench": c.wrench,
+                    "time": c.time,
+                    "source": c.source,
+                }
+                for c in solution.cases
+            ],
+            "tightening": {**vars(problem.tightening), "scatter": problem.tightening.alpha},
+            "front": study.front,
+            "choice": None if study.choice is None else _choice_entry(study.choice),
+            "sensitivity": {
+                "worth": study.sensitivity.worth,
+                "windup_shares": study.sensitivity.shares,
+                "weakest": study.sensitivity.weakest,
+            },
+            "loosening": study.loosening,
+            "motion": None if study.motion is None else _motion_entry(study.motion),
+            "notes": solution.notes,
+            "seconds": study.seconds,
+            "inputs_hash": study_hash(problem),
+            "versions": study.versions,
+        }
+        found: dict[str, Any] = to_json_types(document)
+        return found
 
 
 def study_hash(problem: PreloadProblem) -> str:

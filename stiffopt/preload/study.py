@@ -30,31 +30,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PreloadStudy:
-    """Result of a study.
-
-    Parameters
-    ----------
-    solution : PreloadSolution
-        The optimum, or the best reachable design with the reasons of infeasibility.
-    front : ParetoFront or None
-        None if infeasible.
-    choice : CatalogueChoice or None
-        None unless the study has [choose].
-    motion : MotionStudy or None
-        None unless the study has [motion].
-    stopped : bool
-        Stopped by Ctrl-C between solves; missing parts are None.
-    """
+    """Result of a study."""
 
     problem: PreloadProblem
+    # The optimum, or the best reachable design with the reasons of infeasibility.
     solution: PreloadSolution
     curves: tuple[PreloadCurve, ...]
     loosening: Loosening
     sensitivity: Sensitivity
-    front: ParetoFront | None = None
-    choice: CatalogueChoice | None = None
-    motion: MotionStudy | None = None
-    stopped: bool = False
+    front: ParetoFront | None = None  # None if infeasible
+    choice: CatalogueChoice | None = None  # None unless the study has [choose]
+    motion: MotionStudy | None = None  # None unless the study has [motion]
+    stopped: bool = False  # stopped by Ctrl-C between solves; missing parts are None
     seconds: float = 0.0
     versions: dict[str, str]
 
@@ -97,47 +84,39 @@ def preload_study(
         Of any status; an infeasible study has no front and no joint study.
     """
     with with_own(problem.robot.own):
-        return _run_study(problem, motion, rounds, front_points, progress)
-
-
-def _run_study(
-    problem: PreloadProblem,
-    motion: TrajectoryProblem | None,
-    rounds: int,
-    front_points: int,
-    progress: Callable[[SolveProgress | Progress], object] | None,
-) -> PreloadStudy:
-    begin = time.perf_counter()
-    solution = optimise_preloads(problem, progress=progress, throw=False)
-    model = PreloadModel(problem, solution.cases)
-    fixed = replace(problem, load_cases=solution.cases, histories=())
-    go_on = solution.status is not SolveStatus.INTERRUPTED
-    usable = solution.status.usable
-    front = choice = together = None
-    stopped = False
-    try:
-        if usable and front_points:
-            front = pareto_front(problem, solution.cases, points=front_points, progress=progress)
-            go_on = not front.interrupted
-        if go_on and problem.choose is not None:
-            choice = choose_design(fixed, progress=progress)
-        if go_on and usable and motion is not None:
-            together = motion_study(problem, motion, rounds=rounds, progress=progress)
-    except KeyboardInterrupt:  # finished parts are kept
-        stopped = True
-    return PreloadStudy(
-        problem=problem,
-        solution=solution,
-        curves=preload_curves(model, solution.vector),
-        loosening=loosening(model, solution.vector),
-        sensitivity=sensitivity(model, solution.vector),
-        front=front,
-        choice=choice,
-        motion=together,
-        stopped=stopped,
-        seconds=time.perf_counter() - begin,
-        versions=versions(),
-    )
+        begin = time.perf_counter()
+        solution = optimise_preloads(problem, progress=progress, throw=False)
+        model = PreloadModel(problem, solution.cases)
+        fixed = replace(problem, load_cases=solution.cases, histories=())
+        go_on = solution.status is not SolveStatus.INTERRUPTED
+        usable = solution.status.usable
+        front = choice = together = None
+        stopped = False
+        try:
+            if usable and front_points:
+                front = pareto_front(
+                    problem, solution.cases, points=front_points, progress=progress
+                )
+                go_on = not front.interrupted
+            if go_on and problem.choose is not None:
+                choice = choose_design(fixed, progress=progress)
+            if go_on and usable and motion is not None:
+                together = motion_study(problem, motion, rounds=rounds, progress=progress)
+        except KeyboardInterrupt:  # finished parts are kept
+            stopped = True
+        return PreloadStudy(
+            problem=problem,
+            solution=solution,
+            curves=preload_curves(model, solution.vector),
+            loosening=loosening(model, solution.vector),
+            sensitivity=sensitivity(model, solution.vector),
+            front=front,
+            choice=choice,
+            motion=together,
+            stopped=stopped,
+            seconds=time.perf_counter() - begin,
+            versions=versions(),
+        )
 
 
 def value_units(
@@ -145,15 +124,8 @@ def value_units(
 ) -> dict[str, str]:
     """Return the names of a study's values with their SI units.
 
-    Parameters
-    ----------
-    front, motion : bool
-        The study has a Pareto front, and a motion.
-
-    Returns
-    -------
-    dict of name to unit
-        Names include element keys, with _ for the dot: preload_joint_2_flexspline_flange.
+    `front` and `motion`: the study has a Pareto front, and a motion. Returns dict of name to unit:
+    names include element keys, with _ for the dot: preload_joint_2_flexspline_flange.
     """
     units = {
         "objective": OBJECTIVES[problem.objective],
@@ -197,10 +169,7 @@ def value_units(
 def named_values(study: PreloadStudy) -> dict[str, tuple[float, str]]:
     """Return the values of a finished study.
 
-    Returns
-    -------
-    dict of name to (value in SI, unit)
-        Names as in `value_units`; nan for missing values.
+    Returns dict of name to (value in SI, unit): names as in `value_units`; nan for missing values.
     """
     problem, solution = study.problem, study.solution
     bounded = {

@@ -17,10 +17,7 @@ from stiffopt.preload.model import PreloadModel
 def utilisation_rows(model: PreloadModel, preloads: np.ndarray) -> tuple[UtilisationRow, ...]:
     """Return all rows of a design by the exact law.
 
-    Parameters
-    ----------
-    preloads : array (size,)
-        Largest preloads [N].
+    `preloads` (size,): largest preloads [N].
     """
     return (
         *_slip_rows(model, preloads, range(len(model.elements))),
@@ -62,7 +59,6 @@ def _slip_rows(
                 case=case.name,
                 value=holds,
                 limit=needed,
-                unit="",
                 utilisation=needed * torque / slip if slip > 0.0 else np.inf,
                 equation="R12/4",
                 safety=SafetyFactor("S_G", holds, needed),
@@ -91,10 +87,8 @@ def _fastener_rows(model: PreloadModel, preloads: np.ndarray) -> Iterator[Utilis
                 kind=limit.name,
                 joint=element.joint,
                 element=element.key,
-                case="",
                 value=used,
                 limit=allowed,
-                unit="",
                 utilisation=used / allowed,
                 provenance=limit.provenance,
                 source=limit.source,
@@ -106,7 +100,6 @@ def _fastener_rows(model: PreloadModel, preloads: np.ndarray) -> Iterator[Utilis
             kind="least preload",
             joint=element.joint,
             element=element.key,
-            case="",
             value=lowest,
             limit=floor,
             unit="N",
@@ -160,7 +153,6 @@ def _stiffness_rows(model: PreloadModel, preloads: np.ndarray) -> Iterator[Utili
             yield UtilisationRow(
                 kind="joint stiffness",
                 joint=joint,
-                element="",
                 case=case.name,
                 value=float(stiffness),
                 limit=needed[joint],
@@ -180,8 +172,6 @@ def _deflection_rows(model: PreloadModel, preloads: np.ndarray) -> Iterator[Util
         size = float(np.linalg.norm(vector))
         yield UtilisationRow(
             kind="tool deflection",
-            joint=None,
-            element="",
             case=case.name,
             value=size,
             limit=allowed,

@@ -33,18 +33,11 @@ _MIN_BOUND_SHARE = 0.2
 
 @dataclass(frozen=True, eq=False)
 class ArrivalModes:
-    """Elastic modes of the end pose with their amplitudes at arrival.
+    """Elastic modes of the end pose with their amplitudes at arrival."""
 
-    Parameters
-    ----------
-    sizes : tuple of Quantity
-        Squared amplitude at the tool when the motors stop, for each mode [m^2].
-    decays : array (K,)
-        Decay rates of the amplitudes [1/s].
-    """
-
+    # Squared amplitude at the tool when the motors stop, for each mode [m^2].
     sizes: tuple[Quantity, ...]
-    decays: np.ndarray
+    decays: np.ndarray  # (K,) decay rates of the amplitudes [1/s]
 
     @classmethod
     def of(cls, modes: Sequence[Mode], model: MotorModel) -> ArrivalModes:

@@ -28,10 +28,8 @@ def find_bounds(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[Bou
 def check_bounds(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[str, ...]:
     """Refuse degenerate objectives and limits that no motion can meet; return notes on the others.
 
-    Raises
-    ------
-    ProblemError
-        An objective is at its bound for every motion: value, cause and alternatives.
+    Raises `ProblemError`: an objective is at its bound for every motion: value, cause and
+    alternatives.
     """
     for kind in problem.active_limits.kinds:
         kind.check(problem, motion)

@@ -41,12 +41,7 @@ _SLOW_RATE = 1e-2
 class CommandedError:
     """Errors of one stage model with each parameter at its bound.
 
-    Parameters
-    ----------
-    model : MotorModel
-        With its rest poses.
-    servo : Servo
-        Nominal one, whose lag the command leads.
+    `model`: with its rest poses. `servo`: nominal one, whose lag the command leads.
     """
 
     def __init__(self, model: MotorModel, uncertainty: Uncertainty, servo: Servo) -> None:

@@ -26,55 +26,33 @@ MIN_LEG_TIME = 0.02
 
 @dataclass(frozen=True, kw_only=True)
 class CycleEvent:
-    """Event at the arrival of a move.
+    """Event at the arrival of a move."""
 
-    Parameters
-    ----------
-    kind : "grip", "release" or "tool_change"
-    mass_before, mass_after : float
-        All that the flange carries [kg].
-    """
-
-    kind: EventKind
+    kind: EventKind  # "grip", "release" or "tool_change"
+    # All that the flange carries [kg].
     mass_before: float
     mass_after: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stop:
-    """Stop at the end of a leg.
+    """Stop at the end of a leg."""
 
-    Parameters
-    ----------
-    dwell : float [s]
-        Rest before the next move; the least one where it lasts until the tool has settled.
-    event : CycleEvent or None
-        At arrival, before the rest.
-    """
-
+    # [s]: rest before the next move; the least one where it lasts until the tool has settled.
     dwell: float = 0.0
     until_settled: bool = False
-    event: CycleEvent | None = None
+    event: CycleEvent | None = None  # at arrival, before the rest
 
 
 @dataclass(frozen=True, kw_only=True)
 class Leg:
-    """Moves from one stop to the next.
+    """Moves from one stop to the next."""
 
-    Parameters
-    ----------
-    problem : TrajectoryProblem
-        From rest to rest; its duration is fixed by the split of the cycle's time, or free.
-    moves : tuple of int
-        Numbers of its moves, from 1.
-    stop : Stop
-        At its end.
-    """
-
+    # From rest to rest; its duration is fixed by the split of the cycle's time, or free.
     problem: TrajectoryProblem
-    moves: tuple[int, ...]
+    moves: tuple[int, ...]  # numbers of its moves, from 1
     name: str
-    stop: Stop
+    stop: Stop  # at its end
 
     def lasting(self, duration: float) -> Leg:
         """Leg of a fixed duration [s]."""
@@ -83,48 +61,27 @@ class Leg:
 
 @dataclass(frozen=True, kw_only=True)
 class Posture:
-    """Pose of a cycle with the inverse-kinematic branch in which it is taken.
-
-    Parameters
-    ----------
-    joints : array (n,) [rad]
-    branch : str
-        Names of shoulder, elbow and wrist.
-    chosen : bool
-        True where the file leaves the branch open.
-    candidates : int
-        Number of admissible solutions of the inverse kinematics.
-    """
+    """Pose of a cycle with the inverse-kinematic branch in which it is taken."""
 
     name: str
-    joints: np.ndarray
-    branch: str
-    chosen: bool
-    candidates: int
+    joints: np.ndarray  # (n,) [rad]
+    branch: str  # names of shoulder, elbow and wrist
+    chosen: bool  # True where the file leaves the branch open
+    candidates: int  # number of admissible solutions of the inverse kinematics
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cycle:
-    """A working cycle.
-
-    Parameters
-    ----------
-    duration : (lower, upper) [s]
-        Of the whole cycle, rests included; equal values fix it.
-    postures : tuple of Posture
-        Distinct poses in the order of their first visit.
-    after_last : Robot or None
-        With the payload after the event of the last leg.
-    error_limit : float or None
-        Largest value of the minimised deflection [m]: every leg is as short as that allows.
-    """
+    """A working cycle."""
 
     title: str
     legs: tuple[Leg, ...]
+    # (lower, upper) [s] of the whole cycle, rests included; equal values fix it.
     duration: tuple[float, float]
-    postures: tuple[Posture, ...] = ()
-    after_last: Robot | None = None
+    postures: tuple[Posture, ...] = ()  # distinct poses in the order of their first visit
+    after_last: Robot | None = None  # with the payload after the event of the last leg
     duty_limits: DutyLimits = field(default_factory=DutyLimits)
+    # Largest value of the minimised deflection [m]: every leg is as short as that allows.
     error_limit: float | None = None
 
     @cached_property

@@ -31,6 +31,7 @@ from stiffopt.problem.files import (
     common_fields,
     payload_remarks,
     read_duration,
+    read_duty,
     read_robot,
 )
 from stiffopt.problem.joint_lists import JointLists
@@ -44,7 +45,6 @@ from stiffopt.problem.schema import (
     problem_file,
 )
 from stiffopt.problem.trajectory import Target, TrajectoryProblem
-from stiffopt.result.duty import DutyLimits
 from stiffopt.robot.clearance import ClearanceModel
 from stiffopt.robot.elements import locate_errors
 from stiffopt.robot.files import load_robot
@@ -85,10 +85,7 @@ def load_cycle(
 ) -> LoadedCycle:
     """Read the file of a cycle; parameters as of `load_problem`.
 
-    Raises
-    ------
-    InputFileError
-        The file is invalid: file, key, allowed values and remedy.
+    Raises `InputFileError`: the file is invalid: file, key, allowed values and remedy.
     """
     path = Path(path)
     document = read_document(path, problem_file(), "trajectory", changes)
@@ -171,22 +168,8 @@ class _CycleReader:
             duration=duration,
             postures=postures,
             after_last=self._robot(self._loads[-1]),
-            duty_limits=self._duty_limits(),
+            duty_limits=read_duty(self._document.duty, self._joints),
             error_limit=limit,
-        )
-
-    def _duty_limits(self) -> DutyLimits:
-        duty = self._document.duty
-
-        def by_joint(name: str) -> np.ndarray | None:
-            given = getattr(duty, name)
-            return None if given is None else self._joints(given, "torque", f"duty.{name}")
-
-        return DutyLimits(
-            rms_torque=by_joint("rms_torque"),
-            mean_torque=by_joint("mean_torque"),
-            reducer_life=duty.reducer_life,
-            energy=duty.energy,
         )
 
     @cached_property

@@ -26,10 +26,8 @@ class CarriedLoad:
 def follow_loads(document: ProblemFile, path: Path) -> list[CarriedLoad]:
     """Load of each move of a cycle, and that after the last one.
 
-    Raises
-    ------
-    InputFileError
-        An event is impossible: a part that was never gripped, or is put down or taken twice.
+    Raises `InputFileError`: an event is impossible: a part that was never gripped, or is put down
+    or taken twice.
     """
     tool = document.tool
     loads = [

@@ -16,7 +16,7 @@ from stiffopt.files import read_document
 from stiffopt.problem.joint_lists import JointLists
 from stiffopt.problem.limit import LIMITS, Limits
 from stiffopt.problem.objective import Objective
-from stiffopt.problem.path_files import read_tool_path
+from stiffopt.problem.path_files import on_positioner, read_tool_path
 from stiffopt.problem.schema import (
     DutySection,
     ExpectedSection,
@@ -32,6 +32,7 @@ from stiffopt.problem.trajectory import (
     Target,
     TrajectoryProblem,
 )
+from stiffopt.result.duty import DutyLimits
 from stiffopt.result.joint_path import JointPath
 from stiffopt.robot.cell import Cell
 from stiffopt.robot.elements import locate_errors
@@ -43,18 +44,12 @@ from stiffopt.units import convert
 
 @dataclass(frozen=True)
 class LoadedProblem:
-    """Problem of a file, with the expected value of its solution.
-
-    Parameters
-    ----------
-    tolerances : Tolerances
-        For the error budget; no motion depends on them.
-    """
+    """Problem of a file, with the expected value of its solution."""
 
     problem: TrajectoryProblem
     expected: ExpectedSection | None
     path: Path
-    tolerances: Tolerances
+    tolerances: Tolerances  # for the error budget; no motion depends on them
 
 
 def load_problem(
@@ -62,16 +57,18 @@ def load_problem(
     changes: Sequence[str] = (),
     *,
     robots: Callable[[str | Path], Robot] = load_robot,
+    choice: object = None,
 ) -> LoadedProblem:
     """Read a trajectory problem file.
 
     `changes` such as "motion.duration=0.5 s" override entries of the file; `robots` loads the robot
-    of a name or file, for callers with a cache.
+    of a name or file, for callers with a cache; `choice` is that of the freedom of a path, as a
+    result keeps it.
     """
     path = Path(path)
     document = read_document(path, problem_file(), "trajectory", changes)
     with locate_errors(path, ""):
-        problem = _build_problem(document, path, robots)
+        problem = _build_problem(document, path, robots, choice)
     check_expected_unit(document.expected, problem.objectives, path)
     return LoadedProblem(problem, document.expected, path, document.tolerances)
 
@@ -86,7 +83,7 @@ def check_expected_unit(
 
 
 def _build_problem(
-    document: ProblemFile, path: Path, robots: Callable[[str | Path], Robot]
+    document: ProblemFile, path: Path, robots: Callable[[str | Path], Robot], choice: object
 ) -> TrajectoryProblem:
     if document.move:
         raise InputFileError(
@@ -95,13 +92,14 @@ def _build_problem(
             "the file is a cycle of several moves, which `stiffopt solve`, `verify` and `export` "
             "take. Leave [[move]] out for a single motion from motion.start to motion.end.",
         )
-    for key, stated in (
-        ("duty", document.duty != DutySection()),
-        ("motion.error_limit", document.motion.error_limit is not None),
-    ):
-        if stated:
-            raise InputFileError(path, key, "belongs to a cycle of [[move]]. Leave it out.")
+    if document.motion.error_limit is not None:
+        raise InputFileError(
+            path, "motion.error_limit", "belongs to a cycle of [[move]]. Leave it out."
+        )
     robot = read_robot(document.robot, document.payload, document.tool, path, robots)
+    if document.path is not None and document.path.frame.link is not None:
+        with locate_errors(path, "path.frame.link"):
+            robot = on_positioner(robot, document.path.frame.link, document.tool.process_force)
     motion = document.motion
     joints = JointLists(robot, path)
     poses = PoseReader(joints, document.pose)
@@ -121,8 +119,8 @@ def _build_problem(
                 path, "path", "fixes the motion of the tool. Remove start, via and end of [motion]."
             )
         cell = fields["cell"] or Cell()
-        followed = read_tool_path(document.path, joints, fields["limits"], cell)
-        waypoints, force = followed.joints, followed.force
+        followed = read_tool_path(document.path, joints, fields["limits"], cell, choice)
+        waypoints, force, fields["path_choice"] = followed.joints, followed.force, followed.choice
         remarks += followed.remarks
         start, end = (Target(joints=waypoints.points[k]) for k in (0, -1))
     else:
@@ -154,6 +152,7 @@ def _build_problem(
         boundary_velocity=velocity,
         boundary_acceleration=motion.boundary_acceleration,
         remarks=remarks,
+        duty=None if document.duty == DutySection() else read_duty(document.duty, joints),
         **fields,
     )
 
@@ -186,6 +185,21 @@ def common_fields(document: ProblemFile, joints: JointLists) -> dict[str, Any]:
     }
 
 
+def read_duty(section: DutySection, joints: JointLists) -> DutyLimits:
+    """Limits of the duty of a file."""
+
+    def by_joint(name: str) -> np.ndarray | None:
+        given = getattr(section, name)
+        return None if given is None else joints(given, "torque", f"duty.{name}")
+
+    return DutyLimits(
+        rms_torque=by_joint("rms_torque"),
+        mean_torque=by_joint("mean_torque"),
+        reducer_life=section.reducer_life,
+        energy=section.energy,
+    )
+
+
 def payload_remarks(payload: PayloadSection | None) -> tuple[str, ...]:
     """Assumptions about the payload, repeated in results."""
     if payload is None or payload.inertia is not None or payload.mass == 0.0:
@@ -203,18 +217,7 @@ def read_robot(
     path: Path,
     robots: Callable[[str | Path], Robot] = load_robot,
 ) -> Robot:
-    """Robot of a problem or study file, with the file's payload and tool.
-
-    Parameters
-    ----------
-    name : str
-        A shipped robot, or the path of a robot file beside `path`.
-    payload, tool : sections of the file
-    path : Path
-        Problem or study file.
-    robots : callable
-        Loader, as for `load_problem`.
-    """
+    """Robot of a problem or study file `path`, with the file's payload and tool."""
     beside = path.parent / name
     source = name if name in shipped_robots() else beside if beside.exists() else name
     with locate_errors(path, "robot"):

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
-from stiffopt.dynamics.kinematics import tool_pose
+from stiffopt.dynamics.kinematics import frame_pose
 from stiffopt.problem.arrival_modes import ArrivalModes
 from stiffopt.problem.coordinates import Coordinates, coordinates_of
 from stiffopt.problem.motor_model import LAW_SMOOTHING_FACTOR, ApproximateMotorModel, MotorModel
@@ -40,14 +40,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Scales:
-    """Typical objective values that scale the NLP without changing its solution.
+    """Typical objective values that scale the NLP without changing its solution."""
 
-    Parameters
-    ----------
-    values : mapping objective name -> float
-        A typical value of each objective, in its SI unit.
-    """
-
+    # A typical value of each objective, in its SI unit.
     values: Mapping[str, float] = field(default_factory=dict)
 
     def of(self, name: str) -> float:
@@ -65,16 +60,9 @@ def formulate(
 ) -> OptimalControlProblem:
     """Formulate the optimal-control problem of a trajectory problem.
 
-    Parameters
-    ----------
-    motion : ResolvedMotion
-        Resolved poses of the problem.
-    margins : mapping limit name -> float, optional
-        Constraint back-off as a share of each limit that a certificate found exceeded between
-        nodes.
-    modes : sequence of Mode
-        Elastic modes of the end pose where residual vibration is allowed; empty: links end at
-        rest.
+    `motion`: resolved poses of the problem. `margins`: constraint back-off as a share of each limit
+    that a certificate found exceeded between nodes. `modes`: elastic modes of the end pose where
+    residual vibration is allowed; empty: links end at rest.
     """
     margins = margins or {}
     coordinates = coordinates_of(problem)
@@ -423,10 +411,7 @@ def _tool_pose(problem: TrajectoryProblem, p: ca.SX) -> tuple[ca.SX, Quantity, Q
     if problem.plans_links:
         last = Smoothing(smoothing_stages(problem)[-1], Smoothing(*ca.vertsplit(p)).lead)
         joints = _motor_model_at(problem, x, last).position
-    tool = problem.robot.tool
-    position, rotation = tool_pose(
-        problem.robot.tree, tool.joint, tool.offset, tool.rotation, joints
-    )
+    position, rotation = frame_pose(problem.robot.tree, problem.robot.tool, joints)
     return x, joints, position, rotation
 
 

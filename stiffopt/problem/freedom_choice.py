@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 
 from stiffopt.errors import ProblemError
@@ -9,18 +12,47 @@ from stiffopt.problem.branches import branch_name
 from stiffopt.problem.freedom_programme import FreedomOptimum, optimise_freedom
 from stiffopt.problem.freedom_task import FreedomTask
 from stiffopt.problem.tool_path import FittedPath, ToolPath, fit_tool_path
+from stiffopt.result.provenance import inputs_hash
 from stiffopt.robot.cell import Cell
 from stiffopt.robot.clearance import ClearanceModel
 
 
-def choose_freedom(
-    task: FreedomTask, near: np.ndarray, tolerance: float, cell: Cell
-) -> tuple[ToolPath, FittedPath, str]:
-    """Return the path with the best freedom that a joint spline can follow, and a remark.
+@dataclass(frozen=True, eq=False)
+class ChosenFreedom:
+    """Path with its chosen freedom."""
 
-    Optima without collisions at the nodes come first.
+    path: ToolPath
+    fitted: FittedPath
+    remark: str  # what was chosen, and its value
+    # The choice as results keep it, with a hash of all that it depends on.
+    document: dict[str, Any]
+
+
+def choose_freedom(
+    task: FreedomTask, near: np.ndarray, tolerance: float, cell: Cell, kept: object = None
+) -> ChosenFreedom:
+    """Return the path with the best freedom that a joint spline can follow.
+
+    Optima without collisions at the nodes come first. `kept` is the document of an earlier choice,
+    which is taken where it was made from the same task.
     """
+    inputs = _hash_of_inputs(task, near, tolerance, cell)
     failure: ProblemError | None = None
+
+    def chosen(found: FreedomOptimum) -> ChosenFreedom:
+        path = task.path.chosen(found.choice)
+        fitted = fit_tool_path(task.robot, path, found.choice.joints, tolerance)
+        document = {
+            "inputs_hash": inputs,
+            "value": found.value,
+            "placement": found.choice.placement.tolist(),
+            "turns": found.choice.turns.tolist(),
+            "joints": found.joints.tolist(),
+        }
+        return ChosenFreedom(path, fitted, _describe_choice(task, found), document)
+
+    if (known := _read_kept(task, kept, inputs)) is not None:
+        return chosen(known)
     clearance = ClearanceModel(task.robot, cell)
 
     def collides(found: FreedomOptimum) -> bool:
@@ -28,14 +60,43 @@ def choose_freedom(
         return bool(nearest < cell.clearance)
 
     for found in sorted(optimise_freedom(task, near), key=collides):
-        path = task.path.chosen(found.choice)
         try:
-            fitted = fit_tool_path(task.robot, path, found.choice.joints, tolerance)
-            return path, fitted, _describe_choice(task, found)
+            return chosen(found)
         except ProblemError as error:
             failure = failure or error
     assert failure is not None
     raise failure
+
+
+def _hash_of_inputs(task: FreedomTask, near: np.ndarray, tolerance: float, cell: Cell) -> str:
+    """Hash of all that a choice depends on."""
+    path = task.path
+    stated = [*path.stated_poses(task.along), path.breaks, path.speeds, path.stops]
+    poses = task.node_data(task.along)
+    whole = (task.robot, task.freedom, task.limits, stated, poses, near, tolerance, cell)
+    return inputs_hash(whole)
+
+
+def _read_kept(task: FreedomTask, kept: object, inputs: str) -> FreedomOptimum | None:
+    """Return the optimum of an earlier choice from the same inputs; None where it has none."""
+    if not isinstance(kept, dict) or kept.get("inputs_hash") != inputs:
+        return None
+    shapes = {
+        "placement": (6,),
+        "turns": (task.basis.size, 3),
+        "joints": (len(task.along), task.robot.n),
+    }
+    try:
+        found = {name: np.array(kept[name], dtype=float) for name in shapes}
+        value = float(kept["value"])
+    except (KeyError, TypeError, ValueError):
+        return None
+    if any(
+        found[name].shape != shape or not np.isfinite(found[name]).all()
+        for name, shape in shapes.items()
+    ):
+        return None
+    return FreedomOptimum.at(task, **found, cost=value, value=value)
 
 
 def _describe_choice(task: FreedomTask, found: FreedomOptimum) -> str:

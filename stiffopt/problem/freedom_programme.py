@@ -37,31 +37,35 @@ _POSE_JOINTS = 6
 
 @dataclass(frozen=True, eq=False)
 class FreedomOptimum:
-    """Chosen freedom with its cost, and what it is compared with.
-
-    Parameters
-    ----------
-    cost : float
-        Of the goal, less is better.
-    value : float
-        Largest deflection at the nodes [m], or estimated time [s].
-    joints : array (K, n)
-        At the nodes [rad].
-    """
+    """Chosen freedom with its cost, and what it is compared with."""
 
     choice: FreedomChoice
-    cost: float
-    value: float
-    joints: np.ndarray
+    cost: float  # of the goal, less is better
+    value: float  # largest deflection at the nodes [m], or estimated time [s]
+    joints: np.ndarray  # (K, n) at the nodes [rad]
+
+    @classmethod
+    def at(
+        cls,
+        task: FreedomTask,
+        placement: np.ndarray,
+        turns: np.ndarray,
+        joints: np.ndarray,
+        cost: float,
+        value: float,
+    ) -> FreedomOptimum:
+        """Return the optimum of its unknowns at the nodes of a task."""
+        spline = scipy.interpolate.CubicSpline(task.along, joints)
+        choice = FreedomChoice(
+            task.origin, placement, task.basis, turns, lambda along: np.asarray(spline(along))
+        )
+        return cls(choice, cost, value, joints)
 
 
 def optimise_freedom(task: FreedomTask, near: np.ndarray) -> list[FreedomOptimum]:
     """Return local optima of a path's freedom, the best first.
 
-    Raises
-    ------
-    ProblemError
-        No candidate of the scan follows the path.
+    Raises `ProblemError`: no candidate of the scan follows the path.
     """
     # Searches from different candidates.
     candidates = scan_candidates(task, near, 12)
@@ -285,11 +289,8 @@ class _Search:
             turns[:, j] = y[own]
         placement = np.zeros(6)
         placement[self._shifted] = y[: len(self._shifted)]
-        spline = scipy.interpolate.CubicSpline(task.along, joints)
-        choice = FreedomChoice(
-            task.origin, placement, task.basis, turns, lambda along: np.asarray(spline(along))
-        )
-        return FreedomOptimum(choice, cost, self._goal.value(cost, detail), joints)
+        value = self._goal.value(cost, detail)
+        return FreedomOptimum.at(task, placement, turns, joints, cost, value)
 
 
 def _free_joints(task: FreedomTask, candidate: PathCandidate) -> np.ndarray:

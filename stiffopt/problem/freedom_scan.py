@@ -21,32 +21,19 @@ _TILT_DIRECTIONS, _TRIED_SHARE = 6, 2.0 / 3.0
 
 @dataclass(frozen=True, eq=False)
 class PathCandidate:
-    """A motion of the arm along the path at all nodes, with constant freedom.
+    """A motion of the arm along the path at all nodes, with constant freedom."""
 
-    Parameters
-    ----------
-    placement : array (6,)
-    turns : array (3,)
-    joints : array (K, n)
-    cost : float
-        Largest deflection [m], more where joints are too slow for the speed; or the time [s].
-    """
-
-    placement: np.ndarray
-    turns: np.ndarray
-    joints: np.ndarray
+    placement: np.ndarray  # (6,)
+    turns: np.ndarray  # (3,)
+    joints: np.ndarray  # (K, n)
+    # Largest deflection [m], more where joints are too slow for the speed; or the time [s].
     cost: float
 
 
 def scan_candidates(task: FreedomTask, near: np.ndarray, count: int) -> list[PathCandidate]:
     """Return the best candidates that follow the whole path, of different postures and rotations.
 
-    Parameters
-    ----------
-    near : array (n,)
-        Reference of the postures [rad].
-    count : int
-        Of candidates at most.
+    `near` (n,): reference of the postures [rad]. `count`: of candidates at most.
     """
     anywhere = task.freedom.posture == "any"
     nodes = task.along[::SCAN_STRIDE]

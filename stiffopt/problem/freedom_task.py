@@ -12,7 +12,7 @@ import numpy as np
 from stiffopt.drivetrain.compact import CompactChain
 from stiffopt.dynamics.deflection import spring_torques, tool_deflection
 from stiffopt.dynamics.inverse_kinematics import LENGTH_PER_RADIAN
-from stiffopt.dynamics.kinematics import point_jacobian, tool_pose
+from stiffopt.dynamics.kinematics import frame_jacobian, frame_pose
 from stiffopt.errors import ProblemError
 from stiffopt.problem.path_deflection import COUNTED_AXES
 from stiffopt.problem.path_freedom import PathFreedom, TurnBasis
@@ -35,27 +35,15 @@ _NODE_DATA = 3 + 9 + 3 + 9
 
 @dataclass(frozen=True, eq=False)
 class FreedomTask:
-    """Tool path with freedom at nodes.
-
-    Parameters
-    ----------
-    path : ToolPath
-        As stated.
-    origin : array (3,) [m]
-        Of its work frame.
-    force : PathForce or None
-        Along the stated path.
-    force_axes : str
-        In which it is given.
-    """
+    """Tool path with freedom at nodes."""
 
     robot: Robot
     freedom: PathFreedom
     limits: Limits
-    path: ToolPath
-    origin: np.ndarray
-    force: PathForce | None
-    force_axes: ForceFrame
+    path: ToolPath  # as stated
+    origin: np.ndarray  # (3,) [m] of its work frame
+    force: PathForce | None  # along the stated path
+    force_axes: ForceFrame  # in which it is given
 
     def __post_init__(self) -> None:
         freedom = self.freedom
@@ -141,7 +129,7 @@ class FreedomTask:
         The residual of the pose is in [m], an angle times 0.3 m; the error is the deflection of
         the tool under the force in the directions that count [m].
         """
-        robot, tool = self.robot, self.robot.tool
+        robot = self.robot
         q, placement = ca.SX.sym("q", robot.n), ca.SX.sym("placement", 6)
         turns, data = ca.SX.sym("turns", 3), ca.SX.sym("data", _NODE_DATA)
         stated, turned, force, rows = ca.vertsplit(data, [0, 3, 12, 15, _NODE_DATA])
@@ -150,7 +138,7 @@ class FreedomTask:
         leaned = _rotation_of_vector(ca.vertcat(turns[1:], 0.0))
         spun = _rotation_of_vector(ca.vertcat(0.0, 0.0, turns[0]))
         goal = ca.mtimes([placed, ca.reshape(turned, 3, 3), leaned, spun])
-        position, rotation = tool_pose(robot.tree, tool.joint, tool.offset, tool.rotation, q)
+        position, rotation = frame_pose(robot.tree, robot.tool, q)
         off = ca.mtimes(rotation.T, goal)
         angle = 0.5 * ca.vertcat(
             off[2, 1] - off[1, 2], off[0, 2] - off[2, 0], off[1, 0] - off[0, 1]
@@ -160,8 +148,8 @@ class FreedomTask:
         if self.force is not None and robot.yields:
             pushed = ca.mtimes(placed, force) if self.force_axes != "base" else force
             rest = ca.SX.zeros(robot.n)
-            torques = spring_torques(robot.tree, tool.joint, tool.offset, q, rest, rest, pushed)
-            jacobian = point_jacobian(robot.tree, tool.joint, tool.offset, q)
+            jacobian = frame_jacobian(robot.tree, robot.tool, q)
+            torques = spring_torques(robot.tree, q, rest, rest, ca.mtimes(jacobian.T, pushed))
             moved = tool_deflection(jacobian, torques, self._windup).process
             error = ca.mtimes([ca.reshape(rows, 3, 3), placed.T, moved])
         return ca.Function("node", [q, placement, turns, data], [residual, error])
@@ -203,9 +191,9 @@ class FreedomTask:
         J is the Jacobian of the tool's pose in its own axes, angles times 0.3 m; with its singular
         vectors u and v the gradient is that of the singular value.
         """
-        robot, tool = self.robot, self.robot.tool
+        robot = self.robot
         q, left, right = ca.SX.sym("q", robot.n), ca.SX.sym("u", 6), ca.SX.sym("v", robot.n)
-        position, rotation = tool_pose(robot.tree, tool.joint, tool.offset, tool.rotation, q)
+        position, rotation = frame_pose(robot.tree, robot.tool, q)
         columns = []
         turned = ca.jacobian(ca.vec(rotation), q)
         for j in range(robot.n):

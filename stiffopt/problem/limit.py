@@ -32,33 +32,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class LimitKey:
-    """One key of [limits] and the attribute of `Limits` that holds its value.
+    """One key of [limits] and the attribute of `Limits` that holds its value."""
 
-    Parameters
-    ----------
-    key : str
-        Key in files.
-    form : type
-        Type of the entry as a pydantic annotation; includes None for an omitted key.
-    description : str
-        One sentence, with the unit of a bare number.
-    attribute : str
-        Attribute of `Limits`; "" for the same name as the key.
-    value : callable
-        Default value, from the robot.
-    of_robot : bool
-        True if `value` needs the robot.
-    scaled : bool
-        True if limits.scale has a factor for the key.
-    """
-
-    key: str
-    form: Any
-    description: str
-    attribute: str = ""
-    value: Callable[[Any], Any]
-    of_robot: bool = False
-    scaled: bool = False
+    key: str  # key in files
+    form: Any  # type of the entry as a pydantic annotation; includes None for an omitted key
+    description: str  # one sentence, with the unit of a bare number
+    attribute: str = ""  # attribute of `Limits`; "" for the same name as the key
+    value: Callable[[Any], Any]  # default value, from the robot
+    of_robot: bool = False  # True if `value` needs the robot
+    scaled: bool = False  # True if limits.scale has a factor for the key
 
     @property
     def name(self) -> str:
@@ -67,25 +49,16 @@ class LimitKey:
 
 
 class LimitKind(ABC):
-    """Interface of one kind of limit.
+    """Interface of one kind of limit."""
 
-    Attributes
-    ----------
-    name : str
-        Name in certificates, back-offs and results.
-    smoothing : tuple of float
-        Factors on the smoothing widths of the stiffness model, stage by stage, while active.
-    order : int or None
-        Order of the derivative of the joint positions that is bounded; None for other quantities.
-    of_arrival : bool
-        True for limits on residual vibration: the links' motion is then planned, and simulated for
-        the certificate.
-    """
-
-    name: str
+    name: str  # name in certificates, back-offs and results
     keys: tuple[LimitKey, ...]
+    # Factors on the smoothing widths of the stiffness model, stage by stage, while active.
     smoothing: tuple[float, ...] = UNSMOOTHED
+    # Order of the derivative of the joint positions that is bounded; None for other quantities.
     order: int | None = None
+    # True for limits on residual vibration: the links' motion is then planned, and simulated for
+    # the certificate.
     of_arrival = False
 
     @abstractmethod

@@ -261,10 +261,7 @@ def round_lags(lag: np.ndarray) -> np.ndarray:
 class MotorLaw:
     """Feedforward-lead law of a robot, built once for many motions.
 
-    Parameters
-    ----------
-    process_force : array_like (3,)
-        Constant force on the tool, base axes [N].
+    `process_force` (3,): constant force on the tool, base axes [N].
     """
 
     def __init__(self, robot: Robot, process_force: object = (0.0, 0.0, 0.0)) -> None:
@@ -289,18 +286,12 @@ class MotorLaw:
     ) -> Trajectory:
         """Motor motion that makes the links move as planned.
 
-        Parameters
-        ----------
-        link : Trajectory
-            Link motion with five derivatives.
-        smoothing : float
-            Factor on the law's smoothing widths: kinks would require jumps of the speed.
-        lag : array (n,), optional
-            Lag of each joint's wind-up behind its spring torque [s]: damping over stiffness. The
-            motors arrive later by the lag; the links have to be at rest then.
-        sagged : bool
-            Evaluate the spring torques at the sagged links, p = q - phi(tau(p, 0, 0)), in place of
-            the plan: the weight differs there, and the sag has an acceleration of its own.
+        `link`: link motion with five derivatives. `smoothing`: factor on the law's smoothing
+        widths: kinks would require jumps of the speed. `lag` (n,): lag of each joint's wind-up
+        behind its spring torque [s]: damping over stiffness. The motors arrive later by the lag;
+        the links have to be at rest then. `sagged`: evaluate the spring torques at the sagged
+        links, p = q - phi(tau(p, 0, 0)), in place of the plan: the weight differs there, and the
+        sag has an acceleration of its own.
         """
         moves = _sample_times(link)
         if sagged:

@@ -30,22 +30,12 @@ ACCEPT_ADVICE = ", or set minimise.accept_bound = true."
 
 @dataclass(frozen=True)
 class Bound:
-    """Bound of an objective over all motions.
-
-    Parameters
-    ----------
-    value : float
-        Bound in the objective's SI unit; inf without an optimum.
-    text : str
-        Sentence with the value and its cause.
-    degenerate : bool
-        True if every motion attains the bound, so that the motion is undetermined.
-    """
+    """Bound of an objective over all motions."""
 
     objective: str
-    value: float
-    text: str
-    degenerate: bool
+    value: float  # bound in the objective's SI unit; inf without an optimum
+    text: str  # sentence with the value and its cause
+    degenerate: bool  # True if every motion attains the bound, so that the motion is undetermined
 
 
 # Share of a typical value down to which an objective is minimised even where it is negligible.
@@ -53,72 +43,35 @@ _MIN_TARGET_SHARE = 1.0 / 3.0
 
 
 class ObjectiveKind(ABC):
-    """Interface of one kind of objective.
+    """Interface of one kind of objective."""
 
-    Attributes
-    ----------
-    name : str
-        Name in files and results.
-    unit : str
-        SI unit of the value.
-    description : str
-        One sentence, for the file reference.
-    phrase : str
-        Name in sentences, without the measure.
-    prefixed : bool
-        True if reports use prefixes of the unit, such as mm; False for integrals.
-    maximised : bool
-        True if a larger value is better.
-    measured : bool
-        True for a peak or root mean square over time.
-    ends_motion : bool
-        True if it has an optimum for a free duration; False: a slower motion is always better.
-    smoothing : tuple of float
-        Factors on the smoothing widths, stage by stage.
-    deflection_part : str
-        Part of the tool's deflection that is minimised; "" for none.
-    plans_links : bool
-        True if the links' motion is planned and the motors lead it by the wind-up.
-    of_arrival : bool
-        True if it depends on residual vibration, which the certificate then simulates.
-    comparable : bool
-        True if the optimiser's value has to agree with the certified one.
-    of_uncertain_arms : bool
-        True if it depends on the error of uncertain arms, which the certificate then propagates.
-    of_drives : bool
-        True if it depends on the drive torque, and so on dry friction.
-    shaped : bool
-        True if the motion is averaged over a period of the lowest elastic mode.
-    chosen_for_other_arms : bool
-        True if `terms` gives a robust value that selects among motions of about equal value.
-    negligible : float
-        Value below which there is no benefit, in `unit`; such a kind has one static variable, an
-        upper bound of its value.
-    comparatives : (str, str)
-        Words for a smaller and a larger value.
-    compared_as_ratio : bool
-        True if large changes are stated as "3 times less"; else as percentages.
-    """
-
-    name: str
-    unit: str
-    description: str
-    phrase: str
-    maximised = False
-    prefixed = True
-    measured = False
+    name: str  # name in files and results
+    unit: str  # SI unit of the value
+    description: str  # one sentence, for the file reference
+    phrase: str  # name in sentences, without the measure
+    maximised = False  # True if a larger value is better
+    prefixed = True  # True if reports use prefixes of the unit, such as mm; False for integrals
+    measured = False  # True for a peak or root mean square over time
+    # True if it has an optimum for a free duration; False: a slower motion is always better.
     ends_motion = False
-    smoothing: tuple[float, ...] = UNSMOOTHED
-    deflection_part = ""
+    smoothing: tuple[float, ...] = UNSMOOTHED  # factors on the smoothing widths, stage by stage
+    deflection_part = ""  # part of the tool's deflection that is minimised; "" for none
+    # True if the links' motion is planned and the motors lead it by the wind-up.
     plans_links = False
+    # True if it depends on residual vibration, which the certificate then simulates.
     of_arrival = False
-    comparable = True
+    comparable = True  # True if the optimiser's value has to agree with the certified one
+    # True if it depends on the error of uncertain arms, which the certificate then propagates.
     of_uncertain_arms = False
-    of_drives = False
-    shaped = False
+    of_drives = False  # True if it depends on the drive torque, and so on dry friction
+    shaped = False  # True if the motion is averaged over a period of the lowest elastic mode
+    # True if `terms` gives a robust value that selects among motions of about equal value.
     chosen_for_robustness = False
+    # Value below which there is no benefit, in `unit`; such a kind has one static variable, an
+    # upper bound of its value.
     negligible = 0.0
-    comparatives = ("less", "more")
+    comparatives = ("less", "more")  # words for a smaller and a larger value
+    # True if large changes are stated as "3 times less"; else as percentages.
     compared_as_ratio = True
 
     def target_value(self, typical: float) -> float:
@@ -159,21 +112,13 @@ class ObjectiveKind(ABC):
 
 @dataclass(frozen=True)
 class TermInputs:
-    """Problem, symbols and scale from which an objective forms its terms.
-
-    Parameters
-    ----------
-    statics : tuple of Quantity
-        Those of `ObjectiveKind.static_variables`.
-    scale : float
-        Typical value of the objective [SI].
-    """
+    """Problem, symbols and scale from which an objective forms its terms."""
 
     objective: Objective
     problem: TrajectoryProblem
     model: StageModel
-    statics: tuple[Quantity, ...]
-    scale: float
+    statics: tuple[Quantity, ...]  # those of `ObjectiveKind.static_variables`
+    scale: float  # typical value of the objective [SI]
 
 
 OBJECTIVES: Registry[ObjectiveKind] = Registry("stiffopt.problem.objectives")

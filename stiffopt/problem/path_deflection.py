@@ -57,10 +57,7 @@ def with_limited_deflection(
 ) -> tuple[JointPath, str]:
     """Return the path with speeds at which a deflection keeps its limit [m], and a remark.
 
-    Raises
-    ------
-    ProblemError
-        The constant part of the force alone exceeds the limit; with the place.
+    Raises `ProblemError`: the constant part of the force alone exceeds the limit; with the place.
     """
     shares = np.linspace(0.0, 1.0, _PLACES_PER_PIECE)
     s = (path.knots[:-1, None] + np.diff(path.knots)[:, None] * shares).ravel()

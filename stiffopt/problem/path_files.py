@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy
 
-from stiffopt.errors import InputFileError
+from stiffopt.errors import InputFileError, ProblemError
 from stiffopt.files import read_table
 from stiffopt.problem.freedom_choice import choose_freedom
 from stiffopt.problem.freedom_task import FreedomTask
@@ -25,11 +26,18 @@ from stiffopt.problem.tool_path import (
 from stiffopt.result.joint_path import JointPath
 from stiffopt.robot.cell import Cell
 from stiffopt.robot.elements import locate_errors
-from stiffopt.robot.frames import rotation_from_rpy
+from stiffopt.robot.frames import (
+    link_frame,
+    link_names,
+    moving_link_names,
+    rotation_from_rpy,
+)
+from stiffopt.robot.joint_load import supporting_joints
 
 if TYPE_CHECKING:
     from stiffopt.problem.joint_lists import JointLists
     from stiffopt.problem.limit import Limits
+    from stiffopt.robot.robot import Robot
 
 _FORCE_COLUMNS = ("fx", "fy", "fz")
 _PLACE_COLUMNS, _ANGLE_COLUMNS, _QUATERNION_COLUMNS = (
@@ -38,21 +46,60 @@ _PLACE_COLUMNS, _ANGLE_COLUMNS, _QUATERNION_COLUMNS = (
     ("qx", "qy", "qz", "qw"),
 )
 _METRES_PER_UNIT = {"m": 1.0, "mm": 1e-3}
+_SPEED_UNITS = {"m/s": 1.0, "mm/s": 1e-3, "mm/min": 1e-3 / 60.0, "cm/min": 1e-2 / 60.0}
+# Speed of a tool from which on a table's is in another unit [m/s]: no arm is that fast.
+_IMPLAUSIBLE_SPEED = 10.0
 
 
 @dataclass(frozen=True, eq=False)
 class ReadPath:
-    """Joint path of a file, the force along it, and remarks."""
+    """Joint path of a file, the force along it, remarks, and the document of its freedom."""
 
     joints: JointPath
     force: PathForce | None
     remarks: tuple[str, ...]
+    choice: dict[str, Any] | None
+
+
+def on_positioner(robot: Robot, link: str, process_force: Sequence[float]) -> Robot:
+    """Return the robot with its tool relative to a link that carries the work.
+
+    Raises `ProblemError`: the link does not move, or the tool moves it; or what is given in axes of
+    the base.
+    """
+    held = [each.name for each in robot.held if each.why == "not on the way to the tool"]
+    if link in link_names(robot.model) and link not in moving_link_names(robot.model):
+        raise ProblemError(
+            f"the link {link!r} does not move"
+            + (f": {', '.join(held)} are held. Name the joints that move it in [[joint]] sections "
+               "of the robot file." if held else ". Leave path.frame.link out.")
+        )  # fmt: skip
+    work = link_frame(robot.model, link)
+    if robot.tool.joint in supporting_joints(robot.model, work.joint):
+        raise ProblemError(
+            f"the link {link!r} moves with the tool. Name a link of another branch of the URDF, or "
+            "leave path.frame.link out."
+        )
+    if np.any(process_force):
+        raise ProblemError(
+            "tool.process_force has axes of the base, and the path those of the work: give the "
+            "force in [path.force]."
+        )
+    if robot.tilts:
+        raise ProblemError(
+            f"{robot.name} has elastic bearings or links, whose deflection is not taken relative "
+            "to moving work: leave `bearing` and `beam` of its joints out."
+        )
+    return replace(robot, tool=replace(robot.tool, seen_from=work))
 
 
 def read_tool_path(
-    section: PathSection, joints: JointLists, limits: Limits, cell: Cell
+    section: PathSection, joints: JointLists, limits: Limits, cell: Cell, kept: object = None
 ) -> ReadPath:
-    """Return the joint path of a tool path, its freedom chosen, with its error as a remark."""
+    """Return the joint path of a tool path, its freedom chosen, with its error as a remark.
+
+    `kept` is the document of an earlier choice of the freedom.
+    """
     robot = joints.robot
     ranges = np.stack([robot.position_lower, robot.position_upper])
     near = np.where(np.isfinite(ranges).all(axis=0), ranges.mean(axis=0), 0.0)
@@ -66,14 +113,16 @@ def read_tool_path(
         else:
             path, forces, at = _segment_path(section, frame)
         chosen: tuple[str, ...] = ()
+        choice = None
         if section.freedom is None:
             fitted = fit_tool_path(robot, path, near, section.tolerance)
         else:
             stated = _force_along(path, section.force, forces, at)
             axes = "path" if section.force is None else section.force.frame
             task = FreedomTask(robot, section.freedom, limits, path, frame[1], stated, axes)
-            path, fitted, remark = choose_freedom(task, near, section.tolerance, cell)
-            chosen = (remark,)
+            found = choose_freedom(task, near, section.tolerance, cell, kept)
+            path, fitted, choice = found.path, found.fitted, found.document
+            chosen = (found.remark,)
         force, followed = _force_along(path, section.force, forces, at), fitted.joints
         if force is not None and section.force is not None:
             feeds = np.where(np.isfinite(path.speeds), path.speeds, 0.0)
@@ -92,7 +141,7 @@ def read_tool_path(
         f"The tool's path of {1e3 * path.length:.4g} mm{stops} is followed by a spline through "
         f"{len(fitted.joints.knots)} joint waypoints, within {1e6 * fitted.error:.2g} µm."
     )
-    return ReadPath(followed, force, (remark, *chosen))
+    return ReadPath(followed, force, (remark, *chosen), choice)
 
 
 def _force_along(
@@ -142,7 +191,11 @@ def _segment(
         points = np.vstack([start, via, end])
         none = np.zeros(len(points), dtype=bool)
         (spline,) = spline_segments(
-            points, None, np.full(len(points), speed), none, f"{where}, point "
+            points,
+            None,
+            np.full(len(points), speed),
+            none,
+            [f"{where}, point {k}" for k in range(1, len(points) + 1)],
         )
         curve = spline.curve
     return ToolSegment(
@@ -166,6 +219,7 @@ def _table_path(
         file,
         _PLACE_COLUMNS,
         (*_ANGLE_COLUMNS, *_QUATERNION_COLUMNS, *_FORCE_COLUMNS, "speed", "stop"),
+        ("label",),
     )
     turn, origin = frame
     count = len(read["x"])
@@ -174,20 +228,31 @@ def _table_path(
     )
     points = origin + places @ turn.T
     rotations = turn @ _table_rotations(table, read, file, count)
-    speeds = np.array(read.get("speed", [np.inf] * count))
-    for row in np.flatnonzero(~(speeds > 0.0)):
-        raise InputFileError(file, f"row {row + 1}, speed", f"{speeds[row]:g} m/s must be above 0.")
+    speeds = np.full(count, np.inf)
+    if "speed" in read:
+        unit = table.speed or f"{table.length}/s"
+        speeds = _SPEED_UNITS[unit] * np.array(read["speed"])
+        for row in np.flatnonzero(~((speeds > 0.0) & (speeds < _IMPLAUSIBLE_SPEED))):
+            raise InputFileError(
+                file, f"row {row + 1}, speed", f"{read['speed'][row]:g} {unit} must be above 0 and "
+                f"below {_IMPLAUSIBLE_SPEED:g} m/s. Give its unit as path.table.speed: "
+                f"{', '.join(_SPEED_UNITS)}."
+            )  # fmt: skip
     if section.speed is not None:
         speeds = np.minimum(speeds, section.speed)
     stops = np.array(read.get("stop", [0.0] * count)) != 0.0
-    where = f"{table.file}, row "
+    labels = read.get("label", [""] * count)
+    names = [
+        f"{table.file}, row {row}" + (f" ({label})" if label else "")
+        for row, label in enumerate(labels, start=1)
+    ]
     turning = bool(np.ptp(rotations, axis=0).max() > 1e-9)
     usual = (0.0, 0.0, 0.0) if section.force is None else section.force.value
     forces = np.repeat(np.array([usual]), count, axis=0)
     if all(name in read for name in _FORCE_COLUMNS):
         forces = np.stack([read[name] for name in _FORCE_COLUMNS], axis=1)
     if table.interpolation == "spline":
-        segments = spline_segments(points, rotations if turning else None, speeds, stops, where)
+        segments = spline_segments(points, rotations if turning else None, speeds, stops, names)
         path = ToolPath(points[0], rotations[0], segments)
         chords = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
         return path, forces, chords * (path.length / chords[-1])
@@ -201,7 +266,7 @@ def _table_path(
             blend=0.0 if stops[k] else float(min(table.blend, room[k - 1])),
             speed=float(speeds[k]),
             stop=bool(stops[k]) and k < count - 1,
-            where=f"{where}{k + 1}",
+            where=names[k],
         )
         for k in range(1, count)
     ]
@@ -210,7 +275,7 @@ def _table_path(
 
 
 def _table_rotations(
-    table: PathTableSection, read: dict[str, list[float]], file: Path, count: int
+    table: PathTableSection, read: dict[str, list[Any]], file: Path, count: int
 ) -> np.ndarray:
     """Return the orientations (m, 3, 3) of a table's rows, in the work frame."""
     if all(name in read for name in _QUATERNION_COLUMNS):

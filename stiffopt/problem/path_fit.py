@@ -24,24 +24,9 @@ def fit_joint_path(
 ) -> tuple[JointPath, float]:
     """Fit a cubic spline to a curve; knots are inserted where its error exceeds the tolerance.
 
-    Parameters
-    ----------
-    curve : callable
-        Joint positions (K, n) at path parameters (K,) from 0 to 1.
-    breaks : array (m,)
-        Parameters that are knots: joints of the curve's pieces, 0 and 1.
-    error : callable
-        Error (K,) of joint positions (K, n) that stand for the curve at parameters (K,).
-
-    Returns
-    -------
-    (JointPath, float)
-        The path and its largest error.
-
-    Raises
-    ------
-    ProblemError
-        More than `MAX_KNOTS` knots would be needed.
+    `curve` gives joint positions (K, n) at parameters (K,) from 0 to 1, with knots at `breaks`;
+    `error` (K,) is that of joint positions which stand for it. Returns the path and its largest
+    error; raises `ProblemError` where more than `MAX_KNOTS` knots would be needed.
     """
     # Intervals of a piece in the first round.
     steps = np.linspace(0.0, 1.0, 4, endpoint=False)

@@ -24,22 +24,13 @@ ForceFrame = Literal["base", "tool", "path"]
 
 @dataclass(frozen=True, eq=False)
 class PathForce:
-    """Force on the tool along a joint path, base axes.
+    """Force on the tool along a joint path, base axes."""
 
-    Parameters
-    ----------
-    place : array (K,)
-        Path parameters from 0 to 1.
-    constant, per_feed : array (K, 3)
-        [N], and [N/(m/s)] times the tool speed.
-    axes : array (K, 3, 3)
-        Axes of the path as columns: feed, side, tool axis.
-    """
-
-    place: np.ndarray
+    place: np.ndarray  # (K,) path parameters from 0 to 1
+    # (K, 3) [N], and [N/(m/s)] times the tool speed.
     constant: np.ndarray
     per_feed: np.ndarray
-    axes: np.ndarray
+    axes: np.ndarray  # (K, 3, 3) axes of the path as columns: feed, side, tool axis
 
     def __call__(self, s: np.ndarray, feed: np.ndarray | float = 0.0) -> np.ndarray:
         """Return the force (K, 3) [N] at path parameters (K,) and tool speeds (K,) [m/s]."""
@@ -65,17 +56,9 @@ def path_force(
 ) -> PathForce:
     """Return the force of a tool path.
 
-    Parameters
-    ----------
-    values : array (m, 3) [N]
-        Constant parts.
-    at : array (m + 1,) or (m,) [m]
-        Distances that bound pieces of constant force, or those at which the values hold.
-    per_feed : array (3,) [N/(m/s)]
-    frame : "base", "tool" or "path"
-        Of all of them.
-    ramp : float
-        Length over which the force changes from one piece to the next [m].
+    `values` (m, 3) [N] hold in pieces between distances `at` (m + 1,) [m], or at those (m,);
+    `per_feed` (3,) is in N/(m/s), both in axes of `frame`. Over the length `ramp` [m] the force
+    changes from one piece to the next.
     """
     along = np.linspace(0.0, path.length, max(2001, int(path.length / 2e-4)))
     if len(at) == len(values) + 1:

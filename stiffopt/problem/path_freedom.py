@@ -104,17 +104,10 @@ class PathFreedom:
 
 @dataclass(frozen=True, eq=False)
 class TurnBasis:
-    """B-splines over the distance along a path.
+    """B-splines over the distance along a path."""
 
-    Parameters
-    ----------
-    knots : array (m,) [m]
-    degree : int
-        0 for a single constant.
-    """
-
-    knots: np.ndarray
-    degree: int
+    knots: np.ndarray  # (m,) [m]
+    degree: int  # 0 for a single constant
 
     @classmethod
     def splines(cls, length: float) -> TurnBasis:
@@ -143,25 +136,15 @@ class TurnBasis:
 
 @dataclass(frozen=True, eq=False)
 class FreedomChoice:
-    """Chosen placement, rotation, tilt and posture.
+    """Chosen placement, rotation, tilt and posture."""
 
-    Parameters
-    ----------
-    origin : array (3,) [m]
-        Of the stated work frame.
-    placement : array (6,)
-        Shift [m] and rotation vector [rad] of the work frame.
-    turns : array (m, 3)
-        Coefficients of the rotation about the tool's axis and of the tilts about x and y [rad].
-    joints : callable
-        Joint positions (n,) near those at a distance [m].
-    """
-
-    origin: np.ndarray
-    placement: np.ndarray
+    origin: np.ndarray  # (3,) [m] of the stated work frame
+    placement: np.ndarray  # (6,) shift [m] and rotation vector [rad] of the work frame
     basis: TurnBasis
+    # (m, 3) coefficients of the rotation about the tool's axis and of the tilts about x and y
+    # [rad].
     turns: np.ndarray
-    joints: Callable[[float], np.ndarray]
+    joints: Callable[[float], np.ndarray]  # joint positions (n,) near those at a distance [m]
 
     @property
     def work_rotation(self) -> scipy.spatial.transform.Rotation:

@@ -29,19 +29,10 @@ Poses = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 class PoseFollower:
     """Inverse kinematics at any distance along a path, close to poses solved step by step.
 
-    Parameters
-    ----------
-    poses : callable
-        Positions (K, 3) [m] and rotations (K, 3, 3) at distances (K,) [m].
-    breaks : array (m,)
-        Distances at which pieces of the path meet, 0 and its length among them [m].
-    near : array (n,) or callable
-        Selects the solution at the start, or at each distance [m]. [rad]
-
-    Raises
-    ------
-    ProblemError
-        A pose is out of reach, or the path passes a singular pose; with the place.
+    `poses`: positions (K, 3) [m] and rotations (K, 3, 3) at distances (K,) [m]. `breaks` (m,):
+    distances at which pieces of the path meet, 0 and its length among them [m]. `near` (n,) or
+    callable: selects the solution at the start, or at each distance [m]. Raises
+    `ProblemError`: a pose is out of reach, or the path passes a singular pose; with the place.
     """
 
     def __init__(

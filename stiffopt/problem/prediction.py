@@ -22,14 +22,9 @@ def predict_motion(
 ) -> PredictedMotion:
     """Evaluate the stage model at the nodes and midpoints of a motion.
 
-    Parameters
-    ----------
-    motion : Trajectory
-        In the problem's coordinates: all joints, or the parameter of a fixed path.
-    smoothing : Smoothing
-        Widths of the last stage.
-    elastic : bool
-        Add wind-up and deflection; True where stiffness enters the problem.
+    `motion`: in the problem's coordinates: all joints, or the parameter of a fixed path.
+    `smoothing`: widths of the last stage. `elastic`: add wind-up and deflection; True where
+    stiffness enters the problem.
     """
     coordinates = coordinates_of(problem)
     size, order = coordinates.size, coordinates.order

@@ -22,10 +22,7 @@ Kind = TypeVar("Kind", bound=HasName)
 class Registry(Mapping[str, Kind]):
     """Kinds by name, in alphabetical order.
 
-    Parameters
-    ----------
-    package : str
-        Package whose modules are imported on first access; each calls `add`.
+    `package`: package whose modules are imported on first access; each calls `add`.
     """
 
     def __init__(self, package: str) -> None:

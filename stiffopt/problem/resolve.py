@@ -27,10 +27,7 @@ if TYPE_CHECKING:
 def resolve(problem: TrajectoryProblem) -> ResolvedMotion:
     """Resolve all poses and check those that the motion must take.
 
-    Raises
-    ------
-    ProblemError
-        A pose is out of reach or out of range, or cannot be held at rest.
+    Raises `ProblemError`: a pose is out of reach or out of range, or cannot be held at rest.
     """
     check_plausible(problem)
     if problem.path is not None:
@@ -196,11 +193,8 @@ def stopping_distance(
     """Return the least distance (n,) from `speed` to standstill, from zero acceleration.
 
     Constant jerk until the acceleration limit, then constant acceleration; infinite limits give 0.
-
-    Parameters
-    ----------
-    speed, acceleration, jerk : array (n,)
-        Not negative, the limits positive. [rad/s], [rad/s^2], [rad/s^3] or the same in m
+    `speed`, `acceleration` and `jerk` (n,): not negative, the limits positive [rad/s], [rad/s^2],
+    [rad/s^3] or the same in m.
     """
     # A jump of the acceleration where the jerk has no limit: no time and no distance.
     finite = np.where(np.isfinite(jerk), jerk, 0.0)

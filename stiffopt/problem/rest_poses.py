@@ -20,20 +20,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RestPose:
-    """Start or end pose of a motion.
+    """Start or end pose of a motion."""
 
-    Parameters
-    ----------
-    name : str
-        "start" or "end".
-    angles : array (n,) [rad]
-    fixed : bool
-        True if the arm is at rest in exactly this pose.
-    """
-
-    name: str
-    angles: np.ndarray
-    fixed: bool
+    name: str  # "start" or "end"
+    angles: np.ndarray  # (n,) [rad]
+    fixed: bool  # True if the arm is at rest in exactly this pose
 
 
 def rest_poses(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[RestPose, RestPose]:

@@ -40,6 +40,8 @@ from stiffopt.robot.tolerances import Tolerances
 from stiffopt.validation import Section
 
 Vector3 = tuple[Length, Length, Length]
+Force3 = tuple[Force, Force, Force]
+RollPitchYaw = tuple[Angle, Angle, Angle]
 
 
 class PayloadSection(Section):
@@ -62,7 +64,7 @@ class ToolPointSection(Section):
     link: Annotated[str | None, Doc("Link that carries the tool; default the robot's.")] = None
     offset: Annotated[Vector3 | None, Doc("Tool point in the frame of the link.")] = None
     rpy: Annotated[
-        tuple[Angle, Angle, Angle] | None,
+        RollPitchYaw | None,
         Doc("Fixed-axis roll, pitch, yaw of the tool's axes in the frame of the link."),
     ] = None
 
@@ -70,11 +72,7 @@ class ToolPointSection(Section):
 class ToolSection(ToolPointSection):
     """Tool point whose deflection is evaluated, and the process force on it."""
 
-    process_force: Annotated[tuple[Force, Force, Force], Doc("Force ON the tool, base frame.")] = (
-        0.0,
-        0.0,
-        0.0,
-    )
+    process_force: Annotated[Force3, Doc("Force ON the tool, base frame.")] = (0.0, 0.0, 0.0)
 
 
 class TargetSection(Section):
@@ -83,7 +81,7 @@ class TargetSection(Section):
     joints: Annotated[list[JointPosition] | None, Doc("Joint positions, one a joint.")] = None
     position: Annotated[Vector3 | None, Doc("Position of the tool, base frame.")] = None
     rpy: Annotated[
-        tuple[Angle, Angle, Angle] | None,
+        RollPitchYaw | None,
         Doc("Fixed-axis roll, pitch, yaw of the tool; without it the orientation is free."),
     ] = None
     near: Annotated[
@@ -147,8 +145,7 @@ class MoveSection(Section):
         Doc("Speed override: factor on the limits of joint velocity and tool speed."),
     ] = 1.0
     process_force: Annotated[
-        tuple[Force, Force, Force] | None,
-        Doc("Force ON the tool during the move, base frame; default that of [tool]."),
+        Force3 | None, Doc("Force ON the tool during the move, base frame; default that of [tool].")
     ] = None
 
 
@@ -217,7 +214,7 @@ class PathEndSection(Section):
 
     position: Annotated[Vector3, Doc("Position of the tool, base frame.")]
     rpy: Annotated[
-        tuple[Angle, Angle, Angle] | None,
+        RollPitchYaw | None,
         Doc("Fixed-axis roll, pitch, yaw of the tool; default that of the pose before."),
     ] = None
 
@@ -225,7 +222,7 @@ class PathEndSection(Section):
 class PathStartSection(PathEndSection):
     """Start of the tool path."""
 
-    rpy: Annotated[tuple[Angle, Angle, Angle], Doc("Fixed-axis roll, pitch, yaw of the tool.")]
+    rpy: Annotated[RollPitchYaw, Doc("Fixed-axis roll, pitch, yaw of the tool.")]
     near: Annotated[
         list[JointPosition] | None,
         Doc("Joint positions that select the solution of the inverse kinematics."),
@@ -249,8 +246,7 @@ class SegmentSection(Section):
     dwell: Annotated[Time, NOT_NEGATIVE, Doc("Rest at a stop.")] = 0.0
     label: Annotated[str, Doc("Name of the segment in messages.")] = ""
     force: Annotated[
-        tuple[Force, Force, Force] | None,
-        Doc("Force ON the tool on this segment; default path.force.value."),
+        Force3 | None, Doc("Force ON the tool on this segment; default path.force.value.")
     ] = None
 
     @model_validator(mode="after")
@@ -269,16 +265,20 @@ class SegmentSection(Section):
 class PathTableSection(Section):
     """Poses of a tool path in a CSV file, in place of start and segments.
 
-    Columns x, y, z; optionally rx, ry, rz (roll, pitch, yaw) or qw, qx, qy, qz; speed [m/s] on the
-    way to the pose; stop (1: the tool rests there). Others, such as labels, are not read.
+    Columns x, y, z; optionally rx, ry, rz (roll, pitch, yaw) or qw, qx, qy, qz; speed on the way to
+    the pose; stop (1: the tool rests there); label, which messages name. Others are not read.
+    Cells are separated by commas, or by semicolons or tabs with commas in decimals.
     """
 
     file: Annotated[str, Doc("CSV file beside this file.")]
     length: Annotated[Literal["m", "mm"], Doc("Unit of x, y and z.")] = "m"
     angle: Annotated[Literal["rad", "deg"], Doc("Unit of rx, ry and rz.")] = "rad"
+    speed: Annotated[
+        Literal["m/s", "mm/s", "mm/min", "cm/min"] | None,
+        Doc("Unit of speed; default that of the length in a second."),
+    ] = None
     rpy: Annotated[
-        tuple[Angle, Angle, Angle] | None,
-        Doc("Orientation of the tool, where the file has none."),
+        RollPitchYaw | None, Doc("Orientation of the tool, where the file has none.")
     ] = None
     interpolation: Annotated[
         Literal["spline", "linear"],
@@ -288,14 +288,17 @@ class PathTableSection(Section):
 
 
 class WorkFrameSection(Section):
-    """Frame in which the poses of the path are given."""
+    """Frame of the path's poses, on the base or on a positioner."""
 
-    position: Annotated[Vector3, Doc("Origin, base frame.")] = (0.0, 0.0, 0.0)
-    rpy: Annotated[tuple[Angle, Angle, Angle], Doc("Fixed-axis roll, pitch, yaw.")] = (
-        0.0,
-        0.0,
-        0.0,
-    )
+    link: Annotated[
+        str | None,
+        Doc(
+            "Link of a positioner that carries the work; poses, speed and force are relative to it "
+            "and in its axes. Its joints are a branch of the URDF, each named by a [[joint]]."
+        ),
+    ] = None
+    position: Annotated[Vector3, Doc("Origin, base frame or that of `link`.")] = (0.0, 0.0, 0.0)
+    rpy: Annotated[RollPitchYaw, Doc("Fixed-axis roll, pitch, yaw.")] = (0.0, 0.0, 0.0)
 
 
 class PathForceSection(Section):
@@ -304,7 +307,7 @@ class PathForceSection(Section):
     It is not part of the calibrated pose, as tool.process_force is: the command compensates it.
     """
 
-    value: Annotated[tuple[Force, Force, Force], Doc("Constant part.")] = (0.0, 0.0, 0.0)
+    value: Annotated[Force3, Doc("Constant part.")] = (0.0, 0.0, 0.0)
     per_feed: Annotated[
         tuple[ForcePerSpeed, ForcePerSpeed, ForcePerSpeed],
         Doc("Part proportional to the tool speed."),
@@ -377,7 +380,8 @@ class LimitsSection(Section):
 class DutySection(Section):
     """Limits of the duty of a cycle, which its moves and the split of its time keep.
 
-    With an error limit or a deflection to minimise, a cycle beyond one is refused instead.
+    With an error limit or a deflection to minimise, a cycle beyond one is refused instead. The
+    fastest motion on a path, repeated without a pause, is slowed as a whole until they hold.
     """
 
     rms_torque: Annotated[

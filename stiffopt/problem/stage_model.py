@@ -19,7 +19,7 @@ from stiffopt.dynamics.deflection import (
     tool_deflection,
 )
 from stiffopt.dynamics.friction import drive_torque, dry_friction_width
-from stiffopt.dynamics.kinematics import point_jacobian
+from stiffopt.dynamics.kinematics import frame_jacobian
 from stiffopt.errors import ProblemError
 from stiffopt.robot.added_torque import MotionState, sum_added_torques
 from stiffopt.symbolic import Quantity
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
 # Step of a speed that is rounded to a constant, relative to the friction's smoothing width.
-_ROUNDING = 1e-12
+_SPEED_STEP = 1e-12
 
 
 class StageModel:
@@ -85,15 +85,9 @@ class StageModel:
 
     def spring_torques(self) -> SpringTorques:
         """Build the spring torques from the model's motion."""
-        tool = self.robot.tool
-        force = self.process_force if np.any(self.process_force) else None
-        bodies = spring_torques(
-            self.robot.tree,
-            tool.joint,
-            tool.offset,
-            *self.link,
-            force,
-        )
+        force = self.process_force
+        pushed = ca.mtimes(self.jacobian.T, force) if np.any(force) else None
+        bodies = spring_torques(self.robot.tree, *self.link, pushed)
         if not self.robot.added_torques:
             return bodies
         state = self._motion_state(*self.link, bodies.motion)
@@ -150,9 +144,8 @@ class StageModel:
 
     @cached_property
     def jacobian(self) -> Quantity:
-        """Position Jacobian of the tool (3, n), base axes."""
-        tool = self.robot.tool
-        return point_jacobian(self.robot.tree, tool.joint, tool.offset, self.link[0])
+        """Position Jacobian of the tool (3, n), base axes or those of the work."""
+        return frame_jacobian(self.robot.tree, self.robot.tool, self.link[0])
 
     @cached_property
     def drive_torque(self) -> Quantity:
@@ -184,7 +177,7 @@ class StageModel:
         share = ca.tanh(place)
         rest = self._drive_torque_without_dry_friction + self._added_drive_torque()
         # Zero, but of slope one: only second derivatives of its square differ from zero.
-        slope = place - ca.floor(place / _ROUNDING) * _ROUNDING
+        slope = place - ca.floor(place / _SPEED_STEP) * _SPEED_STEP
         concave = 2.0 * dry * ca.fmax(rest * share, 0.0) * (1.0 - share**2)
         bare = (rest + dry * share) ** 2 + (1.0 - creeping) * dry**2 * (1.0 - share**2)
         return bare + convexity * concave * slope**2

@@ -30,21 +30,11 @@ STIFFNESS_SMOOTHING = (4.0, 1.0, 0.25, 0.05)
 
 @dataclass(frozen=True, kw_only=True)
 class PathRows:
-    """Constraint rows at every node and midpoint.
+    """Constraint rows at every node and midpoint."""
 
-    Parameters
-    ----------
-    name : str
-        Limited quantity; certificates and back-offs use the same name.
-    labels : tuple of str (m,)
-        "joint 2" or "tool".
-    expressions : tuple of Quantity (m,)
-        Relative to the limit, so that they are of order one.
-    """
-
-    name: str
-    labels: tuple[str, ...]
-    expressions: tuple[Quantity, ...]
+    name: str  # limited quantity; certificates and back-offs use the same name
+    labels: tuple[str, ...]  # (m,) "joint 2" or "tool"
+    expressions: tuple[Quantity, ...]  # (m,) relative to the limit, so that they are of order one
     lower: float = -np.inf
     upper: float = 0.0
 
@@ -60,33 +50,21 @@ class IntegralRow:
 
 @dataclass(frozen=True, kw_only=True)
 class StaticVariable:
-    """A non-negative variable of the whole motion, such as the bound of a peak.
-
-    Parameters
-    ----------
-    start : callable
-        Initial value, from an assessed motion.
-    scale : float or None
-        Typical magnitude; None: that of the objective.
-    """
+    """A non-negative variable of the whole motion, such as the bound of a peak."""
 
     name: str
-    start: Callable[[Assessment], float]
-    scale: float | None = None
+    start: Callable[[Assessment], float]  # initial value, from an assessed motion
+    scale: float | None = None  # typical magnitude; None: that of the objective
 
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectiveTerms:
     """Contributions of one objective.
 
-    Parameters
-    ----------
-    value : callable
-        The objective in SI from the integrals of `integrands` and the duration; linear in the
-        integrals, else the Hessian becomes dense: a root goes through a static variable.
-    besides : callable, optional
-        Function of integrals and duration that is minimised among motions of about equal value,
-        for robustness to model errors.
+    `value`: the objective in SI from the integrals of `integrands` and the duration; linear in the
+    integrals, else the Hessian becomes dense: a root goes through a static variable. `besides`:
+    function of integrals and duration that is minimised among motions of about equal value, for
+    robustness to model errors.
     """
 
     value: OfIntegrals
@@ -106,33 +84,24 @@ class Smoothing:
     """Factors on the default smoothing widths of the optimiser's laws, numbers or symbols.
 
     They are parameters of the optimal-control problem: one programme is solved for several.
-
-    Parameters
-    ----------
-    stiffness : float or SX
-        On the kinks and steps of the joints' stiffness; from wide to narrow stage by stage.
-    lead : float or SX
-        Further factor in the feedforward-lead law of planned links: as wide as the motors' jerk
-        limit needs, while the deflection keeps its own width.
-    robust : float or SX
-        From 0, the objective alone, to 1, its robust value, with the motor back-off that uncertain
-        arms need; of a tool error the relative change of the ringing's weight.
-    friction : float or SX
-        On the speed below which dry friction falls off, in the drive torque of objectives: narrow
-        from the start, it makes every reversal of a joint a choice of its own.
-    creeping : float or SX
-        From 0, dry friction is charged in full at any speed, to 1, only by the smooth law, which
-        favours joints at rest, and as much those that creep.
-    convexity : float or SX
-        From 0, exact second derivatives of the charge of dry friction, to 1, without its concave
-        part: one joint about to reverse would else shorten the steps of all others.
     """
 
+    # On the kinks and steps of the joints' stiffness; from wide to narrow stage by stage.
     stiffness: Quantity
+    # Further factor in the feedforward-lead law of planned links: as wide as the motors' jerk limit
+    # needs, while the deflection keeps its own width.
     lead: Quantity = 1.0
+    # From 0, the objective alone, to 1, its robust value, with the motor back-off that uncertain
+    # arms need; of a tool error the relative change of the ringing's weight.
     robust: Quantity = 0.0
+    # On the speed below which dry friction falls off, in the drive torque of objectives: narrow
+    # from the start, it makes every reversal of a joint a choice of its own.
     friction: Quantity = 1.0
+    # From 0, dry friction is charged in full at any speed, to 1, only by the smooth law, which
+    # favours joints at rest, and as much those that creep.
     creeping: Quantity = 0.0
+    # From 0, exact second derivatives of the charge of dry friction, to 1, without its concave
+    # part: a joint about to reverse would else shorten the steps of all others.
     convexity: Quantity = 0.0
 
     @property

@@ -73,19 +73,13 @@ class Line(ToolCurve):
 
 @dataclass(frozen=True, eq=False)
 class Arc(ToolCurve):
-    """Arc of a circle.
+    """Arc of a circle."""
 
-    Parameters
-    ----------
-    middle : array (3,) [m]
-    first, across : array (3,) [m]
-        Radius vectors at the angle 0 and a quarter turn later.
-    begin, angle : float [rad]
-    """
-
-    middle: np.ndarray
+    middle: np.ndarray  # (3,) [m]
+    # (3,) [m] radius vectors at the angle 0 and a quarter turn later.
     first: np.ndarray
     across: np.ndarray
+    # [rad].
     begin: float
     angle: float
 
@@ -139,13 +133,7 @@ class Arc(ToolCurve):
 class Curve(ToolCurve):
     """Smooth parametric curve r(u), with a table of its arc length.
 
-    Parameters
-    ----------
-    spline : CubicSpline or another callable r(u, order) -> (K, 3)
-    begin, end : float
-        Range of u.
-    steps : int
-        Of the table.
+    `spline` (u, order) -> (K, 3). `begin` and `end`: range of u. `steps`: of the table.
     """
 
     def __init__(

@@ -31,42 +31,21 @@ _MIN_LENGTH = 1e-6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ToolSegment:
-    """A segment of a tool path.
+    """A segment of a tool path."""
 
-    Parameters
-    ----------
-    end : array (3,)
-        End point, base frame [m].
-    rotation : array (3, 3) or None
-        Orientation of the tool at the end; None keeps the previous one.
-    through : array (3,) or None
-        A point on the arc; None for a straight line [m].
-    blend : float
-        Distance from its end at which the rounding into the next segment begins [m].
-    curve : ToolCurve or None
-        The segment itself, where it is neither a line nor an arc.
-    turns : callable or None
-        Rotations (K, 3, 3) at shares (K,) of the segment, where they do not turn evenly to its end.
-    speed : float
-        Largest tool speed on it [m/s].
-    stop : bool
-        The tool rests at its end.
-    dwell : float
-        Rest at its end [s].
-    where : str
-        How messages name it.
-    """
-
-    end: np.ndarray
+    end: np.ndarray  # (3,) end point, base frame [m]
+    # (3, 3) orientation of the tool at the end; None keeps the previous one.
     rotation: np.ndarray | None = None
-    through: np.ndarray | None = None
+    through: np.ndarray | None = None  # (3,) a point on the arc; None for a straight line [m]
+    # Distance from its end at which the rounding into the next segment begins [m].
     blend: float = 0.0
-    curve: ToolCurve | None = None
+    curve: ToolCurve | None = None  # the segment itself, where it is neither a line nor an arc
+    # Rotations (K, 3, 3) at shares (K,) of the segment, where they do not turn evenly to its end.
     turns: Callable[[np.ndarray], np.ndarray] | None = None
-    speed: float = np.inf
-    stop: bool = False
-    dwell: float = 0.0
-    where: str = ""
+    speed: float = np.inf  # largest tool speed on it [m/s]
+    stop: bool = False  # the tool rests at its end
+    dwell: float = 0.0  # rest at its end [s]
+    where: str = ""  # how messages name it
 
 
 class ToolPath:
@@ -251,33 +230,19 @@ def spline_segments(
     rotations: np.ndarray | None,
     speeds: np.ndarray,
     stops: np.ndarray,
-    where: str,
+    names: Sequence[str],
 ) -> list[ToolSegment]:
-    """Return segments of splines through points, from stop to stop.
+    """Return segments of splines through points (m, 3) [m], the first the start, from stop to stop.
 
-    Parameters
-    ----------
-    points : array (m, 3) [m]
-        The first one is the start.
-    rotations : array (m, 3, 3) or None
-        Orientations there; None for one that stays.
-    speeds : array (m,)
-        Largest tool speed on the way to each point [m/s].
-    stops : array (m,) of bool
-        The tool rests at the point.
-    where : str
-        Name of the points in messages: "points.csv, row ".
-
-    Raises
-    ------
-    ProblemError
-        A point repeats the one before.
+    At each point: orientation (m, 3, 3) or None for one that stays, largest tool speed on the way
+    to it (m,) [m/s], whether the tool rests there, and its name in messages ("points.csv, row 3").
+    Raises `ProblemError` for a point that repeats the one before.
     """
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     for k in np.flatnonzero(~(steps > _MIN_LENGTH)):
         raise ProblemError(
-            f"{where}{k + 2} repeats the point before, [{', '.join(f'{x:.6g}' for x in points[k])}]"
-            " m. Delete it."
+            f"{names[int(k) + 1]} repeats the point before,"
+            f" [{', '.join(f'{x:.6g}' for x in points[k])}] m. Delete it."
         )
     found = []
     ends = [0, *np.flatnonzero(stops[1:-1]) + 1, len(points) - 1]
@@ -297,7 +262,7 @@ def spline_segments(
                     turns=None if turns is None else turns.between(along[a], along[b]),
                     speed=float(inner[b]),
                     stop=bool(first + b == last and last < len(points) - 1),
-                    where=f"{where}{first + b + 1}",
+                    where=names[first + b],
                 )
             )
     return found
@@ -305,18 +270,10 @@ def spline_segments(
 
 @dataclass(frozen=True, eq=False)
 class FittedPath:
-    """Joint path of a tool path.
+    """Joint path of a tool path."""
 
-    Parameters
-    ----------
-    joints : JointPath
-        Knots where pieces meet; the tool stops at its `stops`.
-    error : float
-        Largest distance of the tool from the tool path [m].
-    """
-
-    joints: JointPath
-    error: float
+    joints: JointPath  # knots where pieces meet; the tool stops at its `stops`
+    error: float  # largest distance of the tool from the tool path [m]
 
 
 def fit_tool_path(
@@ -327,17 +284,9 @@ def fit_tool_path(
 ) -> FittedPath:
     """Fit a joint spline that follows a tool path.
 
-    Parameters
-    ----------
-    near : array (n,) or callable
-        Selects the inverse-kinematics solution at the start, or at each distance [m]. [rad]
-    tolerance : float
-        Largest error of the tool's position [m].
-
-    Raises
-    ------
-    ProblemError
-        The path is out of reach, passes a singular pose, or needs too many knots.
+    `near` (n,) or callable: selects the inverse-kinematics solution at the start, or at each
+    distance [m]. `tolerance`: largest error of the tool's position [m]. Raises
+    `ProblemError`: the path is out of reach, passes a singular pose, or needs too many knots.
     """
     follower = PoseFollower(robot, path.poses, path.breaks, near)
     # Deviation of the joints' path over the size of the smallest blend: it must not vanish.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from stiffopt.robot.cell import Cell
 if TYPE_CHECKING:
     from stiffopt.problem.limit import LimitKind
     from stiffopt.problem.path_force import PathForce
+    from stiffopt.result.duty import DutyLimits
     from stiffopt.robot.clearance import ClearanceModel
     from stiffopt.robot.robot import Robot
 
@@ -100,20 +101,14 @@ class Target:
 
 @dataclass(frozen=True)
 class ResolvedMotion:
-    """Joint angles of a problem's poses.
+    """Joint angles of a problem's poses."""
 
-    Parameters
-    ----------
-    start, end : array (n,) [rad]
-    vias : tuple of array (n,) [rad]
-        One inverse-kinematics solution each; the optimiser may pass a via in another.
-    start_fixed, end_fixed : bool
-        False where only the tool's position is given: the angles are then an initial guess.
-    """
-
+    # (n,) [rad].
     start: np.ndarray
     end: np.ndarray
+    # (n,) [rad] one inverse-kinematics solution each; the optimiser may pass a via in another.
     vias: tuple[np.ndarray, ...]
+    # False where only the tool's position is given: the angles are then an initial guess.
     start_fixed: bool
     end_fixed: bool
 
@@ -201,6 +196,10 @@ class TrajectoryProblem:
         Force on the tool along the path, which the command compensates.
     process_force : array (3,) [N]
         Constant force on the tool, base frame, under which poses are calibrated.
+    path_choice : dict or None
+        Choice of the freedom of a tool path, kept with results.
+    duty : DutyLimits or None
+        Limits of the duty under repetition of the motion, kept by the timing of a path.
     remarks : tuple of str
         Assumptions for incomplete input, repeated in results.
     uncertainty : Uncertainty
@@ -230,6 +229,9 @@ class TrajectoryProblem:
     uncertainty: Uncertainty = field(default_factory=AssumedUncertainty)
     servo: Servo = field(default_factory=lambda: Servo(kind="industrial"))
     cell: Cell | None = None
+    duty: DutyLimits | None = None
+    # Not compared: the path follows from it.
+    path_choice: dict[str, Any] | None = field(default=None, compare=False, repr=False)
     # Reason for default objectives. No field: it does not change the problem.
     chosen: ClassVar[str] = ""
 
@@ -254,6 +256,11 @@ class TrajectoryProblem:
             self._choose_objective()
         for number, objective in enumerate(self.objectives, start=1):
             self._check_objective(objective, f"minimise[{number}]")
+        if self.duty is not None and not self.is_timed_on_path:
+            raise ProblemError(
+                "duty: its limits are kept by a cycle of [[move]], or by the timing of a path "
+                "whose only objective is the duration. Leave them out, or give such a path."
+            )
         for kind in self._arrival_limits:
             name = f"limits.{kind.name}"
             check_link_planning(self, name, f"leave {name} out")
@@ -415,12 +422,8 @@ class TrajectoryProblem:
 def check_link_planning(problem: TrajectoryProblem, subject: str, instead: str) -> None:
     """Raise `ProblemError` unless the links' motion can be planned.
 
-    Parameters
-    ----------
-    subject : str
-        Objective or limit that plans the links, as users write it: "tool_deviation".
-    instead : str
-        Alternative: "minimise 'dynamic_deflection'".
+    `subject`: objective or limit that plans the links, as users write it: "tool_deviation".
+    `instead`: alternative: "minimise 'dynamic_deflection'".
     """
     if problem.path is not None:
         raise ProblemError(

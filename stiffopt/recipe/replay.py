@@ -7,17 +7,16 @@ the same inputs were seen to reach the same optimum in 35 and in 38 iterations.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from stiffopt.errors import InputFileError
-from stiffopt.problem.files import load_problem
 from stiffopt.recipe.stored_result import (
     check_inputs,
-    problem_file,
-    read_changes,
     read_guess,
+    read_problem,
     read_state,
 )
 from stiffopt.result.provenance import versions
@@ -34,26 +33,18 @@ _STAGE_FACTS = ("intervals", "smoothing", "status")
 
 @dataclass(frozen=True, kw_only=True)
 class Replay:
-    """Second solve of a stored result.
-
-    Parameters
-    ----------
-    solution : Solution
-    differences : tuple of str
-        Versions that differ, and the first stage or value that does; empty where all agrees.
-    """
+    """Second solve of a stored result."""
 
     solution: Solution
+    # Versions that differ, and the first stage or value that does; empty where all agrees.
     differences: tuple[str, ...]
 
 
 def replay(folder: Path, *, progress: ProgressCallback | None = None) -> Replay:
     """Solve the recipe of a result folder again, from the same state, and compare.
 
-    Raises
-    ------
-    InputFileError
-        A file is missing, the problem has changed, or the plan is of an extended model.
+    Raises `InputFileError`: a file is missing, the problem has changed, or the plan is of an
+    extended model.
     """
     path = folder / RESULT_FILE
     document = read_document(path)
@@ -61,13 +52,13 @@ def replay(folder: Path, *, progress: ProgressCallback | None = None) -> Replay:
         raise InputFileError(
             path, "model", "was solved with --model; run `stiffopt solve --model` again instead."
         )
-    named = problem_file(path, document)
-    stated = load_problem(named, read_changes(path, document)).problem
-    check_inputs(path, document, named, stated)
+    loaded = read_problem(path, document)
+    stated = loaded.problem
+    check_inputs(path, document, loaded.path, stated)
     guess = state = None
     if isinstance(document.get("guess"), str):
         begin = folder / str(document["guess"])
-        guess, state = read_guess(begin, stated), read_state(begin)
+        guess, state = functools.partial(read_guess, begin, stated), read_state(begin)
     solution, _ = ProblemFamily().solve(stated, state, guess=guess, progress=progress)
     return Replay(solution=solution, differences=tuple(_find_differences(document, solution)))
 

@@ -18,7 +18,7 @@ from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import InputFileError, shortened
 from stiffopt.files import read_table
 from stiffopt.folders import check_result, is_regular
-from stiffopt.problem.files import load_problem
+from stiffopt.problem.files import LoadedProblem, load_problem
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
 from stiffopt.result.archive import ARCHIVE_FILE, read_archive
@@ -31,44 +31,27 @@ from stiffopt.result.store import FORCE_COLUMNS, RESULT_FILE, TRAJECTORY_FILE, r
 from stiffopt.result.trajectory import ForceHistory, JointMotion
 from stiffopt.robot.tolerances import Tolerances
 from stiffopt.solver.family import WarmStart
+from stiffopt.transcription.prepared import read_prepared, write_prepared
 
 # Variables and multipliers at the end of a solve, from which --guess starts.
 STATE_FILE = "state.bin"
+# Formulas of its programme.
+PREPARED_FILE = "formulas.npz"
 
 
 @dataclass(frozen=True, kw_only=True)
 class StoredResult:
-    """Motion of a result folder with its problem.
+    """Motion of a result folder with its problem."""
 
-    Parameters
-    ----------
-    problem : TrajectoryProblem
-        As it was solved.
-    uncertainty : Uncertainty
-        With changes; the problem's where there are none.
-    tolerances : Tolerances
-        Likewise.
-    motion : ResolvedMotion
-    optimised : PlannedMotion
-    windup : array (K, n)
-        Of the joints along the stored motion [rad].
-    command : ExistingCommand or None
-        Of command.csv, where there is one.
-    force : ForceHistory or None
-        Process force along a path.
-    model : Path or None
-        Extended model that the motion was planned with.
-    """
-
-    problem: TrajectoryProblem
-    uncertainty: Uncertainty
-    tolerances: Tolerances
+    problem: TrajectoryProblem  # as it was solved
+    uncertainty: Uncertainty  # with changes; the problem's where there are none
+    tolerances: Tolerances  # likewise
     motion: ResolvedMotion
     optimised: PlannedMotion
-    windup: np.ndarray
-    command: ExistingCommand | None = None
-    force: ForceHistory | None = None
-    model: Path | None = None
+    windup: np.ndarray  # (K, n) of the joints along the stored motion [rad]
+    command: ExistingCommand | None = None  # of command.csv, where there is one
+    force: ForceHistory | None = None  # process force along a path
+    model: Path | None = None  # extended model that the motion was planned with
 
     def motions(self) -> list[PlannedMotion]:
         """Return the stored motion, then recomputed rivals."""
@@ -84,34 +67,21 @@ def read_result(
 ) -> StoredResult:
     """Read result.json and trajectory.csv of a folder, and the problem that they name.
 
-    Parameters
-    ----------
-    folder : Path
-    problem : Path, optional
-        Problem file, replaces the one that the result names.
-    changes : sequence of str
-        Of entries of its [uncertainty] and [tolerances], such as "uncertainty.stiffness=0.3"; the
-        motion does not depend on them.
-    extend : callable, optional
-        (problem, extended model, effects) -> problem of the extended robot, for motions that were
-        planned with one; without it they are refused.
-
-    Raises
-    ------
-    InputFileError
-        A file is missing or invalid, names no problem, or the problem has changed.
+    `problem`: problem file, replaces the one that the result names. `changes`: of entries of its
+    [uncertainty] and [tolerances], such as "uncertainty.stiffness=0.3"; the motion does not depend
+    on them. `extend`: (problem, extended model, effects) -> problem of the extended robot, for
+    motions that were planned with one; without it they are refused. Raises `InputFileError`: a file
+    is missing or invalid, names no problem, or the problem has changed.
     """
     path = folder / RESULT_FILE
     document = read_document(path)
-    problem = problem_file(path, document, problem)
-    solved = read_changes(path, document)
-    loaded = load_problem(problem, solved)
-    stated = loaded.problem
+    loaded = read_problem(path, document, problem)
+    problem, stated = loaded.path, loaded.problem
     model, effects = (_named_file(path, document, key) for key in ("model", "effects"))
     if model is not None and extend is not None:
         stated = extend(stated, model, effects)
     check_inputs(path, document, problem, stated)
-    judged = load_problem(problem, (*solved, *changes)) if changes else loaded
+    judged = read_problem(path, document, problem, changes) if changes else loaded
     certificate = document.get("certificate")
     if not isinstance(certificate, dict):
         raise InputFileError(path, "certificate", "this solve found no motion to simulate.")
@@ -167,10 +137,7 @@ def _read_force(path: Path) -> ForceHistory | None:
 def problem_file(path: Path, document: dict[str, Any], given: Path | None = None) -> Path:
     """Return the problem file of a result.json at `path`: the one given, else the one it names.
 
-    Raises
-    ------
-    InputFileError
-        It names none, or there is none.
+    Raises `InputFileError`: it names none, or there is none.
     """
     if given is not None:
         return given
@@ -196,6 +163,20 @@ def read_changes(path: Path, document: dict[str, Any]) -> tuple[str, ...]:
     if not isinstance(changes, list) or not all(isinstance(each, str) for each in changes):
         raise InputFileError(path, "changes", "is no list of texts KEY=VALUE. Solve again.")
     return tuple(changes)
+
+
+def read_problem(
+    path: Path,
+    document: dict[str, Any],
+    given: Path | None = None,
+    changes: Sequence[str] = (),
+) -> LoadedProblem:
+    """Read the problem of a result.json at `path` as it was solved, and further changes.
+
+    The freedom of its path is as the solve chose it.
+    """
+    file, solved = problem_file(path, document, given), read_changes(path, document)
+    return load_problem(file, (*solved, *changes), choice=document.get("path_choice"))
 
 
 def check_inputs(
@@ -270,10 +251,7 @@ def _read_joint_table(path: Path, joints: int, quantities: Sequence[str]) -> tup
 def read_guess(folder: Path, problem: TrajectoryProblem) -> Assessment:
     """Read the motion of a result folder of the same arm as an initial guess.
 
-    Raises
-    ------
-    InputFileError
-        The folder has no motion of as many joints.
+    Raises `InputFileError`: the folder has no motion of as many joints.
     """
     check_result(folder, TRAJECTORY_FILE)
     time, position, velocity, _ = _read_trajectory(folder / TRAJECTORY_FILE, problem.joints)
@@ -285,22 +263,24 @@ def read_state(folder: Path) -> WarmStart | None:
     if not is_regular(folder, STATE_FILE):
         return None
     check_result(folder, STATE_FILE)
+    if is_regular(folder, PREPARED_FILE):
+        check_result(folder, STATE_FILE, PREPARED_FILE)
+        read_prepared(folder / PREPARED_FILE)
     return WarmStart.from_bytes((folder / STATE_FILE).read_bytes())
 
 
 def write_state(state: WarmStart | None, folder: Path) -> None:
-    """Write the solved state into a result folder, where there is one."""
+    """Write the solved state into a result folder, where there is one, and its functions."""
     if state is not None:
         (folder / STATE_FILE).write_bytes(state.to_bytes())
+        write_prepared(folder / PREPARED_FILE)
 
 
 def read_stored_solution(folder: Path) -> tuple[TrajectoryProblem, Solution]:
     """Return problem and solution of a solve without a report, as they were.
 
-    Raises
-    ------
-    InputFileError
-        A file is missing or damaged, the problem has changed, or the solve drew its report.
+    Raises `InputFileError`: a file is missing or damaged, the problem has changed, or the solve
+    drew its report.
     """
     path = folder / RESULT_FILE
     document = read_document(path)
@@ -314,10 +294,9 @@ def read_stored_solution(folder: Path) -> tuple[TrajectoryProblem, Solution]:
             else "is missing: `stiffopt solve --no-report` stores what a page shows. Solve again.",
         )
     check_result(folder, ARCHIVE_FILE)
-    named = problem_file(path, document)
-    stated = load_problem(named, read_changes(path, document)).problem
-    check_inputs(path, document, named, stated)
-    return stated, read_archive(folder)
+    loaded = read_problem(path, document)
+    check_inputs(path, document, loaded.path, loaded.problem)
+    return loaded.problem, read_archive(folder)
 
 
 class _TableMotion:

@@ -13,15 +13,8 @@ DEVIATION_PER_MAD = 1.4826
 def resolution(values: np.ndarray) -> float | None:
     """Smallest step of a quantised channel, None if its values lie on no grid.
 
-    Parameters
-    ----------
-    values : array (K,)
-        NaN is ignored.
-
-    Notes
-    -----
-    Valid where neighbouring levels occur: of the spacings between the values that occur, 95 %
-    must be whole multiples of the step within 5 %.
+    `values` (K,): NaN is ignored. Valid where neighbouring levels occur: of the spacings between
+    the values that occur, 95 % must be whole multiples of the step within 5 %.
     """
     levels = np.unique(values[np.isfinite(values)])
     if len(levels) < 3:
@@ -46,22 +39,10 @@ def resolution(values: np.ndarray) -> float | None:
 
 
 def noise_level(values: np.ndarray) -> float:
-    """Standard deviation of the white noise on an evenly sampled, slowly varying channel.
+    """Standard deviation of the white noise on an evenly sampled, slowly varying channel (K,).
 
-    Parameters
-    ----------
-    values : array (K,)
-        In any unit; NaN is ignored.
-
-    Returns
-    -------
-    float
-        In that unit; nan if there are too few samples.
-
-    Notes
-    -----
-    From the median of third differences, which a smooth motion and single jumps hardly touch.
-    Valid where the motion varies slowly against three sample times.
+    From the median of third differences, which a smooth motion and single jumps hardly touch; nan
+    if there are too few samples. NaN is ignored.
     """
     with np.errstate(invalid="ignore"):
         third = np.diff(values, 3)
@@ -106,24 +87,8 @@ def find_stuck_samples(
 ) -> np.ndarray:
     """Mark samples of intervals that hold one value while the joint moves.
 
-    Parameters
-    ----------
-    values : array (K,)
-        Any unit.
-    position : array (K,)
-        Of another sensor of the same joint [rad].
-    still : float
-        Intervals in which the joint travels less do not count [rad].
-    step : float
-        Smallest step of the channel, 0 if it has none.
-
-    Returns
-    -------
-    array (K,) of bool
-
-    Notes
-    -----
-    An interval counts if it is longer than coarse quantisation would produce once in a million
+    An interval counts if the joint travels more than `still` [rad] by another sensor's `position`,
+    and it is longer than coarse quantisation (`step`, 0 for none) would produce once in a million
     runs, given how often neighbouring samples are equal while the joint moves.
     """
     equal = np.diff(values) == 0.0
@@ -153,20 +118,9 @@ def find_stuck_samples(
 def is_held_by_friction(values: np.ndarray, link: np.ndarray, begin: int, end: int) -> bool:
     """Return whether friction held the motor while its link moved on: the encoder is not stuck.
 
-    Parameters
-    ----------
-    values : array (K,)
-        Motor encoder, constant in the interval [rad].
-    link : array (K,)
-        Link encoder [rad].
-    begin, end : int
-        Interval, `end` exclusive.
-
-    Notes
-    -----
     A motor starts from rest; a stuck encoder recovers with a jump over the motion that it missed.
     One that loses counts, or does not recover, departs from the link by far more than the joint
-    winds up elsewhere in the run.
+    winds up elsewhere in the run. `values` is constant from `begin` to before `end`.
     """
     apart = values - link
     outside = (_finite_range(apart[:begin]), _finite_range(apart[end:]))
@@ -184,21 +138,9 @@ def _finite_range(values: np.ndarray) -> float:
 def find_saturated_samples(values: np.ndarray, step: float) -> np.ndarray:
     """Mark samples saturated at the largest or the smallest value of a channel.
 
-    Parameters
-    ----------
-    values : array (K,)
-    step : float
-        Smallest step of the channel, 0 if it has none.
-
-    Returns
-    -------
-    array (K,) of bool
-
-    Notes
-    -----
-    The peak of a smooth, coarsely quantised signal has about as many samples on the level below;
-    a limit has at least five samples in a row and five times as many as the next hundredth of the
-    range (or the next count, if that is coarser).
+    The peak of a smooth signal, quantised coarsely by `step`, has about as many samples on the
+    level below; a limit has at least five samples in a row and five times as many as the next
+    hundredth of the range (or the next count, if that is coarser).
     """
     bad = np.zeros(len(values), dtype=bool)
     finite = values[np.isfinite(values)]
@@ -222,28 +164,12 @@ def find_saturated_samples(values: np.ndarray, step: float) -> np.ndarray:
 def find_spikes(
     values: np.ndarray, step: float = 0.0, harmless: float = 0.0
 ) -> tuple[np.ndarray, float]:
-    """Mark outliers: samples that jump away from their neighbours and back.
+    """Mark samples that jump away from their neighbours and back; return the largest jump.
 
-    Parameters
-    ----------
-    values : array (K,)
-        NaN is ignored.
-    step : float
-        Smallest step of the channel, 0 if it has none.
-    harmless : float
-        Jumps up to this size are ignored.
-
-    Returns
-    -------
-    spikes : array (K,) of bool
-    size : float
-        Largest jump.
-
-    Notes
-    -----
-    A spike lasts one or two samples and departs from the cubic through the two samples on each
-    side by more than samples nearby do, and by twice as much as the two sides differ after
-    extrapolation with their slopes. A step, as at a reversal or a contact, is no spike.
+    A spike lasts one or two samples and departs from the cubic through the two samples on each side
+    by more than samples nearby do, and by twice as much as the two sides differ after extrapolation
+    with their slopes. A step, as at a reversal or a contact, is no spike. Jumps up to `harmless`
+    and NaN are ignored; `step` is the smallest of the channel, 0 if it has none.
     """
     finite = np.flatnonzero(np.isfinite(values))
     bad = np.zeros(len(values), dtype=bool)

@@ -294,18 +294,9 @@ def _check_quantisation(joint: JointChannels, signal: Kind) -> None:
 def regress_changes(
     reference: np.ndarray, channel: np.ndarray, time: np.ndarray, window: float = 0.2
 ) -> tuple[float, float]:
-    """Regress the changes of a channel over a short window on those of a reference.
+    """Return slope and correlation of changes over a window [s] with those of a reference.
 
-    Parameters
-    ----------
-    reference, channel : array (K,)
-    time : array (K,) [s]
-    window : float [s]
-
-    Returns
-    -------
-    slope, correlation : float
-        Slope of the line through the origin, and correlation; NaN where nothing changes.
+    Through the origin; NaN where nothing changes.
     """
     lag = max(1, round(window / float(np.median(np.diff(time)))))
     if len(time) <= 2 * lag:

@@ -38,97 +38,58 @@ _RESOLUTION_KEYS = {
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelCheck:
-    """One channel of one run.
-
-    Parameters
-    ----------
-    joint : int
-        From 1.
-    there : bool
-        False if it was removed as faulty.
-    used : float or None
-        Share of the joint's range (position), or of its largest velocity or torque; None
-        without such a limit.
-    noise, stated_noise : float or None
-        Standard deviation, estimated from third differences, and as the set gives it.
-    step, stated_step : float or None
-        One count, found in the values, and as the set gives it.
-    """
+    """One channel of one run."""
 
     signal: Kind
-    joint: int
+    joint: int  # from 1
     column: str
-    there: bool
+    there: bool  # False if it was removed as faulty
     unit: str
     lowest: float
     highest: float
+    # Share of the joint's range (position), or of its largest velocity or torque; None without such
+    # a limit.
     used: float | None
+    # Standard deviation, estimated from third differences, and as the set gives it.
     noise: float
     stated_noise: float | None
+    # One count, found in the values, and as the set gives it.
     step: float | None
     stated_step: float | None
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunCheck:
-    """One run: its clock, channels and faults.
-
-    Parameters
-    ----------
-    samples : int
-        Kept.
-    duration : float [s]
-    rate : float [Hz]
-    jitter : float
-        Standard deviation of the spacing without gaps [s].
-    longest_gap : float
-        Longest spacing [s].
-    usable : bool
-        Every joint has a position.
-    at_rest : bool
-        Samples are poses at rest; duration and rate then count poses.
-    """
+    """One run: its clock, channels and faults."""
 
     name: str
     file: str
     role: Role
-    samples: int
-    duration: float
-    rate: float
-    jitter: float
-    longest_gap: float
-    usable: bool
+    samples: int  # kept
+    duration: float  # [s]
+    rate: float  # [Hz]
+    jitter: float  # standard deviation of the spacing without gaps [s]
+    longest_gap: float  # longest spacing [s]
+    usable: bool  # every joint has a position
     channels: tuple[ChannelCheck, ...]
     faults: tuple[Fault, ...]
-    at_rest: bool = False
+    at_rest: bool = False  # samples are poses at rest; duration and rate then count poses
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingReport:
-    """Content of a recording set and its missing signals.
-
-    Parameters
-    ----------
-    joints : tuple of str (n,)
-    balances : tuple of tuple of str (n,)
-        Equations that each joint's signals allow: "motor", "link" and "deflection" with a link
-        encoder, "torque" without.
-    facts : tuple of JointFacts (n,)
-        Excitation of each joint in the runs that a fit may use.
-    missing : tuple of str
-        Sentences.
-    assumptions : tuple of str
-        Assumptions in place of entries that the set does not give.
-    """
+    """Content of a recording set and its missing signals."""
 
     name: str
     title: str
-    joints: tuple[str, ...]
+    joints: tuple[str, ...]  # (n,)
     runs: tuple[RunCheck, ...]
+    # (n,) equations that each joint's signals allow: "motor", "link" and "deflection" with a link
+    # encoder, "torque" without.
     balances: tuple[tuple[str, ...], ...]
-    facts: tuple[JointFacts, ...]
-    missing: tuple[str, ...]
-    assumptions: tuple[str, ...]
+    facts: tuple[JointFacts, ...]  # (n,) excitation of each joint in the runs that a fit may use
+    missing: tuple[str, ...]  # sentences
+    assumptions: tuple[str, ...]  # assumptions in place of entries that the set does not give
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON data; numbers that are not finite become None."""
@@ -145,10 +106,7 @@ class RecordingReport:
 def check_recordings(recordings: RecordingSet) -> RecordingReport:
     """Open every run of a set and report on its content.
 
-    Raises
-    ------
-    InputFileError
-        A run that cannot be read.
+    Raises `InputFileError`: a run that cannot be read.
     """
     runs = [recordings.open(entry) for entry in recordings.runs]
     training = [run for run in runs if run.role == "train"] or runs

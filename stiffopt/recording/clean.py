@@ -37,19 +37,9 @@ def clean_run(
 ) -> RecordedRun:
     """Check the clock and every channel, report faults and remove faulty samples.
 
-    Parameters
-    ----------
-    columns : mapping of column name to array (R,)
-    path : Path
-        Of the file, for messages.
-    name, file, role, session_time, temperature
-        As in `RecordedRun`.
-    prismatic : array (n,) of bool, optional
-
-    Raises
-    ------
-    InputFileError
-        A clock that cannot be used.
+    `columns` (R,). `path`: of the file, for messages. `name`, `file`, `role`, `session_time` and
+    `temperature`: as in `RecordedRun`. `prismatic` (n,). Raises `InputFileError`: a clock that
+    cannot be used.
     """
     n = len(signals.position)
     build_run = partial(
@@ -187,13 +177,7 @@ def _mark_repeated_rows(channels: list[np.ndarray]) -> np.ndarray:
 class _MotionExtrapolation:
     """Extrapolation of the arm's motion over rows that repeat or omit it.
 
-    Parameters
-    ----------
-    time : array (K,)
-        [s].
-    positions : array (K, n)
-    same : array (K,) of bool
-        Rows that repeat the motion of the row before.
+    `time` (K,) [s]. `positions` (K, n). `same` (K,): rows that repeat the motion of the row before.
     """
 
     def __init__(self, time: np.ndarray, positions: np.ndarray, same: np.ndarray) -> None:

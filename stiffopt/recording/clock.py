@@ -30,31 +30,19 @@ _MIN_STEP, _MIN_DURATION = 1e-6, 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """Time stamps of a run.
+    """Time stamps of a run."""
 
-    Parameters
-    ----------
-    stamps : array (R,)
-        Of all rows of the file [s].
-    rows : array (K,) of int
-        Rows that are kept; their stamps increase strictly.
-    step : float
-        Usual spacing [s].
-    """
-
-    stamps: np.ndarray
-    rows: np.ndarray
-    step: float
+    stamps: np.ndarray  # (R,) of all rows of the file [s]
+    rows: np.ndarray  # (K,) rows that are kept; their stamps increase strictly
+    step: float  # usual spacing [s]
     faults: tuple[Fault, ...]
 
 
 def read_clock(stamps: np.ndarray, path: Path, column: str) -> Clock:
     """Check the time stamps of a run.
 
-    Raises
-    ------
-    InputFileError
-        Time decreases or is constant, samples are too few, or the unit cannot be seconds.
+    Raises `InputFileError`: time decreases or is constant, samples are too few, or the unit cannot
+    be seconds.
     """
     where = column or "stamps"
     finite = np.flatnonzero(np.isfinite(stamps))

@@ -18,10 +18,7 @@ from stiffopt.recording.run import RecordedRun
 def decimation_factor(runs: Sequence[RecordedRun]) -> int:
     """Odd number of samples per mean; 1 except for long recordings.
 
-    Parameters
-    ----------
-    runs : sequence of RecordedRun
-        Training runs.
+    `runs`: training runs.
     """
     fastest = min((1.0 / run.step for run in runs), default=0.0)
     # Samples of all training runs above which they are decimated, and the lowest decimated rate
@@ -40,15 +37,8 @@ def sampling_rate(runs: Sequence[RecordedRun]) -> float:
 def decimate_run(run: RecordedRun, every: int) -> RecordedRun:
     """Decimate a run to means of `every` samples at their middle stamp.
 
-    Parameters
-    ----------
-    every : int
-        Odd; 1 returns the run unchanged.
-
-    Notes
-    -----
-    All stamps are kept for predictions. A mean that contains a NaN is NaN; means over gaps are
-    removed.
+    `every`: odd; 1 returns the run unchanged. All stamps are kept for predictions. A mean that
+    contains a NaN is NaN; means over gaps are removed.
     """
     count = len(run.time) // every
     if every == 1 or not count:

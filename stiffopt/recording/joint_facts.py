@@ -19,42 +19,26 @@ _MIN_COMMON_SHARE, _MIN_RARE_SHARE = 0.05, 0.01
 
 @dataclass(frozen=True, kw_only=True)
 class JointFacts:
-    """Excitation of one joint in the runs.
+    """Excitation of one joint in the runs."""
 
-    Parameters
-    ----------
-    torque, link : bool
-        Torque or link encoder is recorded.
-    windup : bool
-        Its wind-up is observable: by a link encoder, or in the torque through the elastic model.
-    moves, reverses, slow, speeds, rests : bool
-        It moves; in both directions; between 0.005 and 0.1 rad/s; over a range of speeds of two
-        to one; it is at rest for a time.
-    load_changes_sign : bool
-        Its load changes sign, by gravity or with inertia, or gravity hardly loads it.
-    rotor_slow : bool
-        Part of the motion is slow enough to resolve two periods a turn of the rotor.
-    ripple_slow : bool
-        The same for the periods of the motor's poles.
-    at_rest : bool
-        All runs are poses at rest.
-    warmer : bool
-        Runs differ in temperature by 3 K or in session time by 120 s.
-    """
-
+    # Torque or link encoder is recorded.
     torque: bool
     link: bool
+    # Its wind-up is observable: by a link encoder, or in the torque through the elastic model.
     windup: bool
+    # It moves; in both directions; between 0.005 and 0.1 rad/s; over a range of speeds of two to
+    # one; it is at rest for a time.
     moves: bool
     reverses: bool
     slow: bool
     speeds: bool
     rests: bool
+    # Its load changes sign, by gravity or with inertia, or gravity hardly loads it.
     load_changes_sign: bool
-    rotor_slow: bool
-    ripple_slow: bool
-    warmer: bool
-    at_rest: bool = False
+    rotor_slow: bool  # part of the motion is slow enough to resolve two periods a turn of the rotor
+    ripple_slow: bool  # the same for the periods of the motor's poles
+    warmer: bool  # runs differ in temperature by 3 K or in session time by 120 s
+    at_rest: bool = False  # all runs are poses at rest
 
     @property
     def sensor(self) -> bool:

@@ -23,24 +23,15 @@ _PositionDeviation = Annotated[float, Unit("angle", joint=True, bare=True), NOT_
 class Counterbalance:
     """A known element that carries part of a joint's weight.
 
-    Parameters
-    ----------
-    joint : int
-        Index of the joint in the set, from 0.
-    stiffness, offset : float or None
-        Of a spring: [N m/rad], [rad].
-    angle, torque : array (m,) or None
-        Of a table: [rad], [N m].
-
-    Notes
-    -----
     The torque relieves the drive: it adds to the drive torque in the joint's torque equation. A
     spring pulls towards its offset.
     """
 
-    joint: int
+    joint: int  # index of the joint in the set, from 0
+    # Of a spring: [N m/rad], [rad].
     stiffness: float | None = None
     offset: float | None = None
+    # (m,) of a table: [rad], [N m].
     angle: np.ndarray | None = None
     torque: np.ndarray | None = None
 
@@ -56,27 +47,15 @@ class Counterbalance:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Nominal:
-    """Nominal values of a set that are no fields of `Robot`; None where not given.
+    """Nominal values of a set that are no fields of `Robot`; None where not given."""
 
-    Parameters
-    ----------
-    gear_ratio : array (n,)
-        Turns of the motor for one of the joint.
-    friction_temperature : float
-        Temperature at which the nominal friction was identified [degC].
-    torque_rated : array (n,)
-        [N m]
-    joint_damping : array (n,)
-        Of the elastic joint [N m s/rad].
-    connections : tuple of str (n,)
-        Elements of each drivetrain, such as "belt+key+bolts".
-    """
-
-    gear_ratio: np.ndarray | None = None
+    gear_ratio: np.ndarray | None = None  # (n,) turns of the motor for one of the joint
+    # Temperature at which the nominal friction was identified [degC].
     friction_temperature: float | None = None
-    torque_rated: np.ndarray | None = None
+    torque_rated: np.ndarray | None = None  # (n,) [N m]
     pole_pairs: float | None = None
-    joint_damping: np.ndarray | None = None
+    joint_damping: np.ndarray | None = None  # (n,) of the elastic joint [N m s/rad]
+    # (n,) elements of each drivetrain, such as "belt+key+bolts".
     connections: tuple[str, ...] | None = None
     counterbalance: tuple[Counterbalance, ...] = ()
 
@@ -105,18 +84,12 @@ class Tolerance:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Noise:
-    """One standard deviation of the sensors' noise; None where not given.
+    """One standard deviation of the sensors' noise; None where not given."""
 
-    Parameters
-    ----------
-    torque, velocity, link_position : array (n,)
-        [N m], [rad/s], [rad]
-    position_resolution, link_position_resolution : array (n,)
-        One count of the encoder [rad].
-    """
-
+    # (n,) [N m], [rad/s], [rad].
     torque: np.ndarray | None = None
     velocity: np.ndarray | None = None
     link_position: np.ndarray | None = None
+    # (n,) one count of the encoder [rad].
     position_resolution: np.ndarray | None = None
     link_position_resolution: np.ndarray | None = None

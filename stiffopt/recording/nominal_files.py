@@ -85,14 +85,8 @@ def build_nominal_robot(
 ) -> Robot:
     """Robot of its own file with the values that the section states.
 
-    Parameters
-    ----------
-    described : Robot
-        With the joints of the set, in its own order.
-    order : array (n,) of int
-        Index of each joint of the set among those of the robot.
-    path : Path
-        Of the set's file, for messages.
+    `described`: with the joints of the set, in its own order. `order` (n,): index of each joint of
+    the set among those of the robot. `path`: of the set's file, for messages.
     """
     of_set = np.argsort(order)
     stated: dict[str, Any] = {}
@@ -121,15 +115,8 @@ def build_chains(
 ) -> tuple[Chain | None, ...] | None:
     """Drivetrain of each joint: its reducer, and its contacts as one spring; None is rigid.
 
-    Parameters
-    ----------
-    torque_max : array (n,)
-        [N m]
-
-    Returns
-    -------
-    tuple of Chain or None (n,), or None
-        None where the section gives no stiffness.
+    `torque_max` (n,) [N m]. Returns tuple of Chain or None (n,), or None: None where the section
+    gives no stiffness.
     """
     n = len(torque_max)
     contacts = per_joint(section.contact_stiffness, n, path, "nominal.contact_stiffness")
@@ -235,12 +222,7 @@ def assumptions(
 ) -> tuple[str, ...]:
     """Assumptions in place of missing entries, one sentence each, in the order of the file.
 
-    Parameters
-    ----------
-    described : Robot
-        Robot of its own file.
-    locked : sequence of str
-        Joints without recordings.
+    `described`: robot of its own file. `locked`: joints without recordings.
     """
     found = []
     if locked:
@@ -267,19 +249,7 @@ def assumptions(
 def nominal_assumptions(
     nominal: NominalSection, tolerance: Tolerance, described: Robot, *, links: bool
 ) -> tuple[str, ...]:
-    """Assumptions on the nominal robot and its tolerances, which an extended model replaces.
-
-    Parameters
-    ----------
-    nominal : NominalSection
-        Values of the set.
-    tolerance : Tolerance
-        Tolerances of the set.
-    described : Robot
-        Robot of its own file.
-    links : bool
-        Link positions are recorded.
-    """
+    """Assumptions on the nominal robot and its tolerances, which an extended model replaces."""
     found = [*_list_nominal_assumptions(nominal, described, links)]
     if silent := missing_tolerances(tolerance):
         found.append(f"Tolerances not given, wide defaults hold: {', '.join(silent)}.")
@@ -287,10 +257,7 @@ def nominal_assumptions(
 
 
 def missing_tolerances(tolerance: Tolerance) -> list[str]:
-    """Names of tolerances that a set does not give.
-
-    Except that of the damping, which is never known well.
-    """
+    """Names of tolerances that a set does not give, but for the damping, never known well."""
     return [k for k, value in vars(tolerance).items() if value is None and k != "joint_damping"]
 
 

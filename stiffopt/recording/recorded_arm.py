@@ -19,28 +19,17 @@ from stiffopt.robot.robot import Robot
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordedArm:
-    """Arm and metadata common to all kinds of recording sets.
+    """Arm and metadata common to all kinds of recording sets."""
 
-    Parameters
-    ----------
-    path : Path
-        TOML file of the set.
-    robot : Robot
-        Nominal: the recorded joints in the robot's own order, which need not be that of the set.
-    joints : tuple of str (n,)
-        In the order of the set.
-    locked : tuple of str
-        Moving joints that the set does not list; held at zero.
-    """
-
-    path: Path
+    path: Path  # TOML file of the set
     name: str
     title: str
     citation: str
     licence: str
+    # Nominal: the recorded joints in the robot's own order, which need not be that of the set.
     robot: Robot
-    joints: tuple[str, ...]
-    locked: tuple[str, ...]
+    joints: tuple[str, ...]  # (n,) in the order of the set
+    locked: tuple[str, ...]  # moving joints that the set does not list; held at zero
 
     @property
     def n(self) -> int:
@@ -72,28 +61,12 @@ def load_arm(
 ) -> tuple[Robot, tuple[str, ...]]:
     """Load the robot of a recording set, and the names of its joints outside the set.
 
-    Parameters
-    ----------
-    source : str
-        Name of a shipped robot, or a URDF or robot TOML beside `path`.
-    joints : sequence of str (n,)
-        Joints of the set, in the set's order.
-    path : path
-        The set's own file, for messages and to find `source`.
-    tool_frame : str, optional
-        A frame of the robot; default the last one.
-    gravity : sequence of float (3,), optional
-        [m/s^2]; default 0, 0, -9.81.
-
-    Raises
-    ------
-    InputFileError, RobotError
-        A joint or frame that the robot lacks, a joint named twice, a robot that cannot be read.
-
-    Notes
-    -----
-    A shipped robot or a robot TOML has drivetrain, friction and rotor inertia, an MJCF the latter
-    two. Friction of a bare URDF is ignored: `<dynamics>` is a setting of simulators.
+    `source` names a shipped robot, or a URDF or robot TOML beside `path`, the set's own file. A
+    shipped robot or a robot TOML has drivetrain, friction and rotor inertia, an MJCF the latter
+    two. Friction of a bare URDF is ignored: `<dynamics>` is a setting of simulators. The frame of
+    the tool defaults to the robot's last, gravity to 0, 0, -9.81 m/s^2. Raises `InputFileError` or
+    `RobotError` for a joint or frame that the robot lacks, a joint named twice, a robot that cannot
+    be read.
     """
     shipped = source in shipped_robots()
     robot = load_robot(source if shipped else path_inside_set(path, "robot", source), keep=joints)

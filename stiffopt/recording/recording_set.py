@@ -37,21 +37,12 @@ from stiffopt.validation import validate
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RunEntry:
-    """Entry of a run in a set; its file is not read yet.
-
-    Parameters
-    ----------
-    role : str
-        "train", "test" or "extrapolate".
-    session_time : float or None
-        Time since the robot was switched on [s].
-    temperature : array (n,) or None
-        Temperature of the housings at the start of the run [degC].
-    """
+    """Entry of a run in a set; its file is not read yet."""
 
     file: str
-    role: Role
-    session_time: float | None
+    role: Role  # "train", "test" or "extrapolate"
+    session_time: float | None  # time since the robot was switched on [s]
+    # (n,) temperature of the housings at the start of the run [degC].
     temperature: np.ndarray | None
 
     @property
@@ -64,33 +55,20 @@ class RunEntry:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordingSet(RecordedArm):
-    """Recordings of one robot and the nominal model of its simulation.
-
-    Parameters
-    ----------
-    gravity : array (3,)
-        [m/s^2]
-    described : Robot
-        Robot of its own file, without the values of the set.
-    stated : NominalSection
-        Nominal values that the set gives.
-    actuator : ActuatorLaw or None
-        Of a set without torques.
-    assumptions : tuple of str
-        Assumptions in place of entries that the set does not give, one sentence each.
-    """
+    """Recordings of one robot and the nominal model of its simulation."""
 
     tool_frame: str | None
-    gravity: np.ndarray
+    gravity: np.ndarray  # (3,) [m/s^2]
     signals: Signals
-    described: Robot
-    stated: NominalSection
+    described: Robot  # robot of its own file, without the values of the set
+    stated: NominalSection  # nominal values that the set gives
     nominal: Nominal
     tolerance: Tolerance
     noise: Noise
     runs: tuple[RunEntry, ...]
+    # Assumptions in place of entries that the set does not give, one sentence each.
     assumptions: tuple[str, ...]
-    actuator: ActuatorLaw | None = None
+    actuator: ActuatorLaw | None = None  # of a set without torques
 
     @property
     def torque_side(self) -> str:
@@ -136,11 +114,8 @@ class RecordingSet(RecordedArm):
     def open(self, entry: RunEntry) -> RecordedRun:
         """Read and clean one run.
 
-        Raises
-        ------
-        InputFileError
-            A file that is missing or has other columns, a clock that runs backwards, too few
-            samples.
+        Raises `InputFileError`: a file that is missing or has other columns, a clock that runs
+        backwards, too few samples.
         """
         path = path_inside_set(self.path, "runs", entry.file)
         columns = self.signals.to_si(read_columns(path, self.signals))

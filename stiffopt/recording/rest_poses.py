@@ -55,10 +55,7 @@ def read_pose_rows(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the numbers of all rows (R,) and the rows (K,) with a complete position.
 
-    Raises
-    ------
-    InputFileError
-        Too few poses.
+    Raises `InputFileError`: too few poses.
     """
     positions = np.column_stack([columns[name] for name in signals.position])
     rows = np.flatnonzero(np.isfinite(positions).all(axis=1))

@@ -33,31 +33,16 @@ def counted(number: int, noun: str) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """Fault of one signal of a run.
+    """Fault of one signal of a run."""
 
-    Parameters
-    ----------
-    signal : str
-        "time" or the kind of channel.
-    joint : int or None
-        From 1; None for all joints.
-    detail : str
-        One sentence with the numbers.
-    left_out : bool
-        The whole channel was replaced by NaN.
-    share : float
-        Share of the samples that have the fault, 0 to 1.
-    ratio : float or None
-        Motion by a second sensor over that of the position, where both correlate but differ;
-        NaN where the run is too short.
-    """
-
-    signal: Kind | Literal["time"]
-    joint: int | None
+    signal: Kind | Literal["time"]  # "time" or the kind of channel
+    joint: int | None  # from 1; None for all joints
     kind: FaultKind
-    detail: str
-    left_out: bool
-    share: float
+    detail: str  # one sentence with the numbers
+    left_out: bool  # the whole channel was replaced by NaN
+    share: float  # share of the samples that have the fault, 0 to 1
+    # Motion by a second sensor over that of the position, where both correlate but differ; NaN
+    # where the run is too short.
     ratio: float | None = None
 
     @property
@@ -73,53 +58,28 @@ class Fault:
 class RecordedRun:
     """Recording of one motion after removal of faulty samples.
 
-    Parameters
-    ----------
-    name : str
-        File name without ending.
-    file : str
-        Path of the file in the set.
-    role : str
-        "train", "test" (never used to fit) or "extrapolate" (a test outside the training range).
-    session_time : float or None
-        Time since the robot was switched on [s].
-    temperature : array (n,) or None
-        Temperature of the housings at the start of the run [degC].
-    stamps : array (R,)
-        Every time stamp of the file [s]; predictions use these.
-    time : array (K,)
-        Stamps of the usable samples, strictly increasing [s].
-    position : array (K, n)
-        Motor encoder through the ratio [rad].
-    velocity, link_position : array (K, n) or None
-        [rad/s], [rad]; None if no joint has that signal.
-    torque : array (K, n)
-        Drive torque at the output side [N m].
-    at_rest : bool
-        Each sample is a pose at rest, and time its number.
-    command : array (K, n) or None
-        Commanded position, held until the next [rad]; None if no joint has one.
-
-    Notes
-    -----
     A column of NaN is a signal that this joint lacks, or one removed as faulty; a single NaN is a
     removed sample; see `faults`. A prismatic joint has metres for radians and newtons for newton
     metres.
     """
 
-    name: str
-    file: str
+    name: str  # file name without ending
+    file: str  # path of the file in the set
+    # "train", "test" (never used to fit) or "extrapolate" (a test outside the training range).
     role: Role
-    session_time: float | None
+    session_time: float | None  # time since the robot was switched on [s]
+    # (n,) temperature of the housings at the start of the run [degC].
     temperature: np.ndarray | None
-    stamps: np.ndarray
-    time: np.ndarray
-    position: np.ndarray
+    stamps: np.ndarray  # (R,) every time stamp of the file [s]; predictions use these
+    time: np.ndarray  # (K,) stamps of the usable samples, strictly increasing [s]
+    position: np.ndarray  # (K, n) motor encoder through the ratio [rad]
+    # (K, n) [rad/s], [rad]; None if no joint has that signal.
     velocity: np.ndarray | None
     link_position: np.ndarray | None
-    torque: np.ndarray
+    torque: np.ndarray  # (K, n) drive torque at the output side [N m]
     faults: tuple[Fault, ...]
-    at_rest: bool = False
+    at_rest: bool = False  # each sample is a pose at rest, and time its number
+    # (K, n) commanded position, held until the next [rad]; None if no joint has one.
     command: np.ndarray | None = None
 
     @property

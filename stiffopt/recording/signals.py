@@ -31,43 +31,29 @@ _SIGNAL_DIMENSIONS = {
 class Signals:
     """Column names of a recording set, one a joint; "" where a joint lacks that signal.
 
-    Parameters
-    ----------
-    position, torque : tuple of str (n,)
-    velocity, link_position, command : tuple of str (n,) or None
-    torque_side : str
-        "motor": before friction, from current; "link": a joint torque sensor.
-    scale : mapping of kind of signal to array (n,), of "time" to a number
-        Factors of columns to SI; absent where they are in SI.
-    torque_delay : float
-        Delay of recorded torques after positions [s].
-    includes : tuple of int (n,)
-        Joint (from 1) whose position is contained in that of each; negative where subtracted, 0 for
-        none.
-    offset : array (n,) or None
-        Added to positions [rad].
-    at_rest : bool or None
-        Each row is a pose at rest; None where not stated.
-    current_joints : tuple of int
-        Joints (from 0) with torques in A without a torque constant.
-
-    Notes
-    -----
     In a file of messages a name consists of the topic and a field of its messages:
     "/joint_states.position[2]", or "/joint_states.position[elbow]" where messages name entries.
     """
 
     time: str
+    # position and torque: (n,).
     position: tuple[str, ...]
+    # velocity, link_position and command: (n,).
     velocity: tuple[str, ...] | None
     link_position: tuple[str, ...] | None
     torque: tuple[str, ...]
+    # "motor": before friction, from current; "link": a joint torque sensor.
     torque_side: Literal["motor", "link"] = "motor"
+    # By kind of signal (n,), of "time" to a number: factors of columns to SI; absent where they are
+    # in SI.
     scale: Mapping[str, np.ndarray] = field(default_factory=dict)
-    torque_delay: float = 0.0
+    torque_delay: float = 0.0  # delay of recorded torques after positions [s]
+    # (n,) joint (from 1) whose position is contained in that of each; negative where subtracted, 0
+    # for none.
     includes: tuple[int, ...] = ()
-    offset: np.ndarray | None = None
-    at_rest: bool | None = None
+    offset: np.ndarray | None = None  # (n,) added to positions [rad]
+    at_rest: bool | None = None  # each row is a pose at rest; None where not stated
+    # Joints (from 0) with torques in A without a torque constant.
     current_joints: tuple[int, ...] = ()
     command: tuple[str, ...] | None = None
 

@@ -19,18 +19,10 @@ from stiffopt.recording.run import RecordedRun
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StateRun(RunEntry):
-    """Entry of a run with the state of the robot in it.
+    """Entry of a run with the state of the robot in it."""
 
-    Parameters
-    ----------
-    state : str
-        "before" or "after".
-    entry : RunEntry
-        The entry in its own set.
-    """
-
-    state: str
-    entry: RunEntry
+    state: str  # "before" or "after"
+    entry: RunEntry  # the entry in its own set
 
     @property
     def name(self) -> str:
@@ -68,11 +60,8 @@ def load_state_pair(
 ) -> StatePair:
     """Load two recording sets of one robot as its states before and after a change.
 
-    Raises
-    ------
-    InputFileError
-        A set that cannot be read, without training or test runs, given twice, or of another
-        robot, other joints, signals or nominal values.
+    Raises `InputFileError`: a set that cannot be read, without training or test runs, given twice,
+    or of another robot, other joints, signals or nominal values.
     """
     first, second = (
         each if isinstance(each, RecordingSet) else load_recordings(each)

@@ -20,28 +20,14 @@ STATIC_FILE = "static.toml"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StaticSet(RecordedArm):
-    """Measured deflections of an arm at rest.
-
-    Parameters
-    ----------
-    position : array (m, n)
-        [rad]
-    force : array (m, 3)
-        Force on the tool, base frame [N].
-    displacement : array (m, 3)
-        Displacement of the tool, base frame [m].
-    difference : bool
-        Each line is the difference of two load states, without gravity.
-    stiffness : array (n,) or None
-        Nominal joint stiffness [N m/rad].
-    """
+    """Measured deflections of an arm at rest."""
 
     tool_frame: str
-    position: np.ndarray
-    force: np.ndarray
-    displacement: np.ndarray
-    difference: bool
-    stiffness: np.ndarray | None
+    position: np.ndarray  # (m, n) [rad]
+    force: np.ndarray  # (m, 3) force on the tool, base frame [N]
+    displacement: np.ndarray  # (m, 3) displacement of the tool, base frame [m]
+    difference: bool  # each line is the difference of two load states, without gravity
+    stiffness: np.ndarray | None  # (n,) nominal joint stiffness [N m/rad]
 
 
 def is_static(path: str | os.PathLike[str]) -> bool:

@@ -167,6 +167,7 @@ _NEED_PHRASES: dict[Need, str] = {
     "link": "link encoder",
     "sensor": "torque or link encoder",
     "torque_sensor": "measured, not derived from commands",
+    "commanded": "torques derived from commands",
     "windup": "link encoder, or elastic vibration",
     "moves": "motion",
     "reverses": "both directions",

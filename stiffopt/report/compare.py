@@ -35,10 +35,7 @@ Row = tuple[str, str, str, str]
 def compare_results(first: Path, second: Path) -> tuple[str, list[Row]]:
     """Return the name of the result file and one row per differing entry.
 
-    Raises
-    ------
-    InputFileError
-        A folder has no result file, or the two are of different kinds.
+    Raises `InputFileError`: a folder has no result file, or the two are of different kinds.
     """
     names = [_find_answer(folder) for folder in (first, second)]
     if names[0] != names[1]:

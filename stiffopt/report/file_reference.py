@@ -302,12 +302,8 @@ if __name__ == "__main__":
 def explain_key(key: str) -> Iterator[str]:
     """Yield lines on every key of a name or place, such as "prepressure" or "motion.duration".
 
-    Allowed values, such as the name of an objective, are found as well.
-
-    Raises
-    ------
-    InputError
-        No file has such a key or value; the message suggests a similar one.
+    Allowed values, such as the name of an objective, are found as well. Raises `InputError`: no
+    file has such a key or value; the message suggests a similar one.
     """
     wanted = key.strip().strip("[]").replace("[[", "").replace("]]", "").replace(" ", "")
     every = [(kind, each) for kind in file_models() for each in file_keys(kind)]

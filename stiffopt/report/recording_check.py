@@ -116,10 +116,7 @@ def print_static_check(facts: dict[str, Any]) -> None:
 def static_facts(recorded: StaticSet) -> dict[str, Any]:
     """Return content and identifiability of a static set as plain data for JSON.
 
-    Raises
-    ------
-    InputFileError
-        Too few poses, or displacements under weight without known masses.
+    Raises `InputFileError`: too few poses, or displacements under weight without known masses.
     """
     can = identifiable(static_rows(recorded).compliance_columns())
     force = np.linalg.norm(recorded.force, axis=1)

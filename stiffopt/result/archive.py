@@ -38,10 +38,7 @@ def write_archive(solution: Solution, folder: Path) -> None:
 def read_archive(folder: Path) -> Solution:
     """Return the solution of a result folder.
 
-    Raises
-    ------
-    InputFileError
-        The archive is damaged or of another version.
+    Raises `InputFileError`: the archive is damaged or of another version.
     """
     path = folder / ARCHIVE_FILE
     try:

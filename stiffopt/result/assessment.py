@@ -56,22 +56,15 @@ class LowestStiffness:
 
 @dataclass(frozen=True)
 class DriveHistory:
-    """Motion and torque of the drives.
+    """Motion and torque of the drives."""
 
-    Parameters
-    ----------
-    time : array (K,) [s]
-    position, velocity, acceleration, jerk : array (K, n) [rad, rad/s, rad/s^2, rad/s^3]
-    torque : array (K, n)
-        Drive torque [N m].
-    """
-
-    time: np.ndarray
+    time: np.ndarray  # (K,) [s]
+    # (K, n) [rad, rad/s, rad/s^2, rad/s^3].
     position: np.ndarray
     velocity: np.ndarray
     acceleration: np.ndarray
     jerk: np.ndarray
-    torque: np.ndarray
+    torque: np.ndarray  # (K, n) drive torque [N m]
 
     @property
     def duration(self) -> float:
@@ -81,49 +74,27 @@ class DriveHistory:
 
 @dataclass(frozen=True)
 class Assessment(DriveHistory):
-    """Fine-grid evaluation of one motion with the unsmoothed model.
+    """Fine-grid evaluation of one motion with the unsmoothed model."""
 
-    Parameters
-    ----------
-    time, position, velocity, acceleration, jerk, torque : array
-        As in `DriveHistory`.
-    spring_torque : array (K, n)
-        Spring torque [N m].
-    stiffness, windup : array (K, n)
-        Tangent stiffness [N m/rad] and wind-up [rad] at the spring torque.
-    tool : array (K, 3)
-        Planned tool position, base frame [m].
-    deflection : dict of array (K, 3)
-        Keys dynamic, static, process and their sum total; base frame [m].
-    violations : tuple of Violation
-        Largest violation of each limit, worst first.
-    lowest_stiffness : tuple of LowestStiffness
-        One per joint.
-    integrals : dict
-        Time integrals and means by objective and joint: "torque_squared_2".
-    link : array (K, n) or None
-        Link positions [rad] without the calibrated sag, where planned apart from the motors'.
-    simulated : SimulatedMotion or None
-        Elastic simulation, where a limit or an objective refers to residual vibration.
-    led : LedError or None
-        Error of an exact lead on uncertain arms, where an objective refers to it.
-    force : array (K, 3) or None
-        Process force along a path, base axes [N].
-    """
-
-    spring_torque: np.ndarray
+    spring_torque: np.ndarray  # (K, n) spring torque [N m]
+    # (K, n) tangent stiffness [N m/rad] and wind-up [rad] at the spring torque.
     stiffness: np.ndarray
     windup: np.ndarray
-    tool: np.ndarray
+    tool: np.ndarray  # (K, 3) planned tool position, base frame [m]
     tool_speed: np.ndarray
+    # (K, 3) keys dynamic, static, process and their sum total; base frame [m].
     deflection: dict[str, np.ndarray]
-    violations: tuple[Violation, ...]
-    lowest_stiffness: tuple[LowestStiffness, ...]
+    violations: tuple[Violation, ...]  # largest violation of each limit, worst first
+    lowest_stiffness: tuple[LowestStiffness, ...]  # one per joint
+    # Time integrals and means by objective and joint: "torque_squared_2".
     integrals: dict[str, float] = field(default_factory=dict)
+    # (K, n) link positions [rad] without the calibrated sag, where planned apart from the motors'.
     link: np.ndarray | None = None
+    # Elastic simulation, where a limit or an objective refers to residual vibration.
     simulated: SimulatedMotion | None = None
+    # Error of an exact lead on uncertain arms, where an objective refers to it.
     led: LedError | None = None
-    force: np.ndarray | None = None
+    force: np.ndarray | None = None  # (K, 3) process force along a path, base axes [N]
 
     @property
     def worst_violation(self) -> Violation:
@@ -151,27 +122,15 @@ class Assessment(DriveHistory):
 
 @dataclass(frozen=True)
 class PredictedMotion:
-    """Quantities predicted by the optimiser's model along its solution.
+    """Quantities predicted by the optimiser's model along its solution."""
 
-    Parameters
-    ----------
-    time : array (K,)
-        Nodes and midpoints [s].
-    spring_torque : array (K, n)
-        Spring torque [N m].
-    torque : array (K, n) or None
-        Drive torque [N m]; None where the optimiser's model approximates it.
-    friction_width : array (n,)
-        Smoothing width of the dry friction in `torque`, tanh(velocity/width) [rad/s].
-    windup : array (K, n) or None
-        Wind-up [rad]; None where stiffness does not enter the problem.
-    deflection : dict of array (K, 3)
-        Parts of the tool deflection, base frame [m]; empty where stiffness does not enter.
-    """
-
-    time: np.ndarray
-    spring_torque: np.ndarray
+    time: np.ndarray  # (K,) nodes and midpoints [s]
+    spring_torque: np.ndarray  # (K, n) spring torque [N m]
+    # (K, n) drive torque [N m]; None where the optimiser's model approximates it.
     torque: np.ndarray | None
+    # (n,) smoothing width of the dry friction in `torque`, tanh(velocity/width) [rad/s].
     friction_width: np.ndarray
+    # (K, n) wind-up [rad]; None where stiffness does not enter the problem.
     windup: np.ndarray | None = None
+    # (K, 3) parts of the tool deflection, base frame [m]; empty where stiffness does not enter.
     deflection: dict[str, np.ndarray] = field(default_factory=dict)

@@ -26,31 +26,16 @@ class PartPeaks:
 
 @dataclass(frozen=True, kw_only=True)
 class Spread:
-    """Peaks of the tool's position error over uncertain arms, in flight or after arrival [m].
+    """Peaks of the tool's position error over uncertain arms, in flight or after arrival [m]."""
 
-    Parameters
-    ----------
-    nominal : float
-        Peak on the nominal arm.
-    worst : float
-        Worst case.
-    worst_case : str
-        Description of the worst arm.
-    worst_arm : dict
-        Worst arm as factors on nominal values: stiffness (a list), damping, payload; and servo,
-        the share of the worst servo's lag.
-    draws : array (D,)
-        Peaks on arms sampled from the uncertainties.
-    parts : dict of PartPeaks
-        "along" and "across" the path [m], and "orientation" [rad].
-    """
-
-    nominal: float
-    worst: float
-    worst_case: str
+    nominal: float  # peak on the nominal arm
+    worst: float  # worst case
+    worst_case: str  # description of the worst arm
+    # Worst arm as factors on nominal values: stiffness (a list), damping, payload; and servo, the
+    # share of the worst servo's lag.
     worst_arm: dict[str, Any]
-    draws: np.ndarray
-    parts: dict[str, PartPeaks]
+    draws: np.ndarray  # (D,) peaks on arms sampled from the uncertainties
+    parts: dict[str, PartPeaks]  # "along" and "across" the path [m], and "orientation" [rad]
 
     def quantile(self, share: float) -> float:
         """Quantile of the sampled peaks."""
@@ -59,9 +44,11 @@ class Spread:
     @property
     def bound(self) -> float:
         """Bound of 95 % of the arms, with 99 % confidence: an order statistic (Wilks 1941) [m]."""
-        from scipy.stats import binom
+        # Of scipy.special: loading scipy.stats takes longer than many a solve.
+        from scipy.special import bdtr
 
-        rank = int(binom.ppf(0.99, len(self.draws), 0.95))
+        count = len(self.draws)
+        rank = int(np.searchsorted(bdtr(np.arange(count), count, 0.95), 0.99))
         return float(np.sort(self.draws)[min(rank, len(self.draws) - 1)])
 
 
@@ -80,70 +67,35 @@ class Spreads:
 
 @dataclass(frozen=True, kw_only=True)
 class CompensatedMotion:
-    """Motion as planned and with compensation, the motors leading by the wind-up.
+    """Motion as planned and with compensation, the motors leading by the wind-up."""
 
-    Parameters
-    ----------
-    name : str
-        "optimised" or the name of a baseline.
-    planned : Spreads
-        Peaks with motors that follow the plan.
-    compensated : Spreads
-        Peaks with motors that follow the compensating command.
-    simulated : SimulatedMotion
-        Elastic simulation of the compensated motion on the nominal arm.
-    worst : SimulatedMotion or None
-        The same on the worst arm, for the optimised motion.
-    spacing : float or None
-        Knot spacing of the spline through the plan [s]; None for plans that are smooth enough.
-    share : float
-        Lead as a share of the nominal wind-up, chosen for the worst case.
-    excess : tuple of Violation
-        Motor limits that the command exceeds; such a motion is not compared.
-    """
-
-    name: str
-    planned: Spreads
-    compensated: Spreads
-    simulated: SimulatedMotion
-    worst: SimulatedMotion | None
+    name: str  # "optimised" or the name of a baseline
+    planned: Spreads  # peaks with motors that follow the plan
+    compensated: Spreads  # peaks with motors that follow the compensating command
+    simulated: SimulatedMotion  # elastic simulation of the compensated motion on the nominal arm
+    worst: SimulatedMotion | None  # the same on the worst arm, for the optimised motion
+    # Knot spacing of the spline through the plan [s]; None for plans that are smooth enough.
     spacing: float | None
-    share: float
+    share: float  # lead as a share of the nominal wind-up, chosen for the worst case
+    # Motor limits that the command exceeds; such a motion is not compared.
     excess: tuple[Violation, ...]
+    servo_share: float = 1.0  # lead as a share of the servo's known lag
 
 
 @dataclass(frozen=True, kw_only=True)
 class Compensation:
-    """Compensation of the optimised motion and the baselines, with the command.
+    """Compensation of the optimised motion and the baselines, with the command."""
 
-    Parameters
-    ----------
-    motions : tuple of CompensatedMotion
-        The optimised motion first.
-    command : Assessment or None
-        Motor motion every 2 ms; None where it exceeds a limit.
-    refusal : str
-        Reason for a missing command; else "".
-    uncertainty : tuple of str
-        Description of the uncertain quantities.
-    loop : str
-        Description of the position loops of all arms; "" where servos are uncertain.
-    file : str
-        File of the assessed command; "" for one computed with the motion.
-    ahead : float
-        Known dead time of the servo, by which the command is sent ahead of the plan [s].
-    rival_plan, rival_command : Assessment or None
-        Motion and command of the best rival, where it wins.
-    """
-
-    motions: tuple[CompensatedMotion, ...]
-    command: Assessment | None
-    refusal: str
-    uncertainty: tuple[str, ...]
+    motions: tuple[CompensatedMotion, ...]  # the optimised motion first
+    command: Assessment | None  # motor motion every 2 ms; None where it exceeds a limit
+    refusal: str  # reason for a missing command; else ""
+    uncertainty: tuple[str, ...]  # description of the uncertain quantities
     draws: int
-    loop: str = ""
-    file: str = ""
+    loop: str = ""  # description of the position loops of all arms; "" where servos are uncertain
+    file: str = ""  # file of the assessed command; "" for one computed with the motion
+    # Known dead time of the servo, by which the command is sent ahead of the plan [s].
     ahead: float = 0.0
+    # Motion and command of the best rival, where it wins.
     rival_plan: Assessment | None = None
     rival_command: Assessment | None = None
 
@@ -190,27 +142,23 @@ MIN_RIVAL_GAIN = 0.02
 
 
 def write_command(compensation: Compensation | None, directory: str | Path) -> Path | None:
-    """Write command.csv, and that of a rival that wins, into `directory`; return the first's path.
+    """Write command.csv into `directory` and return its path.
+
+    Without a command, the file of an earlier solve is removed, as it belongs to another motion.
+    """
+    command = None if compensation is None else compensation.command
+    return write_motors(command, Path(directory) / COMMAND_FILE)
+
+
+def write_motors(command: Assessment | None, path: Path) -> Path | None:
+    """Write a command of the motors and return its path; without one the file is removed.
 
     Columns are position, velocity and acceleration of the motors every 2 ms, the drive torque of
-    the links' motion, and the link positions. Without a command, the file of an earlier solve is
-    removed, as it belongs to another motion.
+    the links' motion, and the link positions.
     """
-    found = []
-    for name, command in (
-        (COMMAND_FILE, None if compensation is None else compensation.command),
-        (RIVAL_COMMAND_FILE, None if compensation is None else compensation.rival_command),
-    ):
-        path = Path(directory) / name
-        found.append(None if command is None else path)
-        if command is None:
-            path.unlink(missing_ok=True)
-        else:
-            _write_motors(command, path)
-    return found[0]
-
-
-def _write_motors(command: Assessment, path: Path) -> None:
+    if command is None:
+        path.unlink(missing_ok=True)
+        return None
     joints = range(1, command.position.shape[1] + 1)
     names = ["t", *(f"{quantity}{j}" for quantity in ("q", "qd", "qdd", "tau") for j in joints)]
     columns = [
@@ -224,6 +172,7 @@ def _write_motors(command: Assessment, path: Path) -> None:
         columns.append(command.link)
         names += [f"link{j}" for j in joints]
     write_csv(path, names, np.hstack(columns).tolist())
+    return path
 
 
 def compensation_document(compensation: Compensation | None) -> dict[str, Any] | None:

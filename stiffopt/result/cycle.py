@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stiffopt.files import atomic_write, to_json_types, write_csv
+from stiffopt.files import to_json_types, write_csv, write_json
 from stiffopt.result.provenance import versions
 from stiffopt.result.solution import ObjectiveValue, Solution
 from stiffopt.result.status import SolveStatus
@@ -34,15 +33,8 @@ class JoinedMotion:
     """Motions of the same joints one after another, with rests between them.
 
     A part moves on from where it starts, so that one whose command decays after its arrival
-    overlaps the next one without a jump.
-
-    Parameters
-    ----------
-    parts : sequence of JointMotion
-        From rest to rest, each from the end of the one before.
-    starts : array (L,) [s]
-    duration : float
-        Of the whole [s].
+    overlaps the next one without a jump. `parts`: from rest to rest, each from the end of the one
+    before. `starts` (L,) [s]. `duration`: of the whole [s].
     """
 
     def __init__(self, parts: Sequence[JointMotion], starts: np.ndarray, duration: float) -> None:
@@ -71,31 +63,19 @@ class JoinedMotion:
 
 @dataclass(frozen=True, kw_only=True)
 class LegResult:
-    """Solved leg of a cycle.
-
-    Parameters
-    ----------
-    problem : TrajectoryProblem
-        As it was solved.
-    start, arrival : float
-        In the time of the cycle [s].
-    dwell : float
-        Rest after arrival [s].
-    event : str
-        Kind of the event at arrival, "" for none.
-    mass_before, mass_after : float
-        All that the flange carries, before and after the event [kg].
-    """
+    """Solved leg of a cycle."""
 
     name: str
     moves: tuple[int, ...]
-    problem: TrajectoryProblem
+    problem: TrajectoryProblem  # as it was solved
     solution: Solution
+    # In the time of the cycle [s].
     start: float
     arrival: float
-    dwell: float
+    dwell: float  # rest after arrival [s]
     until_settled: bool
-    event: str
+    event: str  # kind of the event at arrival, "" for none
+    # All that the flange carries, before and after the event [kg].
     mass_before: float
     mass_after: float
 
@@ -107,24 +87,13 @@ class LegResult:
 
 @dataclass(frozen=True, kw_only=True)
 class LegError:
-    """Simulated tool error of one leg.
+    """Simulated tool error of one leg."""
 
-    Parameters
-    ----------
-    flight : float
-        Peak from start to arrival [m].
-    rest : float or None
-        Peak in the rest after arrival and event [m]; None without a rest.
-    jump : float
-        Static displacement of the tool by the event's change of payload [m].
-    settling_time : float or None
-        From arrival until the tool stays within the band [s]; None where it does not settle within
-        the rest.
-    """
-
-    flight: float
-    rest: float | None
-    jump: float
+    flight: float  # peak from start to arrival [m]
+    rest: float | None  # peak in the rest after arrival and event [m]; None without a rest
+    jump: float  # static displacement of the tool by the event's change of payload [m]
+    # From arrival until the tool stays within the band [s]; None where it does not settle within
+    # the rest.
     settling_time: float | None
 
 
@@ -149,45 +118,24 @@ class CycleSimulation:
 
 @dataclass(frozen=True, kw_only=True)
 class RivalCycle:
-    """Cycle of one kind of baseline motion in the same postures, with a stop at each pose.
-
-    Parameters
-    ----------
-    duration : float
-        With the dwells of the optimised cycle [s].
-    objective : float
-        Value over the cycle [SI].
-    """
+    """Cycle of one kind of baseline motion in the same postures, with a stop at each pose."""
 
     name: str
-    duration: float
-    objective: float
+    duration: float  # with the dwells of the optimised cycle [s]
+    objective: float  # value over the cycle [SI]
 
 
 @dataclass(frozen=True, kw_only=True)
 class CycleSolution:
-    """Outcome of a cycle.
+    """Outcome of a cycle."""
 
-    Parameters
-    ----------
-    status : SolveStatus
-        The worst of the legs.
-    legs : tuple of LegResult
-        In order, as far as solved.
-    objective : ObjectiveValue or None
-        Over the whole cycle.
-    rivals : tuple of RivalCycle
-        Those that keep every limit.
-    postures : tuple of (name, joints (n,), branch, chosen, candidates)
-    """
-
-    status: SolveStatus
+    status: SolveStatus  # the worst of the legs
     message: str
     title: str
-    legs: tuple[LegResult, ...]
-    objective: ObjectiveValue | None
-    rivals: tuple[RivalCycle, ...] = ()
-    postures: tuple[Any, ...] = ()
+    legs: tuple[LegResult, ...]  # in order, as far as solved
+    objective: ObjectiveValue | None  # over the whole cycle
+    rivals: tuple[RivalCycle, ...] = ()  # those that keep every limit
+    postures: tuple[Any, ...] = ()  # (name, joints (n,), branch, chosen, candidates)
     simulation: CycleSimulation | None = None
     duty: Duty | None = None
     notes: tuple[str, ...] = ()
@@ -249,9 +197,8 @@ def write_cycle(
 ) -> Path:
     """Write cycle.json into `directory`; `problem` is the file's path relative to the folder."""
     document = {**cycle_document(solution), "problem": problem, "changes": list(changes)}
-    text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
     path = directory / CYCLE_FILE
-    atomic_write(path, text + "\n")
+    write_json(path, document)
     return path
 
 
@@ -268,8 +215,7 @@ def write_cycle_simulation(found: CycleSimulation, directory: Path) -> tuple[str
         "versions": versions(),
     }
     names = ("simulation.json", "simulation.csv")
-    text = json.dumps(to_json_types(document), indent=1, ensure_ascii=False, allow_nan=False)
-    atomic_write(directory / names[0], text + "\n")
+    write_json(directory / names[0], document)
     columns = ["t", *(f"deviation_{axis}" for axis in "xyz"), "distance"]
     rows = [simulated.time[:, None], simulated.error.position, simulated.distance[:, None]]
     write_csv(directory / names[1], columns, np.hstack(rows).tolist())

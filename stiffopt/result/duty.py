@@ -17,62 +17,55 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from stiffopt.result.life_rating import LifeRating
 
+if TYPE_CHECKING:
+    from stiffopt.result.assessment import Assessment
+
 
 @dataclass(frozen=True, kw_only=True)
 class DutyHistory:
-    """Loads of a motion or a rest.
+    """Loads of a motion or a rest."""
 
-    Parameters
-    ----------
-    time : array (K,) [s]
-    velocity, torque : array (K, n)
-        Speed [rad/s] and torque of the drives [N m].
-    reducer_torque : array (K, n)
-        Torque at the output of the reducers, without friction and rotors [N m].
-    """
-
-    time: np.ndarray
+    time: np.ndarray  # (K,) [s]
+    # (K, n) speed [rad/s] and torque of the drives [N m].
     velocity: np.ndarray
     torque: np.ndarray
+    # (K, n) torque at the output of the reducers, without friction and rotors [N m].
     reducer_torque: np.ndarray
+
+    @classmethod
+    def of_motion(cls, motion: Assessment) -> DutyHistory:
+        """Return the loads of a motion."""
+        return cls(
+            time=motion.time,
+            velocity=motion.velocity,
+            torque=motion.torque,
+            reducer_torque=motion.spring_torque,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointDuty:
-    """Duty of one joint over a cycle.
-
-    Parameters
-    ----------
-    rms_torque, peak_torque : float
-        Of the drive [N m].
-    torque_max : float
-        Limit of the drive [N m].
-    peak_speed, mean_speed : float
-        Rests included [rad/s].
-    peak_power : float
-        Largest mechanical power [W].
-    energy, regenerated : float
-        Mechanical work given and taken by the drive in a cycle [J].
-    mean_torque : float
-        Of the reducer [N m].
-    """
+    """Duty of one joint over a cycle."""
 
     name: str
+    # Of the drive [N m].
     rms_torque: float
     peak_torque: float
-    torque_max: float
+    torque_max: float  # limit of the drive [N m]
+    # Rests included [rad/s].
     peak_speed: float
     mean_speed: float
-    peak_power: float
+    peak_power: float  # largest mechanical power [W]
+    # Mechanical work given and taken by the drive in a cycle [J].
     energy: float
     regenerated: float
-    mean_torque: float
+    mean_torque: float  # of the reducer [N m]
     rating: LifeRating
 
     @property
@@ -128,42 +121,23 @@ class Duty:
 
 @dataclass(frozen=True, kw_only=True)
 class DutyUse:
-    """Use of one limit of a duty.
+    """Use of one limit of a duty."""
 
-    Parameters
-    ----------
-    objective : str
-        Objective whose integral over the cycle the limit bounds.
-    joint : int
-        Number of its joint, from 1; 0 for all.
-    share : float
-        Integral over what the limit allows.
-    text : str
-        The excess in words.
-    """
-
-    objective: str
-    joint: int
-    share: float
-    text: str
+    objective: str  # objective whose integral over the cycle the limit bounds
+    joint: int  # number of its joint, from 1; 0 for all
+    share: float  # integral over what the limit allows
+    text: str  # the excess in words
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DutyLimits:
-    """Limits of a duty, None for none.
+    """Limits of a duty, None for none."""
 
-    Parameters
-    ----------
-    rms_torque, mean_torque : array (n,) [N m]
-        Of drives and of reducers.
-    reducer_life : float [s]
-    energy : float [J]
-    """
-
+    # (n,) [N m] of drives and of reducers.
     rms_torque: np.ndarray | None = None
     mean_torque: np.ndarray | None = None
-    reducer_life: float | None = None
-    energy: float | None = None
+    reducer_life: float | None = None  # [s]
+    energy: float | None = None  # [J]
 
     def uses(self, duty: Duty) -> list[DutyUse]:
         """Uses of all limits."""

@@ -19,42 +19,26 @@ from stiffopt.result.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class JointPath:
-    """Spline path through waypoints, with the parameter s from 0 to 1.
+    """Spline path through waypoints, with the parameter s from 0 to 1."""
 
-    Parameters
-    ----------
-    knots : array (m,)
-        Path parameter of the waypoints, from 0 to 1.
-    coefficients : array (m - 1, 4, n)
-        Coefficient j of piece k multiplies (s - knots[k])**j. [rad] or [m]
-    speeds : array (m - 1,) or None
-        Largest tool speed on each piece [m/s]; None for no limit.
-    stops : array (k,)
-        Inner knots at which every motion rests; the path may have corners there.
-    dwells : array (k,)
-        Rests there [s].
-    corners : array (c, 3)
-        Corners that the tool's path was programmed with, blended or stopped at [m].
-    """
-
-    knots: np.ndarray
+    knots: np.ndarray  # (m,) path parameter of the waypoints, from 0 to 1
+    # (m - 1, 4, n) coefficient j of piece k multiplies (s - knots[k])**j [rad] or [m].
     coefficients: np.ndarray
+    # (m - 1,) largest tool speed on each piece [m/s]; None for no limit.
     speeds: np.ndarray | None = None
+    # (k,) inner knots at which every motion rests; the path may have corners there.
     stops: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
-    dwells: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    dwells: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (k,) rests there [s]
+    # (c, 3) corners that the tool's path was programmed with, blended or stopped at [m].
     corners: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
     @classmethod
     def through(cls, waypoints: ArrayLike, spacing: str = "uniform") -> JointPath:
         """Straight line through two waypoints, not-a-knot cubic spline through more.
 
-        Parameters
-        ----------
-        waypoints : array_like (m, n)
-            Start, via points, end; neighbours must differ. [rad] or [m]
-        spacing : str
-            Distances of the waypoints in s: "uniform", or "chord" for distances in joint space,
-            which avoids overshoot of the spline between very uneven waypoints.
+        `waypoints` (m, n): start, via points, end; neighbours must differ [rad] or [m]. `spacing`:
+        distances of the waypoints in s: "uniform", or "chord" for distances in joint space, which
+        avoids overshoot of the spline between very uneven waypoints.
         """
         points = np.atleast_2d(np.asarray(waypoints, dtype=float))
         length = np.linalg.norm(np.diff(points, axis=0), axis=1)
@@ -128,10 +112,7 @@ class JointPath:
     def follow(self, law: Trajectory) -> Trajectory:
         """Compose the motion q(s(t)) along the path, exact up to rounding.
 
-        Parameters
-        ----------
-        law : Trajectory
-            Path parameter s as a single joint, from 0 to 1 without reversal.
+        `law`: path parameter s as a single joint, from 0 to 1 without reversal.
         """
         times = _merge_crossings(law, self.knots[1:-1])
         begin, middle = times[:-1], 0.5 * (times[:-1] + times[1:])

@@ -16,22 +16,13 @@ _USUAL_EXPONENT = 3.0
 
 @dataclass(frozen=True, kw_only=True)
 class LifeRating:
-    """Rated life of a reducer.
+    """Rated life of a reducer."""
 
-    Parameters
-    ----------
-    torque, speed : float
-        At the output [N m], [rad/s].
-    life : float or None
-        L10 [s]; None where it is not known.
-    exponent : float
-        Of the torque.
-    """
-
+    # At the output [N m], [rad/s].
     torque: float
     speed: float
-    life: float | None
-    exponent: float
+    life: float | None  # L10 [s]; None where it is not known
+    exponent: float  # of the torque
 
 
 def life_rating(robot: Robot, joint: int) -> LifeRating:

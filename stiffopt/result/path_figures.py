@@ -17,23 +17,13 @@ _OVERSHOOT_LENGTH = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class PathFigures:
-    """Figures of one simulated run along a path.
+    """Figures of one simulated run along a path."""
 
-    Parameters
-    ----------
-    accuracy : float
-        Largest distance of the tool from the command path [m].
-    rounding : tuple of float
-        Least distance of the tool from each programmed corner [m].
-    overshoot : tuple of float
-        Largest distance from the command path within 50 mm behind each corner [m].
-    settling_time : float or None
-        Time after arrival until the tool stays within the settling band [s]; None if it does not.
-    """
-
-    accuracy: float
-    rounding: tuple[float, ...]
+    accuracy: float  # largest distance of the tool from the command path [m]
+    rounding: tuple[float, ...]  # least distance of the tool from each programmed corner [m]
+    # Largest distance from the command path within 50 mm behind each corner [m].
     overshoot: tuple[float, ...]
+    # Time after arrival until the tool stays within the settling band [s]; None if it does not.
     settling_time: float | None
 
 

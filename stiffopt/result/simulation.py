@@ -25,29 +25,17 @@ class PeakRms:
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedMotion:
-    """Elastic simulation of one motion.
+    """Elastic simulation of one motion."""
 
-    Parameters
-    ----------
-    error : ToolError
-        Against the planned path, from its start until the end of the simulation.
-    position, velocity : array (K, n)
-        Link position [rad] and velocity [rad/s].
-    windup, spring_torque : array (K, n)
-        Wind-up [rad] and spring torque [N m].
-    band : float
-        Band within which the tool counts as settled [m].
-    notes : tuple of str
-        Limitations of the result.
-    """
-
-    error: ToolError
+    error: ToolError  # against the planned path, from its start until the end of the simulation
+    # (K, n) link position [rad] and velocity [rad/s].
     position: np.ndarray
     velocity: np.ndarray
+    # (K, n) wind-up [rad] and spring torque [N m].
     windup: np.ndarray
     spring_torque: np.ndarray
-    band: float
-    notes: tuple[str, ...] = ()
+    band: float  # band within which the tool counts as settled [m]
+    notes: tuple[str, ...] = ()  # limitations of the result
 
     @property
     def time(self) -> np.ndarray:
@@ -127,41 +115,23 @@ class SimulatedMotion:
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedPart:
-    """Planned and simulated part of the tool deflection in flight.
+    """Planned and simulated part of the tool deflection in flight."""
 
-    Parameters
-    ----------
-    name : str
-        "dynamic", "total" or "process".
-    planned, simulated : PeakRms
-        [m].
-    """
-
-    name: str
+    name: str  # "dynamic", "total" or "process"
+    # [m].
     planned: PeakRms
     simulated: PeakRms
 
 
 @dataclass(frozen=True, kw_only=True)
 class ElasticMotion:
-    """Motion as planned and as simulated on the elastic arm.
+    """Motion as planned and as simulated on the elastic arm."""
 
-    Parameters
-    ----------
-    name : str
-        "optimised" or the name of a baseline.
-    planned : PeakRms
-        Quasi-static dynamic deflection [m].
-    counted : bool
-        True if the motion keeps all limits and the problem's duration.
-    minimised : SimulatedPart or None
-        Minimised part of the deflection, if other than the dynamic one.
-    """
-
-    name: str
-    planned: PeakRms
+    name: str  # "optimised" or the name of a baseline
+    planned: PeakRms  # quasi-static dynamic deflection [m]
     simulated: SimulatedMotion
-    counted: bool
+    counted: bool  # True if the motion keeps all limits and the problem's duration
+    # Minimised part of the deflection, if other than the dynamic one.
     minimised: SimulatedPart | None = None
 
     @property
@@ -183,24 +153,13 @@ class ElasticMotion:
 
 @dataclass(frozen=True, kw_only=True)
 class Simulation:
-    """Elastic simulations of the optimised motion and the baselines.
+    """Elastic simulations of the optimised motion and the baselines."""
 
-    Parameters
-    ----------
-    motions : tuple of ElasticMotion
-        The optimised motion first.
-    measure : str
-        Minimised measure, "peak" or "rms"; "" if no deflection is minimised.
-    assumed_damping : tuple of int
-        Joints (from 1) with assumed damping.
-    typical_hysteresis : float or None
-        Offset of the tool at the end by hysteresis loops typical of reducers [m]; None where the
-        arm's own are known and simulated.
-    """
-
-    motions: tuple[ElasticMotion, ...]
-    measure: str
-    assumed_damping: tuple[int, ...]
+    motions: tuple[ElasticMotion, ...]  # the optimised motion first
+    measure: str  # minimised measure, "peak" or "rms"; "" if no deflection is minimised
+    assumed_damping: tuple[int, ...]  # joints (from 1) with assumed damping
+    # Offset of the tool at the end by hysteresis loops typical of reducers [m]; None where the
+    # arm's own are known and simulated.
     typical_hysteresis: float | None = None
 
     @property

@@ -44,10 +44,7 @@ class DisplayedResult:
     def to_dataframe(self) -> Any:
         """Return the table of the result as a pandas.DataFrame, SI.
 
-        Raises
-        ------
-        InputError
-            pandas is not installed.
+        Raises `InputError`: pandas is not installed.
         """
         try:
             pandas = import_module("pandas")

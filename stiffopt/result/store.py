@@ -19,7 +19,13 @@ from stiffopt.errors import InputError, InputFileError
 from stiffopt.files import load_json, to_json_types, write_csv, write_json
 from stiffopt.folders import check_result
 from stiffopt.result.assessment import Assessment, Violation
-from stiffopt.result.compensation import COMMAND_FILE, compensation_document
+from stiffopt.result.compensation import (
+    COMMAND_FILE,
+    RIVAL_COMMAND_FILE,
+    RIVAL_TRAJECTORY_FILE,
+    compensation_document,
+    write_motors,
+)
 from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.simulation import Simulation, simulation_document
 from stiffopt.result.solution import Baseline, Solution
@@ -72,15 +78,8 @@ COLUMNS = {
 def result_document(solution: Solution) -> dict[str, Any]:
     """Content of result.json.
 
-    Parameters
-    ----------
-    solution : Solution
-        Solution of any status; missing parts (no motion, no certificate) are None.
-
-    Returns
-    -------
-    dict
-        Plain numbers, strings, lists and dicts; no NaN and no infinity.
+    `solution`: solution of any status; missing parts (no motion, no certificate) are None. Plain
+    numbers, strings, lists and dicts; no NaN and no infinity.
     """
     document = {
         "schema": SCHEMA,
@@ -152,6 +151,8 @@ def write_result(
         document["leg"] = {"number": leg, "duration": stated.duration}
     if stated is not None:
         document |= {"title": stated.title, **motion_facts(stated, directory)}
+        if stated.path_choice is not None:
+            document["path_choice"] = stated.path_choice
     named = {"problem": problem, "model": model, "effects": effects, "guess": guess}
     for key, file in named.items():
         if file is not None:
@@ -176,10 +177,7 @@ def motion_facts(stated: TrajectoryProblem, directory: str | Path) -> dict[str, 
 def motion_seal(stated: TrajectoryProblem, directory: str | Path) -> dict[str, Any]:
     """Hashes (SHA-256) of robot, payload, limits and files of a certified motion.
 
-    Parameters
-    ----------
-    directory : path
-        Folder of trajectory.csv and command.csv, as far as written.
+    `directory`: folder of trajectory.csv and command.csv, as far as written.
     """
     return {
         # Payload before robot, which contains it: the first difference names the cause.
@@ -201,13 +199,7 @@ def file_hash(path: Path) -> str:
 
 
 def read_document(path: Path) -> dict[str, Any]:
-    """Content of a result.json.
-
-    Raises
-    ------
-    InputFileError
-        The file is missing or no result.
-    """
+    """Content of a result.json; raise `InputFileError` if it is missing or no result."""
     check_result(path.parent, RESULT_FILE, TRAJECTORY_FILE)
     document = load_json(path)
     if not isinstance(document, dict) or "inputs_hash" not in document:
@@ -218,10 +210,7 @@ def read_document(path: Path) -> dict[str, Any]:
 def read_joints(document: dict[str, Any], path: Path) -> tuple[tuple[str, ...], np.ndarray]:
     """Joint names of a result, and its prismatic joints (n,).
 
-    Raises
-    ------
-    InputFileError
-        The result has no joint names; `path` is its file.
+    Raises `InputFileError`: the result has no joint names; `path` is its file.
     """
     try:
         joints = [(str(joint["name"]), bool(joint["slides"])) for joint in document["joints"]]
@@ -242,22 +231,10 @@ def check_samples(duration: float, rate: float) -> None:
 
 
 def export_times(duration: float, rate: float | None = None) -> np.ndarray:
-    """Times of trajectory.csv: every 1/rate, and exactly the end.
+    """Times (K,) of trajectory.csv [s]: every 1/rate (default `EXPORT_RATE`), and exactly the end.
 
-    Parameters
-    ----------
-    duration : float [s]
-    rate : float [Hz], optional
-        Default: `EXPORT_RATE`, or as many samples of a long motion as a table holds.
-
-    Returns
-    -------
-    array (K,) [s]
-
-    Raises
-    ------
-    InputError
-        More samples than `MAX_SAMPLES`.
+    A long motion has as many samples as a table holds; raises `InputError` where more than
+    `MAX_SAMPLES` are asked for.
     """
     rate = min(EXPORT_RATE, MAX_SAMPLES / duration) if rate is None else rate
     check_samples(duration, rate)
@@ -282,14 +259,8 @@ def write_trajectory(
     """Write a trajectory file into `directory`; return its path.
 
     With planned links, link positions are added as columns: q is then the motor command, and
-    torques are those of the links' motion (`COLUMNS`).
-
-    Parameters
-    ----------
-    assessment : Assessment
-        Evaluated at `export_times(duration)`.
-    name : str
-        Of the file.
+    torques are those of the links' motion (`COLUMNS`). `assessment`: evaluated at
+    `export_times(duration)`. `name`: of the file.
     """
     columns = [
         assessment.time[:, None],
@@ -315,6 +286,14 @@ def write_trajectory(
         names += FORCE_COLUMNS
     write_csv(path, names, np.hstack(columns).tolist())
     return path
+
+
+def write_rival(compensation: Compensation | None, directory: Path) -> None:
+    """Write motion and command of the best rival, where it wins."""
+    if compensation is not None and compensation.rival_plan is not None:
+        write_trajectory(compensation.rival_plan, directory, RIVAL_TRAJECTORY_FILE)
+    command = None if compensation is None else compensation.rival_command
+    write_motors(command, directory / RIVAL_COMMAND_FILE)
 
 
 def write_simulation(

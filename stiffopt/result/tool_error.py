@@ -18,27 +18,15 @@ ERROR_PARTS = ("along", "across", "orientation")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ToolError:
-    """Tool error of one arm, or of B arms on the same path.
+    """Tool error of one arm, or of B arms on the same path."""
 
-    Parameters
-    ----------
-    time : array (K,)
-        Of the planned path, from its start [s].
-    duration : float
-        Arrival of the planned path [s].
-    position : array (K, 3) or (B, K, 3)
-        Actual less planned tool position, base axes [m].
-    orientation : array (K, 3) or (B, K, 3)
-        Rotation vector from the planned to the actual orientation, base axes [rad].
-    direction : array (K, 3)
-        Unit vectors along the planned path.
-    """
-
-    time: np.ndarray
-    duration: float
-    position: np.ndarray
+    time: np.ndarray  # (K,) of the planned path, from its start [s]
+    duration: float  # arrival of the planned path [s]
+    position: np.ndarray  # (K, 3) or (B, K, 3) actual less planned tool position, base axes [m]
+    # (K, 3) or (B, K, 3) rotation vector from the planned to the actual orientation, base axes
+    # [rad].
     orientation: np.ndarray
-    direction: np.ndarray
+    direction: np.ndarray  # (K, 3) unit vectors along the planned path
 
     @cached_property
     def distance(self) -> np.ndarray:
@@ -91,19 +79,13 @@ class ToolError:
 
 @dataclass(frozen=True, kw_only=True)
 class LedError:
-    """Worst tool error that an exact lead leaves on uncertain arms.
+    """Worst tool error that an exact lead leaves on uncertain arms."""
 
-    Parameters
-    ----------
-    in_flight, after_arrival : float
-        Peaks of the position error, each on the worst arm for it [m].
-    shares : dict
-        By kind of source, in the sum of the squares of what each parameter does alone, where the
-        error is largest in flight.
-    """
-
+    # Peaks of the position error, each on the worst arm for it [m].
     in_flight: float
     after_arrival: float
+    # By kind of source, in the sum of the squares of what each parameter does alone, where the
+    # error is largest in flight.
     shares: dict[str, float]
 
     @property

@@ -30,17 +30,10 @@ class JointMotion(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ForceHistory:
-    """Force on the tool over time, linear in between and constant outside.
+    """Force on the tool over time, linear in between and constant outside."""
 
-    Parameters
-    ----------
-    time : array (K,) [s]
-    force : array (K, 3) [N]
-        Base axes.
-    """
-
-    time: np.ndarray
-    force: np.ndarray
+    time: np.ndarray  # (K,) [s]
+    force: np.ndarray  # (K, 3) [N] base axes
 
     def __call__(self, t: np.ndarray) -> np.ndarray:
         """Return the force (K, 3) at times (K,)."""
@@ -237,14 +230,31 @@ class Trajectory:
         change : Trajectory
             Motion to add; the link motion stays that of this trajectory.
         """
-        times = np.union1d(self.times, change.times)
-        times = times[np.append(times[:-1] < self.duration * (1.0 - _TIME_SLACK), True)]
-        times[-1] = self.duration
-        own, other = _recentre_coefficients(times, self), _recentre_coefficients(times, change)
-        if own.shape[1] < other.shape[1]:
-            own, other = other, own
-        own[:, : other.shape[1]] += other
-        return Trajectory(times, own, self.q0 + change.q0, self.v0 + change.v0, self.link)
+        return self._combined(change, 1.0, 1.0, self.link)
+
+    def mixed_with(self, other: Trajectory, share: float) -> Trajectory:
+        """Return the motion at a share of the way to another one of the same duration."""
+        return self._combined(other, 1.0 - share, share, None)
+
+    def _combined(
+        self, other: Trajectory, own_factor: float, factor: float, link: Trajectory | None
+    ) -> Trajectory:
+        """Return the weighted sum of two motions of the same duration."""
+        times = np.union1d(self.times, other.times)
+        # Breaks of both that differ by rounding are one.
+        times = times[np.append(np.diff(times) > _TIME_SLACK * self.duration, True)]
+        times[[0, -1]] = 0.0, self.duration
+        parts = [
+            weight * _recentre_coefficients(times, each)
+            for weight, each in ((own_factor, self), (factor, other))
+        ]
+        less, total = sorted(parts, key=lambda each: each.shape[1])
+        total[:, : less.shape[1]] += less
+        q0, v0 = (
+            own_factor * getattr(self, name) + factor * getattr(other, name)
+            for name in ("q0", "v0")
+        )
+        return Trajectory(times, total, q0, v0, link)
 
     def held_for(self, rest: float) -> Trajectory:
         """Append a rest [s] to a motion that ends at rest."""
@@ -333,11 +343,10 @@ def _integrate_acceleration(
 
 def _recentre_coefficients(times: np.ndarray, motion: Trajectory) -> np.ndarray:
     """Acceleration coefficients (K, d + 1, n) about the starts of other intervals."""
-    interval = np.searchsorted(motion.times, times[:-1], side="right") - 1
-    interval = np.clip(interval, 0, len(motion.times) - 2)
+    interval = np.searchsorted(motion.times, 0.5 * (times[:-1] + times[1:])) - 1
     coefficients = motion.acceleration[interval]
     local = times[:-1] - motion.times[interval]
-    moved = np.zeros_like(coefficients)
+    moved: np.ndarray = np.zeros_like(coefficients)
     for low in range(coefficients.shape[1]):
         for high in range(low, coefficients.shape[1]):
             share = math.comb(high, low) * local ** (high - low)

@@ -12,23 +12,14 @@ Quantity = Any
 
 @dataclass(frozen=True, kw_only=True)
 class MotionState:
-    """Motion and loads of all joints, one entry of a list each: floats, arrays (K,) or symbols.
+    """Motion and loads of all joints, one entry of a list each: floats, arrays (K,) or symbols."""
 
-    Parameters
-    ----------
-    position, velocity, acceleration : sequence
-        [rad], [rad/s], [rad/s^2]
-    direction : sequence
-        Sign of the velocity, smooth where the formulas are to be.
-    load : sequence
-        Torque of the rigid bodies in the joint's spring [N m].
-    """
-
+    # [rad], [rad/s], [rad/s^2].
     position: Sequence[Quantity]
     velocity: Sequence[Quantity]
     acceleration: Sequence[Quantity]
-    direction: Sequence[Quantity]
-    load: Sequence[Quantity]
+    direction: Sequence[Quantity]  # sign of the velocity, smooth where the formulas are to be
+    load: Sequence[Quantity]  # torque of the rigid bodies in the joint's spring [N m]
 
     def at_rest(self, load: Sequence[Quantity]) -> MotionState:
         """Return the state at rest in the same pose, under the load there."""
@@ -40,24 +31,13 @@ class MotionState:
 
 @dataclass(frozen=True, kw_only=True)
 class AddedTorque:
-    """A torque that the drive of one joint has to overcome.
+    """A torque that the drive of one joint has to overcome."""
 
-    Parameters
-    ----------
-    joint : int
-        From 0.
-    in_spring : bool
-        True for a torque on the link, which the joint's spring carries too.
-    value : callable
-        Motion of all joints -> torque [N m]; formulas in plain NumPy.
-    label : str
-        Name and place, for messages.
-    """
-
-    joint: int
-    in_spring: bool
+    joint: int  # from 0
+    in_spring: bool  # True for a torque on the link, which the joint's spring carries too
+    # Motion of all joints -> torque [N m]; formulas in plain NumPy.
     value: Callable[[MotionState], Quantity]
-    label: str
+    label: str  # name and place, for messages
 
     def moved(self, places: Sequence[int]) -> AddedTorque:
         """Return the torque in an arm that has these joints at other places."""

@@ -24,20 +24,9 @@ _INERTIA_ENTRIES = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
 def body_torque_regressor(
     tree: BodyTree, body: int, q: np.ndarray, v: np.ndarray, a: np.ndarray
 ) -> np.ndarray:
-    """Joint torques per unit of every inertial parameter of one body.
+    """Joint torques (K, n, 10) per unit of every inertial parameter of one body (index from 0).
 
-    Parameters
-    ----------
-    body : int
-        Index from 0.
-    q, v, a : array (K, n)
-        Position, velocity and acceleration of the joints [rad], [rad/s], [rad/s^2]; of prismatic
-        joints [m], [m/s], [m/s^2].
-
-    Returns
-    -------
-    array (K, n, 10)
-        [N m] per unit of `Body.inertial_parameters`; instants are contiguous in memory.
+    In the order of `Body.inertial_parameters`; instants are contiguous in memory.
     """
     out = np.zeros((_INERTIAL_PARAMETERS, tree.n, len(q)))
     for part in _split_blocks(len(q)):
@@ -49,12 +38,14 @@ def body_torque_regressor(
 def tool_jacobians(
     tree: BodyTree, frame: LinkFrame, q: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Position (K, 3) [m] of a frame in the base, and its Jacobian (K, 3, n), base axes.
+    """Position (K, 3) [m] of a frame in the base or `seen_from`, and its Jacobian (K, 3, n) there.
 
     Parameters
     ----------
     q : array (K, n)
     """
+    if frame.seen_from is not None:
+        return _relative_jacobians(tree, frame, frame.seen_from, q)
     position, jacobian = np.zeros((3, len(q))), np.zeros((3, tree.n, len(q)))
     for part in _split_blocks(len(q)):
         own = np.ascontiguousarray(q[part].T)
@@ -72,8 +63,31 @@ def tool_jacobians(
     return position.T, np.moveaxis(jacobian, 2, 0)
 
 
+def _relative_jacobians(
+    tree: BodyTree, frame: LinkFrame, work: LinkFrame, q: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Position and Jacobian of a frame relative to that of the work, as of `tool_jacobians`."""
+    position, jacobian = tool_jacobians(tree, frame.in_base, q)
+    origin, carried = tool_jacobians(tree, work, q)
+    axes = frame_rotations(tree, work, q)
+    away = position - origin
+    # The work's point at the frame: its origin's motion, and its rotation times the distance.
+    for joint in _supporting_joints(tree, work.joint - 1):
+        body = tree.bodies[joint]
+        if not body.prismatic:
+            own = LinkFrame(joint + 1, np.zeros(3), np.eye(3))
+            axis = frame_rotations(tree, own, q) @ body.axis
+            carried[:, :, joint] += np.cross(axis, away)
+    place = np.einsum("kij,ki->kj", axes, away)
+    return place, np.einsum("kij,kin->kjn", axes, jacobian - carried)
+
+
 def frame_positions(tree: BodyTree, frame: LinkFrame, q: np.ndarray) -> np.ndarray:
-    """Positions (K, 3) [m] of a frame in the base at joint positions (K, n)."""
+    """Positions (K, 3) [m] of a frame in the base or `seen_from` at joint positions (K, n)."""
+    if frame.seen_from is not None:
+        away = frame_positions(tree, frame.in_base, q)
+        away -= frame_positions(tree, frame.seen_from, q)
+        return np.asarray(np.einsum("kij,ki->kj", frame_rotations(tree, frame.seen_from, q), away))
     position = np.zeros((3, len(q)))
     for part in _split_blocks(len(q)):
         place, own = frame.offset[:, None], np.ascontiguousarray(q[part].T)
@@ -86,7 +100,10 @@ def frame_positions(tree: BodyTree, frame: LinkFrame, q: np.ndarray) -> np.ndarr
 
 
 def frame_rotations(tree: BodyTree, frame: LinkFrame, q: np.ndarray) -> np.ndarray:
-    """Axes (K, 3, 3) of a frame, as columns in the base, at joint positions (K, n)."""
+    """Axes (K, 3, 3) of a frame, as columns in the base or `seen_from`, at positions (K, n)."""
+    if frame.seen_from is not None:
+        own = frame_rotations(tree, frame.in_base, q)
+        return np.asarray(frame_rotations(tree, frame.seen_from, q).swapaxes(1, 2) @ own)
     found = np.empty((len(q), 3, 3))
     for part in _split_blocks(len(q)):
         own, turned = np.ascontiguousarray(q[part].T), frame.rotation[..., None]
@@ -99,15 +116,10 @@ def frame_rotations(tree: BodyTree, frame: LinkFrame, q: np.ndarray) -> np.ndarr
 
 @dataclass(frozen=True, eq=False)
 class _BodyJacobian:
-    """Jacobian of a body's frame by the joints that support it, in its own axes.
-
-    Parameters
-    ----------
-    turning, moving : array (j, 3, K)
-        Angular velocity, and velocity of the frame's origin, per unit speed of each joint.
-    """
+    """Jacobian of a body's frame by the joints that support it, in its own axes."""
 
     joints: list[int]
+    # (j, 3, K) angular velocity, and velocity of the frame's origin, per unit speed of each joint.
     turning: np.ndarray
     moving: np.ndarray
 

@@ -30,21 +30,10 @@ def bearing_deflections(
     acceleration: np.ndarray | None = None,
     force: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Displacement and rotation of the tool by the bearing of each joint and the link behind it.
+    """Displacement [m] and rotation [rad] of the tool by each joint's bearing and link.
 
-    Parameters
-    ----------
-    robot : Robot
-        Payload and tool attached.
-    position, velocity, acceleration : array (K, n)
-        Of the links; default at rest.
-    force : array (3,) or (K, 3), optional
-        Force ON the tool, base axes [N].
-
-    Returns
-    -------
-    array (K, n, 6)
-        [m] and [rad], base axes.
+    (K, n, 6) in base axes, at positions (K, n) of the links; default at rest and without a force ON
+    the tool [N].
     """
     found = np.zeros((*position.shape, 6))
     if not robot.tilts:
@@ -86,16 +75,9 @@ def dynamic_bearing_deflections(
 
 
 def correcting_joints(robot: Robot, position: np.ndarray, deflection: np.ndarray) -> np.ndarray:
-    """Changes (K, n) of the joints that move the tool against deflections as far as they can.
+    """Changes (K, n) of the joints that move the tool against deflections (K, 6).
 
     Displacements come before rotations where there are fewer than six joints.
-
-    Parameters
-    ----------
-    robot : Robot
-    position : array (K, n)
-    deflection : array (K, 6)
-        Displacement [m] and rotation [rad].
     """
     weight = np.repeat([1.0, _ROTATION_LENGTH], 3)
     bodies = robot.rigid_bodies()

@@ -52,10 +52,6 @@ def with_bearing_joints(robot: Robot) -> tuple[Robot, np.ndarray]:
     """Return the robot with a joint for each elastic component, and their stiffness (m,).
 
     The stiffness of driven joints, which have their drivetrains, is 0 [N m/rad or N/m].
-
-    Parameters
-    ----------
-    robot : Robot
     """
     model = pin.Model()
     springs: list[float] = []
@@ -101,7 +97,10 @@ def with_bearing_joints(robot: Robot) -> tuple[Robot, np.ndarray]:
     def move_frame(link: LinkFrame) -> LinkFrame:
         joint, frame = ends[link.joint]
         found = frame * pin.SE3(link.rotation, link.offset)
-        return replace(link, joint=joint, offset=found.translation, rotation=found.rotation)
+        work = None if link.seen_from is None else move_frame(link.seen_from)
+        return replace(
+            link, joint=joint, offset=found.translation, rotation=found.rotation, seen_from=work
+        )
 
     stiffness = np.array(springs)
     arrays: dict[str, Any] = {

@@ -29,38 +29,19 @@ _JOINT_KIND_NAMES = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Body:
-    """Moving body and its joint.
+    """Moving body and its joint."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the joint.
-    parent : int
-        Number of the parent joint, from 1; 0 is the base.
-    prismatic : bool
-        The joint is prismatic, else revolute.
-    axis : array (3,)
-        Unit vector of the joint axis in the joint's frame.
-    rotation : array (3, 3)
-        Axes of the joint frame at zero position in the parent's joint frame.
-    translation : array (3,)
-        Origin of the joint frame in the parent's joint frame, at zero position [m].
-    mass : float
-        Including everything fixed to the body [kg].
-    centre : array (3,)
-        Centre of mass in the joint's frame [m].
-    inertia : array (3, 3)
-        About the centre of mass, in the axes of the joint's frame [kg m^2].
-    """
-
-    name: str
-    parent: int
-    prismatic: bool
-    axis: np.ndarray
+    name: str  # name of the joint
+    parent: int  # number of the parent joint, from 1; 0 is the base
+    prismatic: bool  # the joint is prismatic, else revolute
+    axis: np.ndarray  # (3,) unit vector of the joint axis in the joint's frame
+    # (3, 3) axes of the joint frame at zero position in the parent's joint frame.
     rotation: np.ndarray
+    # (3,) origin of the joint frame in the parent's joint frame, at zero position [m].
     translation: np.ndarray
-    mass: float
-    centre: np.ndarray
+    mass: float  # including everything fixed to the body [kg]
+    centre: np.ndarray  # (3,) centre of mass in the joint's frame [m]
+    # (3, 3) about the centre of mass, in the axes of the joint's frame [kg m^2].
     inertia: np.ndarray
 
     @property
@@ -77,18 +58,10 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class BodyTree:
-    """Moving bodies of an arm and gravity.
+    """Moving bodies of an arm and gravity."""
 
-    Parameters
-    ----------
-    bodies : tuple of Body (n,)
-        Body i - 1 belongs to joint i; parents come before children.
-    gravity : array (3,)
-        In the base frame [m/s^2].
-    """
-
-    bodies: tuple[Body, ...]
-    gravity: np.ndarray
+    bodies: tuple[Body, ...]  # (n,) body i - 1 belongs to joint i; parents come before children
+    gravity: np.ndarray  # (3,) in the base frame [m/s^2]
 
     @property
     def n(self) -> int:
@@ -104,10 +77,7 @@ class BodyTree:
 def body_tree(model: pin.Model) -> BodyTree:
     """Read the bodies of a pinocchio model with merged fixed joints.
 
-    Raises
-    ------
-    RobotError
-        A joint that is neither revolute nor prismatic.
+    Raises `RobotError`: a joint that is neither revolute nor prismatic.
     """
     bodies = []
     for i in range(1, model.njoints):
@@ -154,22 +124,13 @@ _BASE_RADIUS_SHARE, _TOOL_RADIUS_SHARE = 0.055, 0.028
 
 @dataclass(frozen=True)
 class Capsule:
-    """Cylinder with hemispherical ends, fixed to a joint's frame.
+    """Cylinder with hemispherical ends, fixed to a joint's frame."""
 
-    Parameters
-    ----------
-    joint : int
-        From 1; 0 is the base.
-    begin, end : array (3,)
-        In the frame of the joint [m].
-    radius : float [m]
-        Estimated from the arm's reach.
-    """
-
-    joint: int
+    joint: int  # from 1; 0 is the base
+    # (3,) in the frame of the joint [m].
     begin: np.ndarray
     end: np.ndarray
-    radius: float
+    radius: float  # [m]: estimated from the arm's reach
 
 
 def arm_reach(tree: BodyTree, tool: LinkFrame) -> float:

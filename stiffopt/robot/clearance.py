@@ -25,22 +25,14 @@ _SAMPLED_POSES = 60
 
 @dataclass(frozen=True)
 class Solid:
-    """Solid fixed to a joint's frame; joint 0 is the base with the cell.
-
-    Parameters
-    ----------
-    placement : pinocchio.SE3
-        In the frame of the joint.
-    guessed : bool
-        The solid is a capsule of estimated radius.
-    """
+    """Solid fixed to a joint's frame; joint 0 is the base with the cell."""
 
     name: str
     joint: int
-    placement: Any
+    placement: Any  # in the frame of the joint
     geometry: Any
     of_cell: bool = False
-    guessed: bool = False
+    guessed: bool = False  # the solid is a capsule of estimated radius
 
 
 class ClearanceModel:

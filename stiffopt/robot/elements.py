@@ -243,11 +243,7 @@ def _docstring_summary(cls: type) -> str:
 class ElementBuilder:
     """Builder of the chains of a robot file.
 
-    Parameters
-    ----------
-    path : the file, for messages
-    surfaces : mapping of name to SurfaceSection
-        Surfaces of the file, which take precedence over the catalogue.
+    `surfaces`: surfaces of the file, which take precedence over the catalogue.
     """
 
     def __init__(

@@ -39,34 +39,17 @@ _MAX_LINK_VOLUME = 8.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EstimatedBody(LinkBody):
-    """Estimated body of a link.
+    """Estimated body of a link."""
 
-    Parameters
-    ----------
-    shaped : bool
-        The URDF has a shape of the link; else it is a rod to the next joint.
-    scale : float
-        Factor on its mass by the torque limits.
-    """
-
-    shaped: bool = True
-    scale: float = 1.0
+    shaped: bool = True  # the URDF has a shape of the link; else it is a rod to the next joint
+    scale: float = 1.0  # factor on its mass by the torque limits
 
 
 def estimate_bodies(arm: LoadedUrdf, urdf: Path, tool: LinkFrame) -> dict[str, EstimatedBody]:
     """Estimate bodies of links where all links of a joint have no mass.
 
-    Parameters
-    ----------
-    urdf : Path
-        File with the shapes of the arm.
-    tool : LinkFrame
-        At the end of the arm, where a last link without shape ends.
-
-    Raises
-    ------
-    RobotError
-        A link without shape of an arm without length.
+    `urdf`: file with the shapes of the arm. `tool`: at the end of the arm, where a last link
+    without shape ends. Raises `RobotError`: a link without shape of an arm without length.
     """
     model, tree = arm.model, body_tree(arm.model)
     without = arm.massless_joints
@@ -105,15 +88,9 @@ def fit_to_torque_limits(
     """Scale estimated bodies to the gravity torque that the drives usually hold.
 
     Rods are scaled half way (by logarithms). Shapes are more reliable: they are scaled, and then
-    fully, only where the drives could not hold them, since shapes may be safety envelopes.
-
-    Parameters
-    ----------
-    bodies : mapping of link to its body
-    weight : array (n,)
-        Largest gravity torque of each joint by these bodies [N m].
-    torques : array (n,)
-        Torque limits, NaN where there is no plausible one [N m].
+    fully, only where the drives could not hold them, since shapes may be safety envelopes. `weight`
+    (n,) is the largest gravity torque of each joint by these bodies, `torques` its limits, NaN
+    where there is no plausible one [N m].
     """
     carrier = int(np.argmax(weight))
     if not (weight[carrier] > 0.0 and np.isfinite(torques[carrier])):

@@ -21,6 +21,7 @@ from stiffopt.files import apply_changes, check_header, load_toml
 from stiffopt.robot.body_tree import body_tree
 from stiffopt.robot.elements import Cited, ElementBuilder, locate_errors
 from stiffopt.robot.frames import LinkFrame, link_frame, link_names
+from stiffopt.robot.joint_load import supporting_joints
 from stiffopt.robot.link_shapes import read_link_shapes
 from stiffopt.robot.mjcf import MJCF_ENDINGS, is_mjcf
 from stiffopt.robot.robot import Robot, Source
@@ -45,10 +46,7 @@ def shipped_robots() -> list[str]:
 def robot_path(source: str | os.PathLike[str]) -> Path:
     """Return the file of a robot given by a shipped name or a path.
 
-    Raises
-    ------
-    InputError
-        Neither a shipped robot nor a file.
+    Raises `InputError`: neither a shipped robot nor a file.
     """
     if str(source) in shipped_robots():
         source = str(resources.files("stiffopt.robot").joinpath("data", str(source), "robot.toml"))
@@ -316,8 +314,9 @@ def _position_limits(
 
 
 def default_tool_link(model: pin.Model) -> str:
-    """Last moving link, the default for payloads and tools."""
-    moving = [f.name for f in model.frames if f.parentJoint == model.njoints - 1]
+    """Last link of the longest chain, the default for payloads and tools."""
+    end = max(range(1, model.njoints), key=lambda j: (len(supporting_joints(model, j)), j))
+    moving = [f.name for f in model.frames if f.parentJoint == end]
     links = [name for name in link_names(model) if name in moving]
     return next((name for name in _FLANGE_LINKS if name in links), links[0])
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -38,24 +38,20 @@ def interpolate_rotation(first: np.ndarray, last: np.ndarray, share: float) -> n
 
 @dataclass(frozen=True)
 class LinkFrame:
-    """A frame fixed to a link.
+    """A frame fixed to a link."""
 
-    Parameters
-    ----------
-    joint : int
-        Index of the link's joint in the pinocchio model (1 is the first moving joint).
-    offset : array (3,)
-        Origin in that joint's frame [m].
-    rotation : array (3, 3)
-        Axes of the frame, as columns in the joint's frame.
-    link : str
-        Link in whose frame the offset was given.
-    """
+    joint: int  # index of the link's joint in the pinocchio model (1 is the first moving joint)
+    offset: np.ndarray  # (3,) origin in that joint's frame [m]
+    rotation: np.ndarray  # (3, 3) axes of the frame, as columns in the joint's frame
+    link: str = ""  # link in whose frame the offset was given
+    # Frame that carries the work: poses and Jacobians are relative to it and in its axes; None is
+    # the base.
+    seen_from: LinkFrame | None = None
 
-    joint: int
-    offset: np.ndarray
-    rotation: np.ndarray
-    link: str = ""
+    @property
+    def in_base(self) -> LinkFrame:
+        """The frame relative to the base."""
+        return replace(self, seen_from=None)
 
 
 def link_names(model: pin.Model) -> list[str]:
@@ -74,17 +70,8 @@ def link_frame(
 ) -> LinkFrame:
     """Frame fixed to a moving link, in the frame of the link's joint.
 
-    Parameters
-    ----------
-    offset : array_like (3,), optional
-        In the link's frame [m]; default its origin.
-    rpy : array_like (3,), optional
-        Roll, pitch, yaw about the link's axes [rad]; default as the link.
-
-    Raises
-    ------
-    RobotError
-        A link that does not exist or does not move, or numbers that are no frame.
+    Place [m] and roll, pitch, yaw [rad] are in the link's frame, default that frame itself. Raises
+    `RobotError` for a link that does not exist or move, or numbers that are no frame.
     """
     if link not in link_names(model):
         raise RobotError(f"no link {link!r}. {nearest(link, link_names(model))}")

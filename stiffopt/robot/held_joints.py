@@ -21,19 +21,11 @@ from stiffopt.units import fit_joint
 
 @dataclass(frozen=True)
 class HeldJoint:
-    """A joint that is held fixed.
-
-    Parameters
-    ----------
-    value : float
-        [rad] or [m]
-    why : str
-        "locked", "not on the way to the tool" or "follows JOINT".
-    """
+    """A joint that is held fixed."""
 
     name: str
-    value: float
-    why: str
+    value: float  # [rad] or [m]
+    why: str  # "locked", "not on the way to the tool" or "follows JOINT"
 
     def __str__(self) -> str:
         return f"{self.name} at {self.value:g} ({self.why})"
@@ -78,26 +70,10 @@ def hold_joints(
 ) -> tuple[HeldJoint, ...]:
     """Fix the joints of a URDF that are no joints of the arm, in place.
 
-    Parameters
-    ----------
-    tree : Element
-        `<robot>`, whose joints form a tree.
-    path : Path
-        File of the URDF, for messages.
-    lock : mapping of joint name to float
-        Positions of locked joints [rad] or [m].
-    tip : str or None
-        Link at the end of the arm; None: up to the branch of the fingers.
-    keep : collection of str
-        Joints that are not fixed although they do not lead to the tip.
-    followers : bool
-        Fix joints of the arm that follow another one, in place of an error.
-
-    Raises
-    ------
-    RobotError
-        A locked joint that does not exist or is fixed; a joint of the arm that follows another;
-        several chains of which none is named.
+    `lock` gives positions of locked joints [rad] or [m]; `tip` is the link at the end of the arm
+    (None: up to the branch of the fingers); joints in `keep` stay although they do not lead there.
+    Joints of the arm that follow another one are fixed with `followers`, else an error, as are a
+    locked joint that does not exist or is fixed, and several chains of which none is named.
     """
     joints = JointTree(tree)
     moving = joints.moving

@@ -20,21 +20,11 @@ def joint_wrenches(
     acceleration: np.ndarray,
     force: np.ndarray,
 ) -> np.ndarray:
-    """Force and moment of each joint on the links that it carries.
+    """Force and moment (K, n, 6) of each joint on the links that it carries [N], [N m].
 
-    Parameters
-    ----------
-    robot : Robot
-        Payload and tool attached.
-    position, velocity, acceleration : array (K, n)
-    force : array (3,), or one that broadcasts to (K, n, 3)
-        Force ON the tool, base axes [N].
-
-    Returns
-    -------
-    array (K, n, 6)
-        [F, M] in N and N m about the joint's origin; axes are fixed to the link, the third is the
-        joint's. Component 6 (3 for a prismatic joint) is the torque of the joint's spring.
+    About the joint's origin; axes are fixed to the link, the third is the joint's. Component 6 (3
+    for a prismatic joint) is the torque of the joint's spring. `force` acts ON the tool, base axes
+    [N], and broadcasts to (K, n, 3).
     """
     model = without_rotors(robot.model)
     data = model.createData()
@@ -88,14 +78,7 @@ def supports_tool(robot: Robot) -> np.ndarray:
 
 
 def shift_wrench(wrench: np.ndarray, position: float) -> np.ndarray:
-    """Wrench about another point on the joint's axis.
-
-    Parameters
-    ----------
-    wrench : array (..., 6)
-    position : float
-        Position of the point along the axis, from the joint's origin [m].
-    """
+    """Wrench (..., 6) about another point on the joint's axis, at `position` along it [m]."""
     moved = np.array(wrench, dtype=float)
     # M - h e_z x F
     moved[..., 3] += position * wrench[..., 1]

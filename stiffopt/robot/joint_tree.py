@@ -24,12 +24,7 @@ _MAX_OFFERED_TIPS = 6
 class JointTree:
     """Joints of a URDF by name and by parent link.
 
-    Parameters
-    ----------
-    tree : Element
-        `<robot>`, whose joints form a tree.
-    still : collection of str
-        Joints that count as fixed.
+    `tree`: `<robot>`, whose joints form a tree. `still`: joints that count as fixed.
     """
 
     def __init__(self, tree: ET.Element, still: Collection[str] = ()) -> None:
@@ -103,10 +98,7 @@ class JointTree:
     def arm(self, described: Collection[str] = ()) -> list[str] | None:
         """Joints of the arm where no tip is named; None where it is ambiguous.
 
-        Parameters
-        ----------
-        described : collection of str
-            Joints that a file mentions; chains that contain one are selected.
+        `described`: joints that a file mentions; chains that contain one are selected.
         """
         way, ahead = self._unbranched_chain()
         if not ahead or self._is_hand(way, ahead):

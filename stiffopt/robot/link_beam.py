@@ -71,14 +71,8 @@ class LinkBeam:
     def mount(self, axis: np.ndarray, end: np.ndarray, carries: int) -> ElasticMount:
         """Return the springs of the link.
 
-        Parameters
-        ----------
-        axis : array (3,)
-            Of the joint, in axes of the link.
-        end : array (3,)
-            Origin of the next joint, from the joint's origin [m].
-        carries : int
-            Next joint, from 0.
+        `axis` (3,): of the joint, in axes of the link. `end` (3,): origin of the next joint, from
+        the joint's origin [m]. `carries`: next joint, from 0.
         """
         own = complete_axes(axis).T
         if self.stiffness is not None:
@@ -138,10 +132,7 @@ def _check_stiffness(matrix: np.ndarray) -> None:
 def _decouple(compliance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return point (3,) from the end, axes (3, 3) and compliance (6,) of six springs.
 
-    Raises
-    ------
-    InputError
-        No point and axes at which the compliance (6, 6) is diagonal.
+    Raises `InputError`: no point and axes at which the compliance (6, 6) is diagonal.
     """
     # At p from the end: coupling C_dr - [p] C_rr of displacement and moment.
     columns = np.stack([(_cross_matrix(e) @ compliance[3:, 3:]).ravel() for e in np.eye(3)], axis=1)

@@ -36,16 +36,8 @@ def load_mesh_file(
 ) -> coal.BVHModelBase:
     """Load a mesh (STL, OBJ, DAE and others) scaled along its axes (3,).
 
-    Parameters
-    ----------
-    scale : array (3,)
-    boxes : bool
-        Build the bounding-volume tree for distances to the mesh itself.
-
-    Raises
-    ------
-    InputFileError
-        No mesh, a size that is not plausible, or a scale of zero.
+    `scale` (3,). `boxes`: build the bounding-volume tree for distances to the mesh itself. Raises
+    `InputFileError`: no mesh, a size that is not plausible, or a scale of zero.
     """
     path = Path(path)
     check_file(path, MAX_MESH_BYTES)
@@ -69,10 +61,7 @@ def load_mesh_file(
 def convex_hull(mesh: coal.BVHModelBase, path: Path | None) -> coal.ConvexBase:
     """Convex hull of a mesh.
 
-    Raises
-    ------
-    InputFileError
-        A mesh without volume.
+    Raises `InputFileError`: a mesh without volume.
     """
     vertices = np.array(mesh.vertices(), dtype=float).reshape(-1, 3)
     spread = np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)
@@ -103,37 +92,20 @@ _SIZE_ATTRIBUTES: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinkShape:
-    """One shape of one link.
-
-    Parameters
-    ----------
-    purpose : "visual" or "collision"
-    kind : "box", "cylinder", "sphere" or "mesh"
-    size : tuple of float
-        Edges of a box; radius and length of a cylinder (along z); radius of a sphere [m]; scale of
-        a mesh along its axes.
-    offset : array (3,)
-        Origin in the link's frame [m].
-    rotation : array (3, 3)
-        Axes as columns in the link's frame.
-    digest : str
-        SHA-256 of the mesh file; "" where it was not found.
-    name : str
-        Name of the mesh in the URDF.
-    file : Path or None
-        Path of the mesh file.
-    """
+    """One shape of one link."""
 
     link: str
-    purpose: Purpose
-    kind: Kind
+    purpose: Purpose  # "visual" or "collision"
+    kind: Kind  # "box", "cylinder", "sphere" or "mesh"
+    # Edges of a box; radius and length of a cylinder (along z); radius of a sphere [m]; scale of a
+    # mesh along its axes.
     size: tuple[float, ...]
-    offset: np.ndarray
-    rotation: np.ndarray
-    digest: str = ""
-    name: str = ""
+    offset: np.ndarray  # (3,) origin in the link's frame [m]
+    rotation: np.ndarray  # (3, 3) axes as columns in the link's frame
+    digest: str = ""  # SHA-256 of the mesh file; "" where it was not found
+    name: str = ""  # name of the mesh in the URDF
     # Compared by content (digest), not by path.
-    file: Path | None = field(default=None, compare=False)
+    file: Path | None = field(default=None, compare=False)  # path of the mesh file
 
     @property
     def known(self) -> bool:
@@ -154,10 +126,7 @@ class JointShape:
 def read_link_shapes(path: str | os.PathLike[str]) -> tuple[LinkShape, ...]:
     """Read all shapes of a URDF that `load_urdf` has checked.
 
-    Raises
-    ------
-    RobotError
-        A size that is no finite number, or below 0.
+    Raises `RobotError`: a size that is no finite number, or below 0.
     """
     urdf = Path(path)
     found = []
@@ -187,13 +156,7 @@ def joint_shapes(
 
 
 def mesh_triangles(shape: LinkShape) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (V, 3) [m] and triangles (T, 3) of a scaled mesh.
-
-    Raises
-    ------
-    InputFileError
-        The file is no mesh.
-    """
+    """Vertices (V, 3) [m] and triangles (T, 3) of a scaled mesh; or raise `InputFileError`."""
     model = load_mesh(shape)
     corners = [[model.tri_indices(i)[k] for k in range(3)] for i in range(model.num_tris)]
     return np.array(model.vertices(), dtype=float), np.array(corners, dtype=int)

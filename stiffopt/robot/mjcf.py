@@ -34,94 +34,51 @@ _UNUSED_ASSETS = ("hfields", "materials", "textures")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MjcfBody:
-    """A body of MuJoCo, or a site, which is one without mass.
-
-    Parameters
-    ----------
-    place : array (3,)
-        Origin in the parent's frame [m].
-    rotation : array (3, 3)
-        Axes in the parent's frame.
-    joints : tuple of str
-        Joints to the parent, which act one after another.
-    mass : float [kg]
-    centre : array (3,)
-        Centre of mass in the body's frame [m].
-    inertia : array (3, 3)
-        About the centre of mass, in the body's axes [kg m^2].
-    """
+    """A body of MuJoCo, or a site, which is one without mass."""
 
     name: str
     parent: str
-    place: np.ndarray
-    rotation: np.ndarray
-    joints: tuple[str, ...] = ()
-    mass: float = 0.0
-    centre: np.ndarray
-    inertia: np.ndarray
+    place: np.ndarray  # (3,) origin in the parent's frame [m]
+    rotation: np.ndarray  # (3, 3) axes in the parent's frame
+    joints: tuple[str, ...] = ()  # joints to the parent, which act one after another
+    mass: float = 0.0  # [kg]
+    centre: np.ndarray  # (3,) centre of mass in the body's frame [m]
+    inertia: np.ndarray  # (3, 3) about the centre of mass, in the body's axes [kg m^2]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MjcfJoint:
-    """A joint of MuJoCo.
-
-    Parameters
-    ----------
-    kind : "hinge", "slide", "ball" or "free"
-    anchor, axis : array (3,)
-        In the body's frame.
-    reference : float
-        Position at which the body stands as in the file [rad] or [m].
-    limits : tuple of float, or None
-        Least and largest position.
-    frictionloss, damping, armature : float
-        [N m], [N m s/rad], [kg m^2]
-    stiffness, spring_reference : float
-        Spring between the bodies [N m/rad], [rad].
-    torque_max : float
-        Of its drives and its own limit [N m]; 0 for none.
-    """
+    """A joint of MuJoCo."""
 
     name: str
     body: str
-    kind: str
+    kind: str  # "hinge", "slide", "ball" or "free"
+    # (3,) in the body's frame.
     anchor: np.ndarray
     axis: np.ndarray
-    reference: float
-    limits: tuple[float, float] | None
+    reference: float  # position at which the body stands as in the file [rad] or [m]
+    limits: tuple[float, float] | None  # least and largest position
+    # [N m], [N m s/rad], [kg m^2].
     frictionloss: float
     damping: float
     armature: float
+    # Spring between the bodies [N m/rad], [rad].
     stiffness: float
     spring_reference: float
-    torque_max: float
+    torque_max: float  # of its drives and its own limit [N m]; 0 for none
 
 
 @dataclass(frozen=True, kw_only=True)
 class MjcfActuator:
-    """An actuator of MuJoCo that drives one joint.
-
-    Parameters
-    ----------
-    gear : float
-        Torque at the joint over force, and length over position.
-    gain : float
-        Force over control signal.
-    bias : tuple of float
-        Force, force over length and force over velocity of the length.
-    force_range : tuple of float, or None
-        Least and largest force.
-    control_range : tuple of float, or None
-        Least and largest control signal.
-    """
+    """An actuator of MuJoCo that drives one joint."""
 
     name: str
     joint: str
-    gear: float
-    gain: float
-    bias: tuple[float, ...]
-    force_range: tuple[float, float] | None
-    control_range: tuple[float, float] | None
+    gear: float  # torque at the joint over force, and length over position
+    gain: float  # force over control signal
+    bias: tuple[float, ...]  # force, force over length and force over velocity of the length
+    force_range: tuple[float, float] | None  # least and largest force
+    control_range: tuple[float, float] | None  # least and largest control signal
 
     @property
     def position_gain(self) -> float:
@@ -156,33 +113,18 @@ class MjcfCoupling:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MjcfModel:
-    """A compiled MJCF.
+    """A compiled MJCF."""
 
-    Parameters
-    ----------
-    bodies, sites : tuple of MjcfBody
-        Parents first, without the ground; sites with names only.
-    couplings : tuple of MjcfCoupling
-        To first order.
-    meshes : tuple of Path
-        Files of the meshes that give bodies their mass.
-    degrees : bool
-        Angles in the file are in degrees.
-    shaped : bool
-        Masses are those of shapes even where a body states its own.
-    notes : tuple of str
-        Parts of the model that a tree of joints cannot represent.
-    """
-
+    # Parents first, without the ground; sites with names only.
     bodies: tuple[MjcfBody, ...]
     sites: tuple[MjcfBody, ...]
     joints: dict[str, MjcfJoint]
     actuators: tuple[MjcfActuator, ...]
-    couplings: tuple[MjcfCoupling, ...]
-    meshes: tuple[Path, ...]
-    degrees: bool
-    shaped: bool
-    notes: tuple[str, ...]
+    couplings: tuple[MjcfCoupling, ...]  # to first order
+    meshes: tuple[Path, ...]  # files of the meshes that give bodies their mass
+    degrees: bool  # angles in the file are in degrees
+    shaped: bool  # masses are those of shapes even where a body states its own
+    notes: tuple[str, ...]  # parts of the model that a tree of joints cannot represent
 
 
 def is_mjcf(path: Path) -> bool:
@@ -198,10 +140,7 @@ def is_mjcf(path: Path) -> bool:
 def mjcf_parts(path: Path) -> list[Path]:
     """Files that make up an MJCF: itself, and those that it includes or attaches.
 
-    Raises
-    ------
-    InputFileError
-        One is missing, no XML or too large.
+    Raises `InputFileError`: one is missing, no XML or too large.
     """
     found, waiting = [], [path]
     while waiting:
@@ -232,15 +171,7 @@ def names_in_common_folder(files: Sequence[Path]) -> dict[str, Path]:
 
 
 def read_mjcf(path: str | os.PathLike[str]) -> MjcfModel:
-    """Read an MJCF.
-
-    Raises
-    ------
-    InputError
-        The package `mujoco` is not installed.
-    InputFileError
-        MuJoCo refuses the file.
-    """
+    """Read an MJCF; raise `InputError` without `mujoco`, or where it refuses the file."""
     path = Path(path)
     return _read_mjcf(path, tuple(file.stat().st_mtime_ns for file in mjcf_parts(path)))
 

@@ -31,11 +31,8 @@ class _Bodies(Struct):
 class NativeBodies:
     """An arm's bodies as the compiled loop takes them.
 
-    Parameters
-    ----------
-    inertial : array (n, 10), optional
-        In place of the bodies' own, in the order of `Body.inertial_parameters`; of bodies that need
-        not exist by themselves.
+    `inertial` (n, 10): in place of the bodies' own, in the order of `Body.inertial_parameters`; of
+    bodies that need not exist by themselves.
     """
 
     def __init__(self, tree: BodyTree, inertial: np.ndarray | None = None) -> None:
@@ -88,14 +85,8 @@ def without_rotors(model: Any) -> Any:
 class RigidBodies:
     """Torques, inertia and poses of links and payload; no rotors, no friction.
 
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Model of revolute and prismatic joints; copied.
-
-    Notes
-    -----
-    Joints are in the order of the model; torques [N m] of prismatic joints are forces [N].
+    `model`: model of revolute and prismatic joints; copied. Joints are in the order of the model;
+    torques [N m] of prismatic joints are forces [N].
     """
 
     def __init__(self, model: Any) -> None:
@@ -148,25 +139,31 @@ class RigidBodies:
         return np.array(full).reshape(n, 10 * n)
 
     def pose(self, frame: LinkFrame, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Position (3,) [m] and rotation (3, 3) of a frame in the base."""
+        """Position (3,) [m] and rotation (3, 3) of a frame in the base, or in `seen_from`."""
         pin.forwardKinematics(self._model, self._data, q)
-        joint = self._data.oMi[frame.joint]
-        rotation = joint.rotation
-        return (
-            np.array(joint.translation + rotation @ frame.offset),
-            np.array(rotation @ frame.rotation),
-        )
+        found = self._placement(frame)
+        if frame.seen_from is not None:
+            found = self._placement(frame.seen_from).actInv(found)
+        return np.array(found.translation), np.array(found.rotation)
 
     def jacobian(self, frame: LinkFrame, q: np.ndarray) -> np.ndarray:
-        """Jacobian (6, n) of velocity and angular velocity of a frame, base axes."""
+        """Jacobian (6, n) of velocity and angular velocity of a frame, base axes or `seen_from`."""
         pin.computeJointJacobians(self._model, self._data, q)
-        full = pin.getFrameJacobian(
-            self._model,
-            self._data,
-            frame.joint,
-            pin.SE3(frame.rotation, frame.offset),
-            pin.LOCAL_WORLD_ALIGNED,
-        )
+        found = self._moved_with(frame.joint, pin.SE3(frame.rotation, frame.offset))
+        if frame.seen_from is None:
+            return found
+        # The work moves by the Jacobian of its point at the frame's origin.
+        at = self._data.oMi[frame.seen_from.joint].actInv(self._placement(frame))
+        found -= self._moved_with(frame.seen_from.joint, at)
+        axes = self._placement(frame.seen_from).rotation.T
+        return np.vstack([axes @ found[:3], axes @ found[3:]])
+
+    def _placement(self, frame: LinkFrame) -> pin.SE3:
+        return self._data.oMi[frame.joint] * pin.SE3(frame.rotation, frame.offset)
+
+    def _moved_with(self, joint: int, at: pin.SE3) -> np.ndarray:
+        """Jacobian (6, n) of a frame at a place of a joint, base axes."""
+        full = pin.getFrameJacobian(self._model, self._data, joint, at, pin.LOCAL_WORLD_ALIGNED)
         # pinocchio drops the second axis for an arm of one joint.
         return np.array(full).reshape(6, self._model.nv)
 
@@ -189,16 +186,9 @@ def inverse_dynamics_along(model: Any, q: np.ndarray, v: np.ndarray, a: np.ndarr
 class BodiesInMotion:
     """Torques along motions and their derivatives; no rotors, no friction.
 
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Model of revolute and prismatic joints; copied.
-
-    Notes
-    -----
-    The values of `RigidBodies`, without a Python call per instant where compiled code or pinocchio
-    evaluates many at a time. Joints are in the order of the model; torques [N m] of prismatic
-    joints are forces [N].
+    `model`: model of revolute and prismatic joints; copied. The values of `RigidBodies`, without a
+    Python call per instant where compiled code or pinocchio evaluates many at a time. Joints are in
+    the order of the model; torques [N m] of prismatic joints are forces [N].
     """
 
     def __init__(self, model: Any) -> None:
@@ -243,11 +233,8 @@ class BodiesInMotion:
     ) -> np.ndarray:
         """Change (K, n) of the torques by a change (n, 10) of inertial parameters.
 
-        Parameters
-        ----------
-        change : array (n, 10)
-            In the order of `Body.inertial_parameters`; need not be those of a physical body.
-        q, v, a : array (K, n)
+        `change` (n, 10): in the order of `Body.inertial_parameters`; need not be those of a
+        physical body. `q`, `v` and `a` (K, n).
         """
         found = self._native_bodies.with_parameters(change).torque(q, v, a)
         if found is not None:

@@ -36,21 +36,11 @@ _MAX_TURN = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Support:
-    """Support of a convex solid: points, balls and discs whose convex hull it is.
+    """Support of a convex solid: points, balls and discs whose convex hull it is."""
 
-    Parameters
-    ----------
-    centre : array (m, 3)
-        In the frame of the joint [m].
-    axis : array (m, 3)
-        Unit vector along the axis of a disc; zero for a ball or a point.
-    radius : array (m,)
-        [m]
-    """
-
-    centre: np.ndarray
-    axis: np.ndarray
-    radius: np.ndarray
+    centre: np.ndarray  # (m, 3) in the frame of the joint [m]
+    axis: np.ndarray  # (m, 3) unit vector along the axis of a disc; zero for a ball or a point
+    radius: np.ndarray  # (m,) [m]
 
     def lowest(self, normal: np.ndarray) -> np.ndarray:
         """Least height of each along a direction (3,): (m,) [m]."""
@@ -88,24 +78,12 @@ class Support:
 
 @dataclass(frozen=True, eq=False)
 class SeparatingPlane:
-    """Plane in the frame of the second solid's joint, and the nearest supports of the first.
+    """Plane in the frame of the second solid's joint, and the nearest supports of the first."""
 
-    Parameters
-    ----------
-    normal : array (3,)
-        Unit vector towards the first solid.
-    height : float
-        Height of the second solid along the normal [m].
-    near : Support
-        Nearest supports of the first solid, in the frame of its joint.
-    distance : float
-        Least distance between plane and first solid over all poses [m].
-    """
-
-    normal: np.ndarray
-    height: float
-    near: Support
-    distance: float
+    normal: np.ndarray  # (3,) unit vector towards the first solid
+    height: float  # height of the second solid along the normal [m]
+    near: Support  # nearest supports of the first solid, in the frame of its joint
+    distance: float  # least distance between plane and first solid over all poses [m]
 
 
 class SeparatingPlanes:
@@ -128,12 +106,8 @@ class SeparatingPlanes:
     ) -> SeparatingPlane:
         """Separating plane of a couple over a step.
 
-        Parameters
-        ----------
-        couple : int
-            Index of the couple.
-        placements : sequence of (array (n + 1, 3, 3), array (n + 1, 3))
-            Frames of the joints in every pose of the step.
+        `couple`: index of the couple. `placements` (array (n + 1, 3, 3), array (n + 1, 3)): frames
+        of the joints in every pose of the step.
         """
         a, b = self.model.couples[couple]
         first, second = self.model.solids[a], self.model.solids[b]

@@ -30,41 +30,24 @@ Flanks = Literal["series", "parallel"]
 
 @dataclass(frozen=True)
 class StiffnessRow:
-    """One joint at one torque.
+    """One joint at one torque."""
 
-    Parameters
-    ----------
-    joint : int
-        From 1.
-    torque_ratio : float
-        Torque over the joint's `torque_max` [-].
-    torque : float
-        [N m]
-    tangent_stiffness, secant_stiffness : float
-        dT/dphi and T/phi of the whole drivetrain [N m/rad].
-    windup : float
-        phi [rad]
-    reducer_only_tangent_stiffness : float
-        Of the reducer alone; infinite for a joint without one [N m/rad].
-    ratio_to_reducer_only : float
-        Tangent stiffness with contacts over that of the reducer alone [-].
-    first_loading_stiffness, cyclic_stiffness : float
-        Tangent stiffness with contacts under first loading, and with contacts that had a larger
-        load before, as in a robot after its first motions [N m/rad].
-    flanks : str
-        Arrangement of the flanks of the keys: "series", "parallel", "mixed", or "none" for a joint
-        without keys.
-    """
-
-    joint: int
-    torque_ratio: float
-    torque: float
+    joint: int  # from 1
+    torque_ratio: float  # torque over the joint's `torque_max` [-]
+    torque: float  # [N m]
+    # dT/dphi and T/phi of the whole drivetrain [N m/rad].
     tangent_stiffness: float
     secant_stiffness: float
-    windup: float
+    windup: float  # phi [rad]
+    # Of the reducer alone; infinite for a joint without one [N m/rad].
     reducer_only_tangent_stiffness: float
+    # Tangent stiffness with contacts over that of the reducer alone [-].
     ratio_to_reducer_only: float
+    # Arrangement of the flanks of the keys: "series", "parallel", "mixed", or "none" for a joint
+    # without keys.
     flanks: str
+    # Tangent stiffness with contacts under first loading, and with contacts that had a larger load
+    # before, as in a robot after its first motions [N m/rad].
     first_loading_stiffness: float
     cyclic_stiffness: float
 

@@ -41,27 +41,17 @@ _MAX_LIMIT = 1e30
 
 @dataclass(frozen=True, eq=False)
 class LoadedUrdf:
-    """Model of a URDF and its joints.
+    """Model of a URDF and its joints."""
 
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Fixed and held joints merged; a continuous joint is a revolute one without position limits.
-    joints : mapping of joint name to its `effort`, `velocity`, `damping`, `friction`, `armature`
-        In the model's order; 0 where not given. [N m], [rad/s], [N m s/rad], [N m], [kg m^2]
-    held : tuple of HeldJoint
-        Joints that are held fixed.
-    unlimited : tuple of str
-        Joints without the position limits that they need; unlimited in the model.
-    format : str
-        "URDF" or "MJCF".
-    """
-
+    # Fixed and held joints merged; a continuous joint is a revolute one without position limits.
     model: pin.Model
+    # By joint name: in the model's order; 0 where not given. [N m], [rad/s], [N m s/rad], [N m],
+    # [kg m^2].
     joints: dict[str, dict[str, float]]
-    held: tuple[HeldJoint, ...] = ()
+    held: tuple[HeldJoint, ...] = ()  # joints that are held fixed
+    # Joints without the position limits that they need; unlimited in the model.
     unlimited: tuple[str, ...] = ()
-    format: str = "URDF"
+    format: str = "URDF"  # "URDF" or "MJCF"
 
     @property
     def massless_joints(self) -> list[int]:
@@ -82,20 +72,11 @@ MAX_MOVING_JOINTS = 50
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinkBody:
-    """Mass and inertia of a link, in place of those of the URDF.
+    """Mass and inertia of a link, in place of those of the URDF."""
 
-    Parameters
-    ----------
-    mass : float [kg]
-    com : array (3,)
-        Centre of mass in the frame of the link [m].
-    inertia : array (3, 3)
-        About the centre of mass, in the axes of the link [kg m^2].
-    """
-
-    mass: float
-    com: np.ndarray
-    inertia: np.ndarray
+    mass: float  # [kg]
+    com: np.ndarray  # (3,) centre of mass in the frame of the link [m]
+    inertia: np.ndarray  # (3, 3) about the centre of mass, in the axes of the link [kg m^2]
 
 
 def load_urdf(
@@ -108,30 +89,13 @@ def load_urdf(
     bodies: Mapping[str, LinkBody] | None = None,
     hold_unplanned: bool = False,
 ) -> LoadedUrdf:
-    """Load a URDF as a model with the limits and friction of each joint.
+    """Load a URDF or MJCF as a model with the limits and friction of each joint.
 
-    Parameters
-    ----------
-    path : path of a URDF or MJCF
-    lock : mapping of joint name to float, optional
-        Positions of locked joints [rad] or [m].
-    tip : str, optional
-        Link at the end of the arm; joints that do not lead to it are held.
-    keep : collection of str
-        Joints that are not fixed although they do not lead to the tip.
-    limited : collection of str or None
-        Joints whose position limits are given elsewhere; None: all that need some.
-    bodies : mapping of link name to LinkBody, optional
-        Bodies that replace inertials of the URDF.
-    hold_unplanned : bool
-        Fix free bases, ball joints, and joints of the arm that follow another one, in place of an
-        error.
-
-    Raises
-    ------
-    RobotError
-        A joint that is neither revolute, prismatic nor fixed, or follows another of the arm; a
-        missing or impossible number.
+    `lock` gives positions of locked joints [rad] or [m]; joints that do not lead to the link `tip`
+    are held, except those in `keep`. Position limits of joints in `limited` are given elsewhere
+    (None: of all). `bodies` replace inertials. With `hold_unplanned`, free bases, ball joints and
+    followers of joints of the arm are fixed, in place of a `RobotError`, which missing or
+    impossible numbers raise as well.
     """
     path = Path(path)
     tree = read_urdf_tree(path)

@@ -30,11 +30,8 @@ _MECHANICAL_PARTS = {
 def read_urdf_tree(path: str | os.PathLike[str]) -> ET.Element:
     """Read the mechanics of a URDF or MJCF: `<robot>` with links and joints that form one tree.
 
-    Raises
-    ------
-    InputFileError, RobotError
-        Neither a URDF nor an MJCF; a missing or repeated name; a joint between unknown links; a
-        link with two parents, a loop, more than one root.
+    Raises `InputFileError` or `RobotError`: neither a URDF nor an MJCF; a missing or repeated name;
+    a joint between unknown links; a link with two parents, a loop, more than one root.
     """
     path = Path(path)
     found = parse_xml(path)

@@ -20,10 +20,7 @@ MAX_ELEMENTS = 100_000
 def parse_xml(path: str | os.PathLike[str], *, comments: bool = False) -> ET.Element:
     """Parse an XML file and return its root.
 
-    Raises
-    ------
-    InputFileError
-        No file, no XML, declared entities, or too many or too deep elements.
+    Raises `InputFileError`: no file, no XML, declared entities, or too many or too deep elements.
     """
     path = Path(path)
     content = read_bytes(path)

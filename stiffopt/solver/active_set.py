@@ -40,13 +40,7 @@ _PENALTY_FACTOR, _MULTIPLIER_ROUNDS = 1e4, 3
 
 
 class ActiveSetSolver:
-    """Solver of programmes that differ in numbers, each from a nearby optimum.
-
-    Parameters
-    ----------
-    solver : IpoptSolver
-        Provides derivatives and tolerance.
-    """
+    """Solver of programmes that differ in numbers, each from a nearby optimum."""
 
     def __init__(self, solver: IpoptSolver) -> None:
         self._tolerance = solver.options.tol
@@ -63,16 +57,8 @@ class ActiveSetSolver:
     ) -> RawSolution | None:
         """Return the optimum, None where it is not found: the programme may have one still.
 
-        Parameters
-        ----------
-        transcription : Transcription
-            Of the solver's programme, with its own bounds and numbers.
-        x0 : array
-            Scaled variables of the nearby optimum.
-        parameters : array (np,)
-        near : Multipliers
-            Of the nearby optimum.
-        report : callable, optional
+        `transcription` is of the solver's programme, with its own bounds and numbers; `x0`, scaled,
+        and `near` are of the nearby optimum.
         """
         begin = time.perf_counter()
         motions = self._select_motions(transcription)

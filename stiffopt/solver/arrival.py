@@ -47,7 +47,7 @@ _SHARPER_LAW_SHARES = (0.5, 0.6, 0.7, 0.8, 0.9)
 
 def refine_within_mesh(run: SolveRun, outcome: Outcome) -> Outcome:
     """Back off rows on the same mesh where the exact ones, or the simulated arm, exceed them."""
-    start = _suppress_vibration(run, exchange(run, ExactRows(run), outcome))
+    start = suppress_vibration_of_links(run, exchange(run, ExactRows(run), outcome))
     return exchange(run, ArrivalVibration(run), start)
 
 
@@ -85,7 +85,7 @@ class ArrivalVibration(OutcomeOracle):
         other = solve_again(self.run, last, closer, last.smoothing)
         if other.failed:
             return other
-        return _suppress_vibration(self.run, exchange(self.run, ExactRows(self.run), other))
+        return suppress_vibration_of_links(self.run, exchange(self.run, ExactRows(self.run), other))
 
     def _requested_back_off(
         self, outcome: Outcome, late: dict[str, float], number: int
@@ -131,7 +131,7 @@ def _sharpen_motor_law(run: SolveRun, outcome: Outcome) -> Outcome:
     return _replace_motors(run, outcome, share, sagged=True) or found
 
 
-def _suppress_vibration(run: SolveRun, outcome: Outcome) -> Outcome:
+def suppress_vibration_of_links(run: SolveRun, outcome: Outcome) -> Outcome:
     """Return the same links with the least vibration: by a sharper law, then by a motor change.
 
     The latter where every limit holds in flight. With the simulated arm, where it was simulated.

@@ -42,11 +42,7 @@ Place = tuple[int, int]
 class ClearanceRows:
     """Collision constraints of a problem, kept from one solve to the next.
 
-    Parameters
-    ----------
-    problem : TrajectoryProblem
-    collided : collection of pairs
-        Pairs that have collided: they get rows in every interval, others where they are near.
+    Pairs that have `collided` get rows in every interval, others where they are near.
     """
 
     def __init__(self, problem: TrajectoryProblem, collided: Collection[tuple[str, str]]) -> None:

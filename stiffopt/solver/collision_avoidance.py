@@ -61,14 +61,8 @@ class _CollisionFreeStart:
 def avoid_collisions(run: SolveRun, plain: Outcome, *, searches: int = 1) -> Outcome:
     """Return the outcome where it does not collide, else the best collision-free one found.
 
-    Parameters
-    ----------
-    run : SolveRun
-        Its `avoidance_failure` is set to the reason of a failure, `detour` to the first path found.
-    plain : Outcome
-        Solved without regard to collisions.
-    searches : int
-        Number of path searches.
+    `plain` was solved without regard to collisions; `searches` counts path searches. The run's
+    `avoidance_failure` is set to the reason of a failure, its `detour` to the first path found.
     """
     best: Outcome | None = None
     hits = plain.collisions

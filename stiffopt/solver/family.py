@@ -9,16 +9,17 @@ from __future__ import annotations
 import functools
 import json
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from stiffopt.baseline.baselines import baselines
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
+from stiffopt.command.command_search import CommandChoice
 from stiffopt.command.simulation import check_simulation
 from stiffopt.problem.bounds import shortest_duration
-from stiffopt.problem.formulation import Scales, formulate
+from stiffopt.problem.formulation import Scales
 from stiffopt.problem.input_checks import check_clear_poses
 from stiffopt.problem.limits.travel import with_bounded_travel
 from stiffopt.problem.resolve import resolve
@@ -27,7 +28,7 @@ from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.solution import Solution
 from stiffopt.solver.active_set import ActiveSetSolver
-from stiffopt.solver.exchange import interrupted_outcome, until_interrupted
+from stiffopt.solver.exchange import exchange, interrupted_outcome, until_interrupted
 from stiffopt.solver.programme import (
     Outcome,
     Programme,
@@ -37,8 +38,15 @@ from stiffopt.solver.programme import (
     solve_stage,
 )
 from stiffopt.solver.refinement import refine
+from stiffopt.solver.ringing import RingingBesideRivals
 from stiffopt.solver.simulated_solution import with_simulation
-from stiffopt.solver.solve import preliminary_notes, solution_of, solve_with_state
+from stiffopt.solver.solve import (
+    choose_for_arms,
+    interrupted_solution,
+    name_steps_left_out,
+    preliminary_notes,
+    solve_with_state,
+)
 from stiffopt.solver.solve_run import ProgressCallback, SolveRun
 from stiffopt.solver.stage_plan import SolveStage, solver_options
 from stiffopt.solver.stationary_joints import fix_creeping_joints
@@ -47,6 +55,9 @@ from stiffopt.transcription.build import adapt
 from stiffopt.transcription.mesh import Mesh
 from stiffopt.transcription.nlp import BlockScales, Nlp
 
+# Least distance of a warm start from bounds, relative: with 1e-8 other active bounds than those of
+# the start take a third more iterations, as bounds move with the numbers.
+_WARM_BOUND_PUSH = 1e-4
 # Programmes in memory, the most recently used ones.
 _MAX_KEPT_PROGRAMMES = 4
 
@@ -55,39 +66,33 @@ _MAX_KEPT_PROGRAMMES = 4
 class WarmStart:
     """End of a solve, from which the solve of a similar problem starts.
 
-    Parameters
-    ----------
-    x, multipliers_x, multipliers_g : array
-        Of the last programme, unscaled.
-    mesh : list of array
-    smoothing : Smoothing
-    scales : mapping of objective name to float
-        Scales of its objectives.
-    block_scales : BlockScales
-        Scales of its variables and rows. A solve from here keeps all scales, so that the last
-        digits of its answer do not depend on other solves.
-    method : str
-        Transcription and intervals of its problem.
+    A solve from here keeps all scales, so that the last digits of its answer do not depend on other
+    solves.
     """
 
+    # Of the last programme, unscaled.
     x: np.ndarray
     multipliers_x: np.ndarray
     multipliers_g: np.ndarray
     mesh: Mesh
     smoothing: Smoothing
-    scales: Mapping[str, float]
+    scales: Mapping[str, float]  # of its objectives, by name
     block_scales: BlockScales
-    method: str
+    back_off: np.ndarray  # by which lower and upper bounds of rows were moved, unscaled (2, rows)
+    method: str  # transcription and intervals of its problem
+    command: CommandChoice | None = None
 
     def to_bytes(self) -> bytes:
         """Return a line of JSON, then all arrays as little-endian doubles."""
         of_x, of_g = self.block_scales.variables, self.block_scales.rows
-        groups = [[self.x], [self.multipliers_x], [self.multipliers_g], self.mesh, of_x, of_g]
+        solved = [self.x, self.multipliers_x, self.multipliers_g, self.back_off.ravel()]
+        groups = [*([each] for each in solved), self.mesh, of_x, of_g]
         head = {
             "sizes": [[len(each) for each in group] for group in groups],
             "smoothing": self.smoothing.parameters.tolist(),
             "scales": {name: float(value) for name, value in self.scales.items()},
             "method": self.method,
+            "command": self.command,
         }
         numbers = np.concatenate([np.zeros(0), *(each for group in groups for each in group)])
         return json.dumps(head).encode() + b"\n" + numbers.astype("<f8").tobytes()
@@ -110,7 +115,7 @@ class WarmStart:
             raise ValueError("cut off")
         arrays = iter(np.split(numbers, np.cumsum(sizes)[:-1]))
         groups = [[next(arrays) for _ in group] for group in head["sizes"]]
-        (x,), (multipliers_x,), (multipliers_g,), mesh, of_x, of_g = groups
+        (x,), (multipliers_x,), (multipliers_g,), (back_off,), mesh, of_x, of_g = groups
         return cls(
             x,
             multipliers_x,
@@ -119,7 +124,9 @@ class WarmStart:
             Smoothing(*head["smoothing"]),
             head["scales"],
             BlockScales(tuple(of_x), tuple(of_g)),
+            back_off.reshape(2, -1),
             head["method"],
+            head["command"] and tuple(head["command"]),
         )
 
 
@@ -144,61 +151,64 @@ class ProblemFamily:
         compare: bool = True,
         start: int = 0,
         progress: ProgressCallback | None = None,
-        guess: Assessment | None = None,
+        guess: Callable[[], Assessment] | None = None,
         simulate: bool = False,
+        beside_rivals: bool = True,
     ) -> tuple[Solution, WarmStart | None]:
         """Solve and certify a problem; without the warm start where that fails.
 
-        Parameters
-        ----------
-        problem : TrajectoryProblem
-        warm : WarmStart, optional
-            Of a near problem.
-        compare : bool
-            With baselines; without, `Solution.baselines` is empty after a warm solve.
-        start : int
-            As of `solve`.
-        progress : callable, optional
-        guess, simulate : optional
-            As of `solve`; the guess is for a solve without the warm start.
-
-        Returns
-        -------
-        Solution
-            Of any status.
-        WarmStart or None
-            None where it cannot be started from.
+        `warm` is of a near problem, `guess` the initial guess of a solve without it. `compare`:
+        with baselines, else `Solution.baselines` is empty after a warm solve. `beside_rivals`:
+        simulate rivals too, and compare with baselines after a warm start. Others as of
+        `solve`. The status may be any; the warm start is None where none can be started from.
         """
         if simulate:
             check_simulation(problem, resolve(problem))
         if warm is not None and warm.method == _method_key(problem) and not start:
             motion = resolve(problem)
             bounded = with_bounded_travel(problem, motion)
-            run = SolveRun(bounded, motion, Scales(warm.scales), progress)
+            run = SolveRun(bounded, motion, Scales(warm.scales), progress, at_rest=True)
             outcome = until_interrupted(
                 functools.partial(self._solve_warm, run, warm),
                 functools.partial(interrupted_outcome, run),
             )
             if outcome is not None:
+                compare = compare and beside_rivals
                 compared = baselines(problem, run.motion) if compare else {}
                 notes = preliminary_notes(problem, run.motion)
-                solution = solution_of(run, outcome, compared, notes, compare=compare)
+                solution = until_interrupted(
+                    functools.partial(
+                        choose_for_arms, run, outcome, compared, notes, compare=compare
+                    ),
+                    functools.partial(interrupted_solution, run, compared, notes),
+                )
+                solution = name_steps_left_out(run, solution)
                 if simulate:
-                    solution = with_simulation(problem, solution, progress, run.motion)
-                return solution, _warm_start_of(run, outcome)
+                    solution = with_simulation(
+                        problem,
+                        solution,
+                        progress,
+                        run.motion,
+                        run.command,
+                        run.rivals,
+                        choice=warm.command,
+                        compare=beside_rivals,
+                    )
+                return solution, _warm_start_of(run, outcome, solution)
         solution, kept = solve_with_state(
             problem,
             progress=progress,
-            guess=guess,
+            guess=None if guess is None else guess(),
             simulate=simulate,
             start=start,
             compare=compare,
+            beside_rivals=beside_rivals,
         )
-        if kept is None or problem.plans_links or start or not solution.status.usable:
+        if kept is None or kept[0].end_modes or start or not solution.status.usable:
             return solution, None
         run, outcome = kept
         self._store_programme(Programme(outcome.transcription, outcome.solver))
-        return solution, _warm_start_of(run, outcome)
+        return solution, _warm_start_of(run, outcome, solution)
 
     def _solve_warm(self, run: SolveRun, warm: WarmStart) -> Outcome | None:
         """Return the outcome from a warm start, None where it is not a certified optimum."""
@@ -225,17 +235,23 @@ class ProblemFamily:
             if standing is not None:
                 made = replace(made, transcription=standing)
                 made.solver.set_bounds(standing.nlp)
+        plain, made = made.transcription, _backed_off(made, warm.back_off / of_g)
         raw = solve_by_active_set(run, made, stage, begin.x, begin)
         if raw is None:
-            raw = solve_stage(run, made, stage, begin.x, begin, "warm", "adaptive")
+            raw = solve_stage(
+                run, made, stage, begin.x, begin, "warm", "adaptive", _WARM_BOUND_PUSH
+            )
         if not raw.converged:
             return None
         outcome = certify_outcome(run, made, raw, warm.smoothing)
-        if not _is_certified_optimum(outcome):
+        outcome = replace(outcome, transcription=plain)
+        if problem.plans_links or not _is_certified_optimum(outcome):
             # A mesh that is fine enough for one problem may not be for another.
             outcome = refine(run, outcome)
             self._store_programme(Programme(outcome.transcription, outcome.solver))
         sound = _is_certified_optimum(outcome)
+        if sound:
+            outcome = exchange(run, RingingBesideRivals(run, outcome), outcome)
         if problem.avoids_collisions and outcome.collisions:
             # Collision avoidance needs a solve without the warm start.
             sound = False
@@ -243,7 +259,7 @@ class ProblemFamily:
 
     def _programme_for(self, run: SolveRun, warm: WarmStart) -> Programme:
         """Return the programme on the mesh of a warm start, with a problem's bounds and numbers."""
-        ocp = formulate(run.problem, run.motion, run.scales)
+        ocp = run.formulate()
         options = solver_options(run.problem)
         wanted = warm.block_scales.tobytes()
         for made in reversed(self._programmes.values()):
@@ -278,7 +294,8 @@ def _is_certified_optimum(outcome: Outcome) -> bool:
     )
 
 
-def _warm_start_of(run: SolveRun, outcome: Outcome) -> WarmStart:
+def _warm_start_of(run: SolveRun, outcome: Outcome, solution: Solution) -> WarmStart:
+    led = None if solution.compensation is None else solution.compensation.optimised
     of_x, of_g = _nlp_scales(outcome.transcription.nlp)
     return WarmStart(
         x=outcome.raw.x * of_x,
@@ -288,8 +305,27 @@ def _warm_start_of(run: SolveRun, outcome: Outcome) -> WarmStart:
         smoothing=outcome.smoothing,
         scales=run.scales.values,
         block_scales=BlockScales.of(outcome.transcription.nlp),
+        back_off=_moved_bounds(outcome.nlp, outcome.transcription.nlp) * of_g,
         method=_method_key(run.problem),
+        command=None if led is None else (led.spacing, led.share, led.servo_share),
     )
+
+
+def _moved_bounds(nlp: Nlp, before: Nlp) -> np.ndarray:
+    """Return by how much the lower and the upper bounds of rows differ (2, rows)."""
+    bounds, old = (np.stack([each.lower_g, each.upper_g]) for each in (nlp, before))
+    moved: np.ndarray = np.subtract(bounds, old, out=np.zeros_like(old), where=bounds != old)
+    return moved
+
+
+def _backed_off(made: Programme, back_off: np.ndarray) -> Programme:
+    """Return a programme with its bounds of rows moved, where a motion can keep them then."""
+    nlp = made.transcription.nlp
+    closer = replace(nlp, lower_g=nlp.lower_g + back_off[0], upper_g=nlp.upper_g + back_off[1])
+    if not back_off.any() or np.any(closer.lower_g > closer.upper_g):
+        return made
+    made.solver.set_bounds(closer)
+    return replace(made, transcription=replace(made.transcription, nlp=closer))
 
 
 def _nlp_scales(nlp: Nlp) -> tuple[np.ndarray, np.ndarray]:

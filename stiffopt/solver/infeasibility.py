@@ -31,26 +31,15 @@ _MIN_SCALING_GAIN, _MAX_RESCALED_SOLVES = 3.0, 3
 
 @dataclass(frozen=True)
 class LeastExcess:
-    """Point of locally least excess of the rows.
-
-    Parameters
-    ----------
-    x : array
-    excess : float
-        Sum over limits of the largest by which each is exceeded, relative to its scale.
-    converged : bool
-    conflicts : list of NlpEntry
-        Violated rows, the worst first, then the active bounds that prevent less.
-    status : str
-        Of the solver.
-    iterations : int
-    """
+    """Point of locally least excess of the rows."""
 
     x: np.ndarray
+    # Sum over limits of the largest by which each is exceeded, relative to its scale.
     excess: float
     converged: bool
+    # Violated rows, the worst first, then the active bounds that prevent less.
     conflicts: list[NlpEntry]
-    status: str
+    status: str  # of the solver
     iterations: int
 
 
@@ -59,13 +48,7 @@ def minimise_excess(
 ) -> LeastExcess:
     """Find the point near `x` that exceeds the rows of a programme least.
 
-    Parameters
-    ----------
-    nlp : Nlp
-        With derivatives of its own.
-    x : array
-    parameters : array (np,)
-    max_seconds : float
+    The programme has derivatives of its own.
     """
     begin = time.perf_counter()
     relaxed = _RelaxedProgramme(nlp, x, parameters)

@@ -81,23 +81,10 @@ def solve_shaped(
 ) -> Solution:
     """Solve a problem whose objective is `shaped_deviation`.
 
-    Parameters
-    ----------
-    run : SolveRun
-        Of a problem of fixed duration.
-    compared : dict
-        Its baselines.
-    notes : tuple of str
-    solve : callable
-        Solves a problem without raising where no motion is found.
-    windows : sequence of (float, str), optional
-        Averaging windows in periods of the lowest mode, and their names: the first one whose motion
-        is no worse than the baselines is used, else the one of the best motion.
-
-    Raises
-    ------
-    ProblemError
-        No time is left beside the shortest window.
+    Its duration is fixed. `solve` raises nothing where no motion is found. Of the `windows`, in
+    periods of the lowest mode with their names, the first one whose motion is no worse than the
+    baselines is used, else the one of the best motion. Raises `ProblemError` where no time is left
+    beside the shortest window.
     """
     problem, motion = run.problem, run.motion
     period = _lowest_mode_period(problem, motion)
@@ -432,17 +419,10 @@ def _average_problems(loose: TrajectoryProblem, tight: TrajectoryProblem) -> Tra
 
 @dataclass(frozen=True, eq=False)
 class AveragedMotion:
-    """Motion averaged over a window before each instant, longer by that window.
-
-    Parameters
-    ----------
-    motion : JointMotion
-    window : float
-        Averaging window [s].
-    """
+    """Motion averaged over a window before each instant, longer by that window."""
 
     motion: JointMotion
-    window: float
+    window: float  # averaging window [s]
 
     @property
     def duration(self) -> float:

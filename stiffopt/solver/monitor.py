@@ -18,26 +18,13 @@ FEASIBLE_VIOLATION = 1e-6
 
 @dataclass(frozen=True)
 class Progress:
-    """One iteration.
-
-    Attributes
-    ----------
-    iteration : int
-    objective : float
-        In the problem's unit.
-    violation : float
-        Worst row, relative to its scale.
-    row : str
-        Name, label and place of that row; "" without a violation.
-    elapsed : float
-        Since the solve began [s].
-    """
+    """One iteration."""
 
     iteration: int
-    objective: float
-    violation: float
-    row: str
-    elapsed: float
+    objective: float  # in the problem's unit
+    violation: float  # worst row, relative to its scale
+    row: str  # name, label and place of that row; "" without a violation
+    elapsed: float  # since the solve began [s]
 
 
 @dataclass(frozen=True)
@@ -144,11 +131,7 @@ class Monitor(ca.Callback):
         Later steps that the line search shortened because of rounding do not matter as long as the
         iterates stay.
 
-        Parameters
-        ----------
-        tolerance : float
-        lengths : sequence of float
-            Step lengths of all iterations, 1 for a full step.
+        `lengths` are the step lengths of all iterations, 1 for a full step.
         """
         still = 0
         for step in reversed(self.steps):

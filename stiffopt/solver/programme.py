@@ -258,7 +258,7 @@ def certify_outcome(
 ) -> Outcome:
     """Return the certified motion of a solved stage, kept where it is the best so far."""
     planned = Trajectory.from_acceleration(*made.transcription.acceleration_polynomials(raw.x))
-    trajectory = _follow_plan(run, planned, smoothing.law)
+    trajectory = follow_plan(run, planned, smoothing.law)
     assessment = assess(run.problem, trajectory)
     outcome = Outcome(
         raw=raw,
@@ -300,10 +300,10 @@ def motors_with_law(run: SolveRun, outcome: Outcome, share: float, *, sagged: bo
 
     With `sagged` the spring torques are those at the sagged, else at the planned link positions.
     """
-    return _follow_plan(run, outcome.planned, share * outcome.smoothing.law, sagged=sagged)
+    return follow_plan(run, outcome.planned, share * outcome.smoothing.law, sagged=sagged)
 
 
-def _follow_plan(
+def follow_plan(
     run: SolveRun, motion: Trajectory, law: float, *, sagged: bool = False
 ) -> Trajectory:
     """Return the motion of the joints by a planned motion."""

@@ -99,9 +99,9 @@ def choose_shaped_motion(
 ) -> Solution:
     """Return the solution, or a shaped motion that gains more on the worst arm than it costs.
 
-    The command of the `solution` so far on uncertain arms is the run's, where that is known;
-    `least` is the optimum before any cost for them, and `shaped` solves the run's problem shaped
-    over given windows.
+    The command of the `solution` found so far is the run's, where it is known; `least` is the
+    optimum before any cost for uncertain arms, `shaped` solves the problem shaped over given
+    windows.
     """
     problem, price = run.problem, run.problem.uncertainty.price
     if not solution.status.usable or solution.objective is None or not _is_requested(run, least):

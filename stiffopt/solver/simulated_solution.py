@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
-from stiffopt.command.command_search import CommandOnArms
-from stiffopt.command.compensation import compensate
+from stiffopt.command.command_search import CommandChoice, CommandOnArms
+from stiffopt.command.compensation import compare_commands, compensate, rival_commands
 from stiffopt.command.path_notes import with_path_notes
+from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.uncertainty import AssumedUncertainty
 from stiffopt.errors import NotSimulatedError
 from stiffopt.interrupts import end_deferral
@@ -27,6 +28,7 @@ from stiffopt.solver.solve_run import ProgressCallback, SolveProgress
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.result.assessment import Assessment
     from stiffopt.result.solution import Solution
 
 from stiffopt.command.simulation import (
@@ -57,11 +59,15 @@ def with_simulation(
     motion: ResolvedMotion | None = None,
     command: CommandOnArms | None = None,
     rivals: tuple[float, list[PlannedMotion], list[CommandOnArms]] | None = None,
+    *,
+    choice: CommandChoice | None = None,
+    compare: bool = True,
 ) -> Solution:
     """Return the solution with its simulation and its command, or with a note on why there is none.
 
     `motion` are the problem's poses where they are resolved already; `command` and `rivals` are of
-    the solve, used where they belong to this solution and its duration.
+    the solve, used where they belong to this solution and its duration, `choice` is that of a
+    similar motion's command. Other rivals are simulated only with `compare`.
     """
     stopped, assessment = solution.status is SolveStatus.INTERRUPTED, solution.assessment
     if assessment is None or stopped or not problem.robot.yields:
@@ -71,9 +77,7 @@ def with_simulation(
         return _add_note(solution, "Not simulated: no elastic joint moves the tool.")
     try:
         end_deferral()
-        arm = elastic_arm(problem, assessment.position[0])
-        if solution.trajectory is not None:
-            arm = arm.under(solution.trajectory.force)
+        arm = _arm_of(problem, solution)
         counted = assessment.feasible(CERTIFICATE_TOLERANCE)
         own = PlannedMotion.of("optimised", assessment, counted)
         if solution.trajectory is not None and solution.trajectory.link is not None:
@@ -83,8 +87,7 @@ def with_simulation(
             rivals = None
 
         def simulated() -> tuple[list[PlannedMotion], Simulation] | None:
-            others = rivals[1] if rivals else rival_motions(problem, motion, assessment.duration)
-            motions = [own, *others]
+            motions = [own, *_rivals_of(problem, motion, assessment, rivals, compare)]
             band = problem.active_limits.settling_band
             return motions, simulate_motions(problem, arm, motions, band=band)
 
@@ -102,7 +105,9 @@ def with_simulation(
         tell = _progress_callback(progress, solution)
         known = rivals[2] if rivals else None
         compensation = until_interrupted(
-            lambda: compensate(problem, arm, motions, known=command, rivals=known, progress=tell),
+            lambda: compensate(
+                problem, arm, motions, known=command, rivals=known, choice=choice, progress=tell
+            ),
             lambda: None,
         )
     except NotSimulatedError as error:
@@ -111,6 +116,46 @@ def with_simulation(
         return _add_note(solution, _COMMAND_INTERRUPTED)
     judged = _judge_beside_rivals(problem, replace(solution, compensation=compensation))
     return with_path_notes(problem, judged)
+
+
+def _rivals_of(
+    problem: TrajectoryProblem,
+    motion: ResolvedMotion,
+    assessment: Assessment,
+    known: tuple[float, list[PlannedMotion], list[CommandOnArms]] | None,
+    compare: bool,
+) -> list[PlannedMotion]:
+    """Return the known rivals of a motion, or search them to `compare`."""
+    if known:
+        return known[1]
+    return rival_motions(problem, motion, assessment.duration) if compare else []
+
+
+def beside_rivals(problem: TrajectoryProblem, solution: Solution) -> Solution:
+    """Return a solution that was simulated alone with its rivals, and their commands."""
+    assessment, simulation = solution.assessment, solution.simulation
+    if assessment is None or simulation is None or len(simulation.motions) > 1:
+        return solution
+    motions = rival_motions(problem, resolve(problem), assessment.duration)
+    if not motions:
+        return solution
+    arm, led = _arm_of(problem, solution), solution.compensation
+    band = problem.active_limits.settling_band
+    try:
+        others = simulate_motions(problem, arm, motions, band=band).motions
+        if led is not None:
+            led = compare_commands(problem, led, rival_commands(problem, arm, motions))
+    except NotSimulatedError:
+        return solution
+    simulation = replace(simulation, motions=(*simulation.motions, *others))
+    return replace(solution, simulation=simulation, compensation=led)
+
+
+def _arm_of(problem: TrajectoryProblem, solution: Solution) -> ElasticArm:
+    """Return the elastic arm of a solution, under the force along its path."""
+    assert solution.assessment is not None
+    arm = elastic_arm(problem, solution.assessment.position[0])
+    return arm if solution.trajectory is None else arm.under(solution.trajectory.force)
 
 
 def _judge_beside_rivals(problem: TrajectoryProblem, solution: Solution) -> Solution:

@@ -22,6 +22,7 @@ from stiffopt.command.simulation import check_simulation
 from stiffopt.elastic.arm import questionable_springs
 from stiffopt.errors import NoSolutionFound, ProblemError
 from stiffopt.interrupts import end_deferral
+from stiffopt.path.path_duty import describe_duty
 from stiffopt.path.timed_path import FASTEST_REASON, timed_motion
 from stiffopt.problem.bounds import check_bounds, shortest_duration
 from stiffopt.problem.files import LoadedProblem
@@ -34,6 +35,8 @@ from stiffopt.result.assessment import Assessment
 from stiffopt.result.provenance import inputs_hash, versions
 from stiffopt.result.solution import Baseline, Solution
 from stiffopt.result.status import SolveStatus
+from stiffopt.solver import simulated_solution
+from stiffopt.solver.between_rivals import BetweenRivals
 from stiffopt.solver.collision_avoidance import avoid_collisions
 from stiffopt.solver.exchange import exchange, interrupted_outcome, until_interrupted
 from stiffopt.solver.initial_guess import guess_from_motion, initial_guess, perturb_guess
@@ -41,7 +44,6 @@ from stiffopt.solver.input_shaping import Window, mark_solution_interrupted, sol
 from stiffopt.solver.programme import Outcome
 from stiffopt.solver.ringing import RingingBesideRivals
 from stiffopt.solver.robust_plan import choose_shaped_motion, robust_plan
-from stiffopt.solver.simulated_solution import with_simulation
 from stiffopt.solver.solve_run import MIN_SOLVE_TIME, ProgressCallback, SolveRun
 from stiffopt.solver.starts import BetterBaseline, best_of_starts
 from stiffopt.solver.trivial_outcomes import (
@@ -122,6 +124,7 @@ def solve_with_state(
     simulate: bool = False,
     start: int = 0,
     compare: bool = True,
+    beside_rivals: bool = True,
 ) -> tuple[Solution, tuple[SolveRun, Outcome] | None]:
     """Solve a problem and return its solver state too, None where there was no programme.
 
@@ -130,6 +133,8 @@ def solve_with_state(
     problem, progress, guess, simulate, start : as of `solve`
     compare : bool
         Also search the baseline that keeps every limit.
+    beside_rivals : bool
+        Simulate rivals too.
     """
     stated, motion = problem, resolve(problem)
     problem = with_bounded_travel(stated, motion)
@@ -159,11 +164,13 @@ def solve_with_state(
     else:
         solution = until_interrupted(
             lambda: _optimise(run, compared, notes, guess, start=start, compare=compare),
-            lambda: _interrupted_solution(run, compared, notes),
+            lambda: interrupted_solution(run, compared, notes),
         )
-    solution = _name_steps_left_out(run, solution)
+    solution = name_steps_left_out(run, solution)
     if simulate:
-        solution = with_simulation(stated, solution, progress, motion, run.command, run.rivals)
+        solution = simulated_solution.with_simulation(
+            stated, solution, progress, motion, run.command, run.rivals, compare=beside_rivals
+        )
     kept = None if run.optimum is None else (run, run.optimum)
     return replace(solution, inputs_hash=inputs_hash(stated)), kept
 
@@ -186,19 +193,33 @@ def _optimise(
     outcome = best_of_starts(run, begin)
     rivals = _all_rivals(compared, _strict_baseline_of(run, compared) if compare else None)
     outcome = exchange(run, BetterBaseline(run, rivals), outcome)
-    outcome = run.optimum = exchange(run, RingingBesideRivals(run, outcome), outcome)
+    outcome = exchange(run, RingingBesideRivals(run, outcome), outcome)
+    outcome = run.optimum = exchange(run, BetweenRivals(run, outcome), outcome)
     if problem.avoids_collisions:
         outcome = avoid_collisions(run, outcome, searches=problem.method.starts)
         # Clearance rows hold for this motion only: no warm start from there.
         run.optimum = None if run.avoidance else outcome
         compared |= {} if run.detour is None else {run.detour.name: run.detour}
+    return choose_for_arms(run, outcome, compared, notes, guess, compare=compare)
+
+
+def choose_for_arms(
+    run: SolveRun,
+    outcome: Outcome,
+    compared: dict[str, Baseline],
+    notes: tuple[str, ...],
+    guess: Guess | Assessment | None = None,
+    *,
+    compare: bool,
+) -> Solution:
+    """Return the solution of an optimum, or of a motion near it for uncertain arms."""
     robust = robust_plan(run, outcome)
     run.solution = solution_of(run, robust, compared, notes, compare=compare)
     shaped = functools.partial(_solve_shaped_in_remaining_time, run, compared, notes, guess)
     return choose_shaped_motion(run, run.solution, outcome, shaped)
 
 
-def _interrupted_solution(
+def interrupted_solution(
     run: SolveRun, compared: dict[str, Baseline], notes: tuple[str, ...]
 ) -> Solution:
     """Return the best motion so far after Ctrl-C, a baseline where there is none."""
@@ -213,17 +234,20 @@ def _timed_motion(run: SolveRun) -> Baseline | None:
     """Return the fastest motion on the path; its time counts as that of the solve."""
     begin = time.perf_counter()
     found = timed_motion(run.problem)
+    if found is not None and found.assessment is not None:
+        run.notes.append(describe_duty(run.problem.robot, found.assessment))
     run.solve_s += time.perf_counter() - begin
     return found
 
 
-def _name_steps_left_out(run: SolveRun, solution: Solution) -> Solution:
+def name_steps_left_out(run: SolveRun, solution: Solution) -> Solution:
     """Return the solution with the steps that the time limit ended; it is not optimal then."""
-    if not run.left_out or not solution.status.usable:
+    usable = solution.status.usable
+    if not run.left_out or not (usable or solution.status is SolveStatus.CERTIFICATE_FAILED):
         return solution
     return replace(
         solution,
-        status=SolveStatus.ACCEPTABLE,
+        status=SolveStatus.ACCEPTABLE if usable else solution.status,
         message=(
             f"{solution.message} But the time limit ended or left out: {', '.join(run.left_out)};"
             f" raise method.time_limit above {run.problem.method.time_limit:g} s."
@@ -326,24 +350,14 @@ def solution_of(
         advice = feasible_duration_advice(run, outcome)
         end = replace(end, message=f"{end.message} {advice}".rstrip())
     value = objective_value(problem, assessment)
-    rival = better_baseline(problem, compared)
-    ratio = None
-    if (
-        rival is not None
-        and rival.objective is not None
-        and end.status is not SolveStatus.INFEASIBLE
-    ):
-        ratio = improvement(problem, value.value, rival.objective)
-    if end.status is SolveStatus.INFEASIBLE:
-        strict = None
-    return Solution(
+    solution = Solution(
         status=end.status,
         message=end.message,
         trajectory=outcome.trajectory,
         assessment=assessment,
         objective=value,
-        baselines=compared,
-        ratio_to_better_baseline=ratio,
+        baselines={},
+        ratio_to_better_baseline=None,
         solver=solver_record(run, len(outcome.transcription.intervals)),
         notes=(
             *notes,
@@ -353,13 +367,41 @@ def solution_of(
         ),
         inputs_hash=inputs_hash(problem),
         versions=versions(),
-        strict_baseline=strict,
-        ratio_to_strict_baseline=(
-            None
-            if strict is None or strict.objective is None
-            else improvement(problem, value.value, strict.objective)
-        ),
     )
+    return _beside_baselines(problem, solution, compared, strict)
+
+
+def _beside_baselines(
+    problem: TrajectoryProblem,
+    solution: Solution,
+    compared: dict[str, Baseline],
+    strict: Baseline | None,
+) -> Solution:
+    """Return a solution with its baselines, and their ratios where there is a motion."""
+    ends = solution.status is SolveStatus.INFEASIBLE
+
+    def ratio_to(rival: Baseline | None) -> float | None:
+        if ends or rival is None or rival.objective is None or solution.objective is None:
+            return None
+        return improvement(problem, solution.objective.value, rival.objective)
+
+    return replace(
+        solution,
+        baselines=compared,
+        ratio_to_better_baseline=ratio_to(better_baseline(problem, compared)),
+        strict_baseline=None if ends else strict,
+        ratio_to_strict_baseline=ratio_to(strict),
+    )
+
+
+def complete_comparison(problem: TrajectoryProblem, solution: Solution) -> Solution:
+    """Return a stored solution beside baselines and simulated rivals, where it has none."""
+    bounded = with_bounded_travel(problem, motion := resolve(problem))
+    if not solution.baselines and solution.objective is not None:
+        compared = baselines(bounded, motion)
+        strict = strict_baseline(bounded, motion, compared)
+        solution = _beside_baselines(bounded, solution, compared, strict)
+    return simulated_solution.beside_rivals(problem, solution)
 
 
 def _describe_sufficient_objective(run: SolveRun, value: float) -> list[str]:

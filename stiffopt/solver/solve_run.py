@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -19,13 +19,14 @@ from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.modes import Mode, modes
 from stiffopt.elastic.smooth_motion import smooth_motion
 from stiffopt.errors import NotSimulatedError
-from stiffopt.problem.formulation import Scales, law_smoothing
+from stiffopt.problem.formulation import Scales, formulate, law_smoothing
 from stiffopt.problem.motor_model import MotorLaw, round_lags
 from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
 from stiffopt.result.solution import Baseline
 from stiffopt.solver.clearance_rows import ClearanceRows
 from stiffopt.solver.ipopt import RawSolution
 from stiffopt.solver.stage_plan import SolveStage
+from stiffopt.transcription.ocp import OptimalControlProblem
 
 if TYPE_CHECKING:
     from stiffopt.command.command_search import CommandOnArms
@@ -43,29 +44,14 @@ _QUINTIC_SPLINE_PIECES, _QUINTIC_SAMPLES = 30, 3001
 
 @dataclass(frozen=True)
 class SolveProgress:
-    """One iteration, for displays.
+    """One iteration, for displays."""
 
-    Attributes
-    ----------
-    stage : str
-        Number of the stage, intervals and smoothing.
-    iteration : int
-    objective : float
-        In SI, of the smoothed model at the nodes.
-    violation : float
-        Worst row, relative to its scale.
-    row : str
-        Its name; empty without a violation.
-    elapsed : float
-        Since the solve began [s].
-    """
-
-    stage: str
+    stage: str  # number of the stage, intervals and smoothing
     iteration: int
-    objective: float
-    violation: float
-    row: str
-    elapsed: float
+    objective: float  # in SI, of the smoothed model at the nodes
+    violation: float  # worst row, relative to its scale
+    row: str  # its name; empty without a violation
+    elapsed: float  # since the solve began [s]
 
 
 ProgressCallback = Callable[[SolveProgress], object]
@@ -179,6 +165,15 @@ class SolveRun:
 
         least = law_smoothing(problem)
         return narrowest_sufficient_width(beyond, least, TOLERABLE_KINK_EXCESS) / least
+
+    def formulate(self, margins: Mapping[str, float] | None = None) -> OptimalControlProblem:
+        """Return the optimal-control problem, with limits backed off by margins, as shares."""
+        ocp = formulate(self.problem, self.motion, self.scales, margins, self.end_modes)
+        if self.lag is not None:
+            # By damping the links arrive before their motors.
+            shortest, longest = (each - float(self.lag.max()) for each in ocp.duration)
+            ocp = replace(ocp, duration=(shortest, longest))
+        return ocp
 
     def require_rest_at_arrival(self) -> None:
         """Forbid residual vibration from now on."""

@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from stiffopt.problem.formulation import formulate
 from stiffopt.solver.exchange import exchange
 from stiffopt.solver.infeasibility import minimise_excess
 from stiffopt.solver.ipopt import RawSolution
@@ -63,11 +62,7 @@ def _iterate_stages(
     mesh: Mesh | None,
 ) -> Iterator[tuple[Programme, SolveStage, RawSolution]]:
     """Yield every stage with its solution, each started from the last."""
-    ocp = formulate(run.problem, run.motion, run.scales, margins, run.end_modes)
-    if run.lag is not None:
-        # By damping the links arrive before their motors.
-        shortest, longest = (each - float(run.lag.max()) for each in ocp.duration)
-        ocp = replace(ocp, duration=(shortest, longest))
+    ocp = run.formulate(margins)
     last = len(plan) - 1
     index, made, raw = 0, None, None
     warm: RawSolution | None = None

@@ -65,17 +65,8 @@ def fix_creeping_joints(
 ) -> Transcription | None:
     """Return the transcription with bounds that fix joints where they creep.
 
-    Parameters
-    ----------
-    transcription : Transcription
-    x : array
-        The NLP vector in which joints creep.
-    problem : TrajectoryProblem
-
-    Returns
-    -------
-    Transcription or None
-        None where no joint with dry friction creeps, or the states are not joint positions.
+    Joints creep in the NLP vector `x`. None where no joint with dry friction does, or the states
+    are not joint positions.
     """
     coordinates, robot = coordinates_of(problem), problem.robot
     n = coordinates.size

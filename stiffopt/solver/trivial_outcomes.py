@@ -150,7 +150,8 @@ def interrupted_with_baseline(
 def below_base_warning(problem: TrajectoryProblem, assessment: Assessment) -> tuple[str, ...]:
     """Return a warning where the tool goes below the base's origin along the base's z."""
     lowest = float(assessment.tool[:, 2].min())
-    if lowest > -_MIN_DEPTH_BELOW_BASE or problem.stated_cell.floor is not None:
+    on_base = problem.robot.tool.seen_from is None
+    if not on_base or lowest > -_MIN_DEPTH_BELOW_BASE or problem.stated_cell.floor is not None:
         return ()
     return (
         f"The tool goes to {-1e3 * lowest:.0f} mm below the origin of the base (along its z axis)."

@@ -121,14 +121,7 @@ def judge_collisions(
 ) -> Verdict:
     """Return the verdict of a motion that may collide; a usable one states the collision scope.
 
-    Parameters
-    ----------
-    problem : TrajectoryProblem
-    motion : Assessment
-        With the rows of its collisions.
-    found : Verdict
-    tried : str
-        Failed attempts to avoid them.
+    `motion` has the rows of its collisions; `tried` are failed attempts to avoid them.
     """
     exceeded = [v for v in motion.violations if v.value > CERTIFICATE_TOLERANCE]
     hits = [v for v in exceeded if v.limit == COLLISION_LIMIT]
@@ -199,13 +192,7 @@ def model_accuracy_advice(problem: TrajectoryProblem) -> str:
 def _significant_disagreements(problem: TrajectoryProblem, outcome: Outcome) -> list[Disagreement]:
     """Return the disagreements beyond their tolerances, worst first."""
     widths = smoothing_stages(problem)
-    polynomials = outcome.transcription.acceleration_polynomials(outcome.raw.x)
-    believed = predict_motion(
-        problem,
-        Trajectory.from_acceleration(*polynomials),
-        outcome.smoothing,
-        elastic=len(widths) > 1,
-    )
+    believed = predict_motion(problem, outcome.planned, outcome.smoothing, elastic=len(widths) > 1)
     return [d for d in find_disagreements(problem, outcome.trajectory, believed) if d.excess > 1.0]
 
 
@@ -244,11 +231,13 @@ def describe_optimality(
         and each.assessment.feasible(CERTIFICATE_TOLERANCE)
     ]
     tried = "one start" if starts_made == 1 else f"the best of {starts_made} starts"
-    rivals = (
-        f"no baseline that keeps every limit ({', '.join(kept)}) is better"
-        if kept
-        else "no baseline keeps every limit within the duration"
-    )
+    rivals = "it was not compared with baselines"
+    if compared:
+        rivals = (
+            f"no baseline that keeps every limit ({', '.join(kept)}) is better"
+            if kept
+            else "no baseline keeps every limit within the duration"
+        )
     return f"It is a local optimum, from {tried}; {rivals}. More method.starts look further."
 
 

@@ -77,20 +77,8 @@ def change_motors(
 ) -> Trajectory:
     """Return the motors with the change that brings tool and deviation nearest to the plan.
 
-    Parameters
-    ----------
-    problem : TrajectoryProblem
-    arm : ElasticArm
-    motors : Trajectory
-        Of planned links.
-    assessment : Assessment
-        Of these motors.
-    simulated : SimulatedMotion
-        Simulation of the arm with them.
-    near : float
-        Target deviation from the plan [m].
-    after : float
-        Factor on the weight of deviations after arrival.
+    `motors`, of planned links, have the `assessment` and the `simulated` arm; `near` is the target
+    deviation from the plan [m], `after` a factor on the weight of deviations after arrival.
     """
     joints = np.flatnonzero(arm.elastic)
     splines = _Splines(motors.duration)
@@ -118,13 +106,7 @@ def change_motors(
 
 
 class _Splines:
-    """Splines over the time of a motion that leave position to jerk at its ends unchanged.
-
-    Parameters
-    ----------
-    duration : float
-        [s].
-    """
+    """Splines over the time of a motion that leave position to jerk at its ends unchanged."""
 
     def __init__(self, duration: float) -> None:
         pieces = int(np.clip(np.ceil(duration / _KNOT_SPACING), _MIN_PIECES, _MAX_PIECES))
@@ -346,14 +328,7 @@ def _solve_quadratic_programme(
 
 @dataclass(frozen=True, eq=False)
 class SimulatedMotors:
-    """Motion of the motors with its certificate and its elastic simulation.
-
-    Parameters
-    ----------
-    motors : Trajectory
-    assessment : Assessment
-    simulated : SimulatedMotion
-    """
+    """Motion of the motors with its certificate and its elastic simulation."""
 
     motors: Trajectory
     assessment: Assessment
@@ -394,19 +369,8 @@ def suppress_vibration(
 ) -> SimulatedMotors:
     """Return motors whose links follow their plan most closely, unchanged where no change helps.
 
-    Parameters
-    ----------
-    run : SolveRun
-    arm : ElasticArm
-    start : SimulatedMotors
-        Of planned links that are at rest at both ends.
-    tolerance : float
-        Allowed relative excess of limits.
-
-    Raises
-    ------
-    NotSimulatedError
-        The arm cannot be simulated.
+    `start` is of planned links at rest at both ends, `tolerance` the allowed relative excess of
+    limits. Raises `NotSimulatedError`.
     """
     return exchange(run, MotorChanges(run.problem, arm, start, tolerance), start)
 

@@ -124,10 +124,10 @@ def _column_families(names: Sequence[str], joints: Sequence[str]) -> list[tuple[
         if digits:
             del family[digits[-1]]
         families.setdefault((*family, _bracketed_unit(bare)), []).append(name)
-    found = [_order_by_joint(own, joints) for own in families.values()]
+    found = [order_by_joint(own, joints) for own in families.values()]
     fitting = [each for each in found if each is not None]
     # Families that lack joints are combined if they complete each other.
-    together = None if fitting else _order_by_joint(names, joints)
+    together = None if fitting else order_by_joint(names, joints)
     return fitting if together is None else [together]
 
 
@@ -162,7 +162,7 @@ def _kind_by_unit(name: str) -> str | None:
     return next((kind for kind, own in _UNITS_BY_KIND.items() if unit in own), None)
 
 
-def _order_by_joint(names: Sequence[str], joints: Sequence[str]) -> tuple[str, ...] | None:
+def order_by_joint(names: Sequence[str], joints: Sequence[str]) -> tuple[str, ...] | None:
     """Order columns by joint names in them, else by their last number, from 0 or 1."""
     n = len(joints)
     by_name = {}

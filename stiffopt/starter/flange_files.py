@@ -30,22 +30,8 @@ def write_flange(
 ) -> list[Path]:
     """Write flange.urdf, flange_robot.toml and flange.toml into a folder.
 
-    Parameters
-    ----------
-    torque : float
-        Torque on the flange [N m].
-    size, grade : str
-        Bolt size and grade, such as "M5" and "12.9" or "A2-70".
-    circle : float
-        Diameter of the bolts' circle [m].
-    nut : bool
-        Through-bolts with nuts in place of tapped holes.
-    axial_force, shear_force : float
-        Along the axis of the circle and across it, magnitudes [N].
-    tilting_moment : float
-        About axes across that of the circle, magnitude [N m].
-    own : Path, optional
-        User catalogue file, whose bolts take precedence.
+    Loads are the torque on the flange, forces along and across the axis of the bolt circle, and the
+    tilting moment, magnitudes [N m], [N]; `own` is a user catalogue whose bolts take precedence.
     """
     beside_torque = {
         "axial_force": axial_force,

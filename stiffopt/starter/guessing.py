@@ -52,32 +52,18 @@ class UnrecognisedError(InputError):
 
 @dataclass(frozen=True, kw_only=True)
 class GuessedColumns:
-    """Columns of a recording and their units.
-
-    Parameters
-    ----------
-    columns : mapping of kind to tuple of str (n,)
-        In the order of the joints; "" for a joint without one.
-    units : mapping of "time" or kind to str or tuple of str (n,)
-        Values of `[signals.scale]`, one a joint where they differ; "" is SI. "A" and "mA" still
-        need a torque constant.
-    reasons : tuple of str
-        Reason of each choice, one sentence each.
-    rate : float
-        Sampling rate [Hz].
-    asked : tuple of str
-        Alternative columns to ask the user about.
-    at_rest : bool
-        Rows are poses at rest.
-    """
+    """Columns of a recording and their units."""
 
     time: str
+    # By kind (n,): in the order of the joints; "" for a joint without one.
     columns: Mapping[str, tuple[str, ...]]
+    # By "time" or kind (n,): values of `[signals.scale]`, one a joint where they differ; "" is SI.
+    # "A" and "mA" still need a torque constant.
     units: Mapping[str, str | tuple[str, ...]]
-    reasons: tuple[str, ...] = field(default=())
-    rate: float = 0.0
-    asked: tuple[str, ...] = ()
-    at_rest: bool = False
+    reasons: tuple[str, ...] = field(default=())  # reason of each choice, one sentence each
+    rate: float = 0.0  # sampling rate [Hz]
+    asked: tuple[str, ...] = ()  # alternative columns to ask the user about
+    at_rest: bool = False  # rows are poses at rest
 
 
 def guess_columns(
@@ -85,16 +71,8 @@ def guess_columns(
 ) -> GuessedColumns:
     """Guess kinds and units of the columns of a table.
 
-    Parameters
-    ----------
-    table : mapping of column name to array (K,)
-    rate : float, optional
-        Sampling rate [Hz], if no column is a time; `with_time` adds one.
-
-    Raises
-    ------
-    InputError
-        No time column, or no position or torque for each joint; lists the columns found.
+    `table` (K,). `rate`: sampling rate [Hz], if no column is a time; `with_time` adds one. Raises
+    `InputError`: no time column, or no position or torque for each joint; lists the columns found.
     """
     reasons: list[str] = []
     time = find_time_column(table) if rate is None else COUNTED_TIME
@@ -253,10 +231,7 @@ def with_time(table: Mapping[str, np.ndarray], rate: float) -> dict[str, np.ndar
 def find_time_column(table: Mapping[str, np.ndarray]) -> str:
     """Return the name of the column of times.
 
-    Raises
-    ------
-    InputError
-        No column increases as a time does.
+    Raises `InputError`: no column increases as a time does.
     """
     named = [name for name in table if set(split_words(name)) & set(TIME_WORDS)]
     # Columns that rise in every row without restart take precedence over repeated stamps.

@@ -29,23 +29,14 @@ _MIN_EQUAL_TORQUES = 4
 
 @dataclass(frozen=True, kw_only=True)
 class Placeholder:
-    """Limit treated as not stated.
-
-    Parameters
-    ----------
-    quantity : "velocity" or "effort"
-    value : float
-        Of the file, in its unit.
-    format : str
-        Of the file, such as "URDF".
-    """
+    """Limit treated as not stated."""
 
     joint: str
-    quantity: str
-    value: float
+    quantity: str  # "velocity" or "effort"
+    value: float  # of the file, in its unit
     unit: str
     why: str
-    format: str
+    format: str  # of the file, such as "URDF"
 
     def __str__(self) -> str:
         return f"the {self.format} says {self.value:g} {self.unit}, {self.why}"
@@ -77,10 +68,7 @@ def speed_placeholders(arm: LoadedUrdf, tool: LinkFrame) -> tuple[Placeholder, .
 def torque_placeholders(arm: LoadedUrdf, demands: np.ndarray) -> tuple[Placeholder, ...]:
     """Return torque limits far beyond the demand of weight and full acceleration.
 
-    Parameters
-    ----------
-    demands : array (n,)
-        Largest torque of each joint for both; forces of prismatic joints.
+    `demands` (n,): largest torque of each joint for both; forces of prismatic joints.
     """
     slides = body_tree(arm.model).prismatic
     found = []
@@ -132,12 +120,8 @@ def open_questions(
 ) -> Iterator[str]:
     """Yield a question about each doubtful value that is kept.
 
-    Parameters
-    ----------
-    weight : array (n,)
-        Largest gravity torque of each joint.
-    guessed : mapping
-        Links with guessed masses, which may be too heavy for a weak drive.
+    `weight` (n,): largest gravity torque of each joint. `guessed`: links with guessed masses, which
+    may be too heavy for a weak drive.
     """
     torques = {name: stated["effort"] for name, stated in arm.joints.items()}
     if (

@@ -20,17 +20,8 @@ from stiffopt.starter.writing import relative_path, toml_list, toml_number, toml
 def problem_text(robot: Robot, file: str | Path, folder: Path) -> str:
     """Return the text of a trajectory problem file.
 
-    Parameters
-    ----------
-    file : str or Path
-        Name of a shipped robot, or path of a robot file.
-    folder : Path
-        Folder of the problem file.
-
-    Raises
-    ------
-    RobotError
-        No feasible motion was found.
+    `file`: name of a shipped robot, or path of a robot file. `folder`: folder of the problem file.
+    Raises `RobotError`: no feasible motion was found.
     """
     motion = first_motion(robot)
     named = relative_path(file, folder) if isinstance(file, Path) else file
@@ -106,37 +97,25 @@ _PEAK_SPEED, _PEAK_ACCELERATION, _PEAK_JERK = (
 
 @dataclass(frozen=True, eq=False)
 class FirstMotion:
-    """Feasible motion: poses (n,) [rad] and duration [s].
+    """Feasible motion: poses (n,) [rad] and duration [s]."""
 
-    Parameters
-    ----------
-    start, end : array (n,)
-    yields : bool
-        The tool deflects along the path and the arm has an elastic mode.
-    rigid_joint : str
-        Strongest revolute joint, if it has no spring though others have; else "". The deviation is
-        then not meaningful as an objective.
-    checked : bool
-        There are links with collision shapes; otherwise collisions were not checked.
-    """
-
+    # (n,).
     start: np.ndarray
     end: np.ndarray
     duration: float
-    yields: bool
+    yields: bool  # the tool deflects along the path and the arm has an elastic mode
+    # Strongest revolute joint, if it has no spring though others have; else "". The deviation is
+    # then not meaningful as an objective.
     rigid_joint: str
-    checked: bool
+    checked: bool  # there are links with collision shapes; otherwise collisions were not checked
 
 
 def first_motion(robot: Robot) -> FirstMotion:
     """Find a motion within the drives' limits, free of collisions, above the base if possible.
 
-    Collisions are checked for links with shapes in the URDF, see `ClearanceModel`.
-
-    Raises
-    ------
-    RobotError
-        No pose within the drives' limits, none without a collision, or no feasible duration.
+    Collisions are checked for links with shapes in the URDF, see `ClearanceModel`. Raises
+    `RobotError`: no pose within the drives' limits, none without a collision, or no feasible
+    duration.
     """
     shapes = ClearanceModel(robot, Cell())
     start, end = _find_poses(robot, shapes)

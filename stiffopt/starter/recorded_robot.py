@@ -30,19 +30,11 @@ _URDF_FILE, _CATALOGUE_FILE = "robot.urdf", "catalogue.toml"
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedRobot:
-    """Robot of a recording set and its file.
-
-    Parameters
-    ----------
-    file : str
-        Name of its file in the set.
-    notes : tuple of str
-        Guesses, a sentence each.
-    """
+    """Robot of a recording set and its file."""
 
     robot: Robot
-    file: str
-    notes: tuple[str, ...] = ()
+    file: str  # name of its file in the set
+    notes: tuple[str, ...] = ()  # guesses, a sentence each
 
     def entries(self, *, torque: bool) -> tuple[str, ...]:
         """Return lines of recordings.toml on an MJCF, for recordings with or without torques."""
@@ -60,18 +52,6 @@ def store_robot(source: Path, folder: Path, tip: str | None = None) -> RecordedR
     """Copy a robot into a folder; add a robot file with guesses for an incomplete URDF or MJCF.
 
     Limits and masses are guessed, drivetrains and friction are not: recordings determine them.
-
-    Parameters
-    ----------
-    source : Path
-        URDF, MJCF, robot TOML, or the name of a shipped robot.
-    tip : str, optional
-        Last link of the recorded arm, if the URDF holds more.
-
-    Raises
-    ------
-    InputFileError, RobotError
-        The robot cannot be read.
     """
     source = robot_path(source)
     if source.suffix.lower() == ".toml":

@@ -44,15 +44,9 @@ _MIN_PART_ROWS = 100
 
 @dataclass(frozen=True, kw_only=True)
 class StartedSet:
-    """Written recording set with the guesses in it.
+    """Written recording set with the guesses in it."""
 
-    Parameters
-    ----------
-    path : Path
-        recordings.toml.
-    """
-
-    path: Path
+    path: Path  # recordings.toml
     guess: GuessedColumns
     notes: tuple[str, ...]
 
@@ -66,23 +60,10 @@ def start_recording_set(
 ) -> StartedSet:
     """Write a recording set: recordings.toml, a copy of the robot, runs as NPZ.
 
-    Parameters
-    ----------
-    data : sequence of Path
-        Files, or folders of them. Values are stored as recorded, units in `[signals.scale]`.
-    urdf : Path
-        URDF of the arm, or its robot file.
-    folder : Path
-        Folder of the set, without a recordings.toml.
-    rate : float, optional
-        Sampling rate [Hz], if no column is a time.
-    tip : str, optional
-        Last link of the recorded arm; default the whole URDF.
-
-    Raises
-    ------
-    InputError
-        No table, or unrecognised columns.
+    `data` are files, or folders of them; values are stored as recorded, units in `[signals.scale]`.
+    `rate` [Hz] is needed if no column is a time. `tip` is the last link of the recorded arm;
+    default the whole URDF. Raises `InputError` without a table, and for columns that are not
+    recognised.
     """
     if (folder / "recordings.toml").exists():
         raise InputFileError(folder / "recordings.toml", "", "exists and is kept.")
@@ -282,6 +263,10 @@ def _set_text(
     name: str, arm: RecordedRobot, found: GuessedColumns, runs: Sequence[tuple[str, str]]
 ) -> str:
     joints = arm.robot.joint_names
+
+    def suggested(**values: str) -> list[str]:
+        return [f"# {key} = {toml_list([value] * len(joints))}" for key, value in values.items()]
+
     lines = [
         "# Written by `stiffopt init recording`; guesses and their reasons:",
         *(f"#   {reason}" for reason in found.reasons),
@@ -318,18 +303,14 @@ def _set_text(
         *arm.entries(torque="torque" in found.columns),
         "",
         "# [nominal]                 # parameters of the nominal model, one number a joint, SI",
-        f"# gear_ratio = {toml_list(['100.0'] * len(joints))}",
-        f"# rotor_inertia = {toml_list(['0.1'] * len(joints))}",
-        f"# coulomb = {toml_list(['1.0'] * len(joints))}",
-        f"# viscous = {toml_list(['1.0'] * len(joints))}",
+        *suggested(gear_ratio="100.0", rotor_inertia="0.1", coulomb="1.0", viscous="1.0"),
     ]
     if "command" in found.columns:
         lines += [
             "",
             "# [actuator]                # law of the joints' controllers; without gains these are",
             '# kind = "position_servo"   # estimated from the arm\'s weight',
-            f"# kp = {toml_list(['20.0'] * len(joints))}",
-            f"# kd = {toml_list(['0.5'] * len(joints))}",
+            *suggested(kp="20.0", kd="0.5"),
         ]
     for run, role in runs:
         lines += [

@@ -6,6 +6,7 @@ import re
 import shlex
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -56,16 +57,10 @@ _NO_REDUCER_COMMENT = "# No packaged reducer carries"
 
 @dataclass(frozen=True, kw_only=True)
 class StartedRobot:
-    """Text of a robot file, with notes for the user.
-
-    Parameters
-    ----------
-    notes : tuple of str
-        Guesses and omissions, a sentence each.
-    """
+    """Text of a robot file, with notes for the user."""
 
     text: str
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # guesses and omissions, a sentence each
 
 
 def robot_text(
@@ -101,20 +96,17 @@ def robot_text(
         Unreadable URDF, unknown tip, or several arms and no tip.
     """
     _check_format(urdf)
-    arm = load_urdf(urdf, tip=tip, keep=keep, limited=None, hold_unplanned=True)
+    load = partial(load_urdf, urdf, tip=tip, keep=keep, limited=None, hold_unplanned=True)
+    arm = load()
     names = link_names(arm.model)
     if tip is not None and tip not in names:
         raise RobotError(f"{urdf}: there is no link {tip!r}. {nearest(tip, names)}")
     tool = link_frame(arm.model, tip or default_tool_link(arm.model))
     bodies = estimate_bodies(arm, urdf, tool)
     if bodies:
-        arm = load_urdf(urdf, tip=tip, keep=keep, limited=None, hold_unplanned=True, bodies=bodies)
-        fitted = fit_to_torque_limits(bodies, _weight_torques(arm), credible_torques(arm))
-        if fitted != bodies:
-            bodies = fitted
-            arm = load_urdf(
-                urdf, tip=tip, keep=keep, limited=None, hold_unplanned=True, bodies=bodies
-            )
+        arm = load(bodies=bodies)
+        bodies = fit_to_torque_limits(bodies, _weight_torques(arm), credible_torques(arm))
+        arm = load(bodies=bodies)
     doubted = speed_placeholders(arm, tool)
     arm = drop_placeholders(arm, doubted)
     demands = _torque_demands(arm)
@@ -283,21 +275,17 @@ def _link_lines(name: str, body: EstimatedBody) -> Iterator[str]:
 def _torque_demands(arm: LoadedUrdf) -> np.ndarray:
     """Return the largest torque of weight and full acceleration over random poses (n,)."""
     speed = np.array([stated["velocity"] or _DEFAULT_SPEED for stated in arm.joints.values()])
-    bodies = RigidBodies(arm.model)
-    most = np.zeros(len(speed))
-    for q in _random_poses(arm):
-        own = np.diag(bodies.inertia_matrix(q)) * speed / _ACCELERATION_TIME
-        most = np.maximum(most, np.abs(bodies.gravity_torque(q)) + own)
-    return most
+    return _weight_torques(arm, speed / _ACCELERATION_TIME)
 
 
-def _weight_torques(arm: LoadedUrdf) -> np.ndarray:
-    """Return the largest gravity torque over random poses (n,)."""
+def _weight_torques(arm: LoadedUrdf, acceleration: np.ndarray | float = 0.0) -> np.ndarray:
+    """Return the largest torque of gravity and acceleration (n,) over random poses (n,)."""
     bodies = RigidBodies(arm.model)
-    most = np.zeros(len(arm.joints))
-    for q in _random_poses(arm):
-        most = np.maximum(most, np.abs(bodies.gravity_torque(q)))
-    return most
+    torques = [
+        np.abs(bodies.gravity_torque(q)) + np.diag(bodies.inertia_matrix(q)) * acceleration
+        for q in _random_poses(arm)
+    ]
+    return np.asarray(np.max(torques, axis=0))
 
 
 def _random_poses(arm: LoadedUrdf) -> np.ndarray:

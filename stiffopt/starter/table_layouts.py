@@ -14,13 +14,14 @@ from stiffopt.recording.readers.columns import Table, is_unnamed
 from stiffopt.recording.readers.read import first_messages, read_columns
 from stiffopt.recording.signals import Signals
 from stiffopt.robot.robot import Robot
-from stiffopt.starter.column_names import columns_of_kind, command_columns
+from stiffopt.starter.column_names import columns_of_kind, command_columns, order_by_joint
 
 
 def join_signal_files(tables: Mapping[Path, Table], robot: Robot) -> dict[Path, Table]:
     """Join tables of one signal each, with equally many rows, to one run; others are kept.
 
-    The columns of a file are named after it, "tau[0]", and its clock is that of the first file.
+    The columns of a file are named after it, "tau[0]", in the order of the joints where their own
+    names tell it; the clock is that of the first file.
     """
     complete = any(
         _holds_position_and_cause(list(table), robot)
@@ -36,7 +37,7 @@ def join_signal_files(tables: Mapping[Path, Table], robot: Robot) -> dict[Path, 
         signals = [name for name in table if name not in clock]
         for name in clock:
             joined.setdefault("t" if is_unnamed(table) else name, table[name])
-        for k, name in enumerate(signals):
+        for k, name in enumerate(order_by_joint(signals, robot.joint_names) or signals):
             joined[path.stem if len(signals) == 1 else f"{path.stem}[{k}]"] = table[name]
     first = next(iter(tables))
     return {first.parent / f"{first.parent.name}.npz": joined}
@@ -53,17 +54,8 @@ def _holds_position_and_cause(names: list[str], robot: Robot) -> bool:
 def name_blocks(table: Table, robot: Robot) -> tuple[Table, str]:
     """Name the columns of a table without names: a time, then blocks of one column a joint.
 
-    Returns
-    -------
-    table : Table
-        Under names such as "t", "position[0]"; as it is where its file has names.
-    reason : str
-        Why, with a question where the values leave it open; "" where the file has names.
-
-    Raises
-    ------
-    InputError
-        The number of columns is that of no layout.
+    Also return why, with a question where the values leave it open; "" for a file with names, whose
+    table stays as it is. Raises `InputError` where no layout has so many columns.
     """
     if not is_unnamed(table):
         return table, ""
@@ -131,12 +123,8 @@ STAMP_COLUMN = "stamp"
 def read_message_table(path: Path, joints: Sequence[str]) -> dict[str, np.ndarray]:
     """Read the columns of the joint topic, under names such as "/js.position[elbow]".
 
-    The stamps [s] are under `TIME`.
-
-    Raises
-    ------
-    InputFileError
-        No topic has a number for each joint; lists the topics found.
+    The stamps [s] are under `TIME`. Raises `InputFileError`: no topic has a number for each joint;
+    lists the topics found.
     """
     found: dict[str, list[str]] = {}
     # Number of messages searched for topics.

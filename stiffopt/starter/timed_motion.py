@@ -30,42 +30,20 @@ _RADIANS_PER_UNIT = {"": 1.0, "rad": 1.0, "deg": np.pi / 180.0, "mrad": 1e-3}
 
 @dataclass(frozen=True, kw_only=True)
 class TimedMotion:
-    """Joint positions over time, as a file gives them.
+    """Joint positions over time, as a file gives them."""
 
-    Parameters
-    ----------
-    time : array (K,)
-        From 0, strictly increasing [s].
-    position : array (K, n)
-        [rad], [m] of prismatic joints.
-    velocity : array (K, n) or None
-        Of planned points; None where the file has none.
-    reasons : tuple of str
-        How columns and units were chosen.
-    """
-
-    time: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray | None
-    reasons: tuple[str, ...]
+    time: np.ndarray  # (K,) from 0, strictly increasing [s]
+    position: np.ndarray  # (K, n) [rad], [m] of prismatic joints
+    velocity: np.ndarray | None  # (K, n) of planned points; None where the file has none
+    reasons: tuple[str, ...]  # how columns and units were chosen
 
 
 def read_timed_motion(path: Path, robot: Robot, rate: float | None = None) -> TimedMotion:
     """Read a motion of the joints of a robot from any file that recordings are read from.
 
-    Set points take precedence over measured positions: they are what can be changed.
-
-    Parameters
-    ----------
-    path : Path
-        CSV and other tables, JointTrajectory or RobotTrajectory as YAML or JSON, MCAP, rosbag2.
-    rate : float, optional
-        Rows a second [Hz], if no column is a time.
-
-    Raises
-    ------
-    InputError
-        No columns of positions for all joints, rows out of order, or jumps; with the place.
+    Set points take precedence over measured positions: they are what can be changed. `rate` [Hz] is
+    needed if no column is a time. Raises `InputError` without positions of all joints, and for rows
+    out of order or jumps, with the place.
     """
     if rate is not None and not 0.0 < rate < 1e6:
         raise InputError(f"--rate {rate:g} must be above 0 and below 1e6 rows a second.")

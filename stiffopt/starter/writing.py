@@ -12,13 +12,7 @@ from stiffopt.files import atomic_write
 
 
 def write_new(path: Path, text: str) -> Path:
-    """Write a new file.
-
-    Raises
-    ------
-    InputFileError
-        The file exists; user changes are not overwritten.
-    """
+    """Write a new file; raise `InputFileError` if it exists: user changes are not overwritten."""
     if path.exists():
         raise InputFileError(path, "", "exists and is kept. Give another --out.")
     atomic_write(path, text)
@@ -26,13 +20,7 @@ def write_new(path: Path, text: str) -> Path:
 
 
 def toml_string(text: str) -> str:
-    """Return a quoted TOML string.
-
-    Raises
-    ------
-    InputError
-        A file name that is not UTF-8.
-    """
+    """Return a quoted TOML string; raise `InputError` for a file name that is not UTF-8."""
     if any("\ud800" <= character <= "\udfff" for character in text):
         raise InputError(
             f"the name {shortened(text)} is not UTF-8, which a TOML file cannot hold. Rename it."

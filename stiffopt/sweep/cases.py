@@ -35,36 +35,17 @@ Change = tuple[str, Any]
 
 @dataclass(frozen=True)
 class Case:
-    """One case of a sweep.
+    """One case of a sweep."""
 
-    Parameters
-    ----------
-    number : int
-        From 1, in the order of the sweep file.
-    kind : str
-        trajectory, preload or recordings.
-    base : Path
-        Absolute path: workers may have another working folder.
-    changes : tuple of (place, value)
-    start : int
-        Number of the initial guess: 0 is the usual one, others start from a random detour.
-    key : str
-        Hash of all inputs of the result.
-    common : tuple of str
-        Changes of all cases, in the form of `--set`.
-    files : str
-        Hash of the input files.
-    """
-
-    number: int
-    kind: str
-    base: Path
-    changes: tuple[Change, ...]
-    start: int
+    number: int  # from 1, in the order of the sweep file
+    kind: str  # trajectory, preload or recordings
+    base: Path  # absolute path: workers may have another working folder
+    changes: tuple[Change, ...]  # (place, value)
+    start: int  # number of the initial guess: 0 is the usual one, others start from a random detour
     baselines: bool
-    key: str
-    common: tuple[str, ...] = ()
-    files: str = ""
+    key: str  # hash of all inputs of the result
+    common: tuple[str, ...] = ()  # changes of all cases, in the form of `--set`
+    files: str = ""  # hash of the input files
 
     @property
     def settings(self) -> tuple[str, ...]:
@@ -74,23 +55,13 @@ class Case:
 
 @dataclass(frozen=True)
 class Sweep:
-    """Sweep file with its cases.
-
-    Parameters
-    ----------
-    kind : str
-        Kind of the base files.
-    places : tuple of str
-        Varied entries, in order.
-    front : str
-        Entry of the trade-off front with the objective; "" for none.
-    """
+    """Sweep file with its cases."""
 
     path: Path
     title: str
-    kind: str
-    places: tuple[str, ...]
-    front: str
+    kind: str  # kind of the base files
+    places: tuple[str, ...]  # varied entries, in order
+    front: str  # entry of the trade-off front with the objective; "" for none
     starts: int
     cases: tuple[Case, ...]
 
@@ -118,10 +89,7 @@ def load_sweep(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> Swe
 def fleet_sweep(sets: Sequence[Path], changes: Sequence[str] = ()) -> Sweep:
     """Build a sweep of recording sets, each with the changes of `--set`.
 
-    Raises
-    ------
-    InputFileError
-        A file is no recording set, is unreadable, or is named twice.
+    Raises `InputFileError`: a file is no recording set, is unreadable, or is named twice.
     """
     bases = [find_set_file(each).resolve() for each in sets]
     for base in bases:
@@ -147,10 +115,7 @@ def fleet_sweep(sets: Sequence[Path], changes: Sequence[str] = ()) -> Sweep:
 def build_sweep(document: SweepFile, path: Path, changes: Sequence[str] = ()) -> Sweep:
     """Build the cases of a sweep file at `path`; `changes` apply to every base file.
 
-    Raises
-    ------
-    InputFileError
-        As `load_sweep`.
+    Raises `InputFileError`: as `load_sweep`.
     """
     names = [document.base] if isinstance(document.base, str) else document.base
     twice = next((name for name, count in Counter(names).items() if count > 1), None)

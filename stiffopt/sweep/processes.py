@@ -61,10 +61,7 @@ class Processes:
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         """Queue a call; the first one starts all processes.
 
-        Raises
-        ------
-        InputError
-            Worker processes die at their start.
+        Raises `InputError`: worker processes die at their start.
         """
         if any(thread.failed_to_start for thread in self._threads):
             raise InputError("worker processes die at their start; use --workers 1.")
@@ -87,13 +84,7 @@ class Processes:
 
 
 def load_ahead(arguments: Sequence[str]) -> None:
-    """Start loading the workers' modules before the command line is loaded, if workers are used.
-
-    Parameters
-    ----------
-    arguments : sequence of str
-        Arguments of `stiffopt sweep`, not checked for errors.
-    """
+    """Start loading the workers' modules before the command line is loaded, if workers are used."""
     words = [word for each in arguments for word in each.split("=", 1)]
     alone = cores() == 1 if "--workers" not in words else ("--workers", "1") in pairwise(words)
     if alone or "--scheduler" in words or not any(Path(word).is_file() for word in words):
@@ -111,10 +102,7 @@ def cores() -> int:
 class _WorkerThread(threading.Thread):
     """Thread that passes calls to one worker process, and replaces the process when it dies.
 
-    Parameters
-    ----------
-    calls : queue
-        Calls of all threads; None ends one thread.
+    `calls`: calls of all threads; None ends one thread.
     """
 
     def __init__(self, calls: _CallQueue) -> None:

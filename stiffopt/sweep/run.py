@@ -29,21 +29,13 @@ _WARM_FOLDER = "warm"
 
 @dataclass(frozen=True)
 class SweepProgress:
-    """Progress of a sweep.
+    """Progress of a sweep."""
 
-    Attributes
-    ----------
-    done, total : int
-        Cases, earlier runs included.
-    unusable : int
-        Cases done without a usable result.
-    elapsed, left : float or None
-        Elapsed and estimated remaining time of this run [s].
-    """
-
+    # Cases, earlier runs included.
     done: int
     total: int
-    unusable: int
+    unusable: int  # cases done without a usable result
+    # Elapsed and estimated remaining time of this run [s].
     elapsed: float
     left: float | None
 
@@ -56,17 +48,9 @@ def run_sweep(
 ) -> tuple[list[dict[str, Any] | None], bool]:
     """Solve the cases without a result file.
 
-    Parameters
-    ----------
-    folder : Path
-        Its subfolder `cases` holds the result files.
-    progress : callable, optional
-        Called with a `SweepProgress` at the start and after each case.
-
-    Returns
-    -------
-    results : list of dict or None
-        Content of each case's file; None for cases not reached before Ctrl-C.
+    `folder`: its subfolder `cases` holds the result files. `progress`: called with a
+    `SweepProgress` at the start and after each case. `results` list of dict or None: content of
+    each case's file; None for cases not reached before Ctrl-C.
     """
     for place in (folder / CASES_FOLDER, folder / CASES_FOLDER / _WARM_FOLDER):
         if place.is_symlink() or (place.exists() and not place.is_dir()):
@@ -101,10 +85,7 @@ def run_sweep(
 class _CaseQueue:
     """Queue of open cases, each after its predecessor.
 
-    Parameters
-    ----------
-    done : set of str
-        Keys of cases with a result.
+    `done`: keys of cases with a result.
     """
 
     def __init__(self, cases: list[Case], done: set[str], folder: Path) -> None:

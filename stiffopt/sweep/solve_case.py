@@ -25,26 +25,16 @@ SCHEMA = 1
 
 @dataclass(frozen=True)
 class CaseResult:
-    """Result of one case.
+    """Result of one case."""
 
-    Parameters
-    ----------
-    status : str
-        Status of the solve or verdict of the diagnosis; "invalid" for invalid input, "failed" if
-        the worker died or raised another error.
-    values : dict of name to (value in SI or text, unit)
-        Values of the table.
-    result : dict
-        Complete result document.
-    maximised : bool
-        True if a larger objective is better.
-    """
-
+    # Status of the solve or verdict of the diagnosis; "invalid" for invalid input, "failed" if the
+    # worker died or raised another error.
     status: str
     message: str
+    # By name (value in SI or text, unit): values of the table.
     values: dict[str, tuple[float | int | str | None, str]]
-    result: dict[str, Any]
-    maximised: bool = False
+    result: dict[str, Any]  # complete result document
+    maximised: bool = False  # True if a larger objective is better
 
 
 _CaseEnd = tuple[CaseResult, bytes | None]
@@ -56,17 +46,7 @@ _worker_cache = threading.local()
 def solve_case(case: Case, warm: bytes | None = None) -> tuple[dict[str, Any], bytes | None]:
     """Solve a case and return the content of its file; errors of the case become its status.
 
-    Parameters
-    ----------
-    warm : bytes, optional
-        Final state of another case.
-
-    Returns
-    -------
-    dict
-        Plain numbers, strings, lists and dicts.
-    bytes or None
-        Final state of this case, for warm starts of others.
+    `warm` is the final state of another case; this one's is returned as well.
     """
     begin = time.perf_counter()
     end = None

@@ -14,6 +14,7 @@ import numpy as np
 from stiffopt.files import atomic_write, write_csv, write_json
 from stiffopt.sweep.cases import Case, Sweep
 from stiffopt.sweep.run import is_unusable
+from stiffopt.sweep.shared_values import SharedValue, shared_values
 from stiffopt.units import number_and_unit
 
 Cell = float | int | str | None
@@ -21,60 +22,38 @@ Cell = float | int | str | None
 
 @dataclass(frozen=True)
 class StartSpread:
-    """Optima of one case from several initial guesses.
+    """Optima of one case from several initial guesses."""
 
-    Parameters
-    ----------
-    best, worst : float
-        Objective in SI.
-    usable, starts : int
-        Number of starts with a usable result, and of all starts.
-    near : int
-        Number of starts within 1 % of the best.
-    """
-
+    # Objective in SI.
     best: float
     worst: float
     unit: str
+    # Number of starts with a usable result, and of all starts.
     usable: int
     starts: int
-    near: int
+    near: int  # number of starts within 1 % of the best
     best_start: int
 
 
 @dataclass(frozen=True)
 class Front:
-    """Pareto front of one entry and the objective.
+    """Pareto front of one entry and the objective."""
 
-    Parameters
-    ----------
-    over, unit : str
-        Entry and unit of its values; "" for bare numbers.
-    values, objectives : array (k,)
-        Increasing values with decreasing objectives (increasing, if maximised).
-    knee : int or None
-        Index of the knee; None below three points.
-    """
-
+    # Entry and unit of its values; "" for bare numbers.
     over: str
     unit: str
+    # (k,) increasing values with decreasing objectives (increasing, if maximised).
     values: np.ndarray
     objectives: np.ndarray
-    knee: int | None
+    knee: int | None  # index of the knee; None below three points
 
 
 @dataclass(frozen=True)
 class SweepSummary:
-    """Sweep with its results.
-
-    Parameters
-    ----------
-    results : sequence of dict or None
-        Content of the cases' files, in order.
-    """
+    """Sweep with its results."""
 
     sweep: Sweep
-    results: Sequence[dict[str, Any] | None]
+    results: Sequence[dict[str, Any] | None]  # content of the cases' files, in order
     interrupted: bool
 
     @cached_property
@@ -165,6 +144,12 @@ class SweepSummary:
         unit = (over[0][1] if over else None) or ""
         return Front(self.sweep.front, unit, values, sign * costs, knee(values, costs))
 
+    def shared_values(self) -> list[SharedValue]:
+        """Values that several recording sets tell, common to all or each arm's own."""
+        bases = self.sweep.base_names
+        told = {bases[case.base]: found["result"].get("simulation") for case, found in self.done}
+        return shared_values({name: values for name, values in told.items() if values})
+
     def document(self) -> dict[str, Any]:
         """Content of sweep.json."""
         front = self.front()
@@ -180,6 +165,7 @@ class SweepSummary:
             "spread": [
                 {"case": list(name), **vars(spread)} for name, spread in self.spreads().items()
             ],
+            "shared_values": [vars(each) for each in self.shared_values()],
             "front": None
             if front is None
             else {

@@ -52,15 +52,8 @@ class InProcess:
 class Cluster:
     """Dask cluster, whose scheduler repeats the calls of dead workers.
 
-    Parameters
-    ----------
-    address : str
-        Address of the scheduler, whose workers see the same files under the same paths.
-
-    Raises
-    ------
-    InputError
-        `distributed` is not installed, or no scheduler answers.
+    `address`: address of the scheduler, whose workers see the same files under the same paths.
+    Raises `InputError`: `distributed` is not installed, or no scheduler answers.
     """
 
     def __init__(self, address: str) -> None:

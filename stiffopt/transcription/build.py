@@ -32,25 +32,21 @@ def transcribe(
     """Turn an optimal-control problem into an NLP.
 
     The stage is evaluated through one `casadi.Function.map` over all points and the graph is not
-    expanded, so the time to build hardly grows with the mesh.
-
-    Parameters
-    ----------
-    method : str
-        "piecewise_linear" (also "piecewise_linear_acceleration"), "hermite_simpson" or "radau".
-    mesh : sequence of array
-        Interval fractions of each phase; see `uniform_mesh`.
-    degree : int
-        Points in each interval of "radau".
-    scales : BlockScales, optional
-        Of another programme of the same blocks, in place of the problem's own.
+    expanded, so the time to build hardly grows with the mesh. `method`: "piecewise_linear" (also
+    "piecewise_linear_acceleration"), "hermite_simpson" or "radau". `mesh`: interval fractions of
+    each phase; see `uniform_mesh`. `degree`: points in each interval of "radau". `scales`: of
+    another programme of the same blocks, in place of the problem's own.
     """
     integrators = len(ocp.chains[0]) - 1 if ocp.chains else 2
     scheme = scheme_of(method, degree, integrators)
     stage = _stage_of(ocp, scheme)
     if scales is not None:
-        states, controls, statics = scales.variables[:3]
-        ocp = replace(ocp, state_scale=states, control_scale=controls, static_scale=statics)
+        if stage.along is None:
+            states, controls, statics = scales.variables[:3]
+            ocp = replace(ocp, state_scale=states, control_scale=controls, static_scale=statics)
+        else:
+            # Spline coefficients have the units of their states.
+            ocp = replace(ocp, static_scale=scales.variables[1])
     return _NlpBuilder(ocp, scheme, checked_mesh(mesh, ocp.phases), stage, scales=scales).build()
 
 
@@ -143,7 +139,7 @@ class _NlpBuilder:
         for rows, expression, places in self.scheme.extra_rows(symbols):
             self._add_rows(rows, expression, places)
         if self.splines is not None:
-            self._add_spline_rows(symbols, durations)
+            self._add_spline_rows(symbols)
         self._add_control_rate_rows(symbols)
         self._add_waypoint_rows(symbols)
         if ocp.phases > 1:
@@ -330,10 +326,9 @@ class _NlpBuilder:
                 return order
         return len(orders)
 
-    def _add_spline_rows(self, s: Symbols, durations: ca.MX) -> None:
+    def _add_spline_rows(self, s: Symbols) -> None:
         """Add bounds of states at the nodes, and continuity of the splines between phases."""
-        assert self.splines is not None
-        assert self.coefficients is not None
+        assert s.spline_values is not None
         ocp, nodes = self.ocp, self.scheme.state_places(self.intervals)
         *orders, _ = (list(order) for order in zip(*ocp.chains, strict=True))
         last = len(nodes) - 1
@@ -348,13 +343,10 @@ class _NlpBuilder:
                 index = [own[i] for i in kept]
                 labels = [ocp.states[i] for i in index]
                 name = "position" if order == 0 else "state"
-                value = self.splines.derivative(
-                    order, nodes[columns], ca.vec(self._block_symbol(self.coefficients)), durations
-                )
+                value = s.spline_values(nodes[columns], orders=(order,))
                 scales = ocp.scales_of_states[index]
                 rows = Rows.make(name, labels, low[kept], high[kept], scales)
                 self._add_rows(rows, value[kept.tolist(), :], nodes[columns])
-        assert s.spline_values is not None
         for phase in range(ocp.phases - 1):
             ends = Places(np.array([phase]), np.ones(1)), Places(np.array([phase + 1]), np.zeros(1))
             leave, enter = (s.spline_values(place) for place in ends)

@@ -26,22 +26,14 @@ from stiffopt.transcription.nlp import Places
 class ChainSplines:
     """Splines of a problem's chains, phase by phase, in shares of the phase's duration.
 
-    Parameters
-    ----------
-    mesh : list of array
-    chains : tuple of (position index, velocity index, .., control index)
-        All states and controls belong to one chain.
-    control_degree : int
-        Degree of the controls, which are continuous.
-
-    Notes
-    -----
     Coefficients are one vector, in order of time, in which chains run fastest.
     """
 
     mesh: Mesh
+    # (position index, velocity index, .., control index) all states and controls belong to one
+    # chain.
     chains: tuple[tuple[int, ...], ...]
-    control_degree: int = 1
+    control_degree: int = 1  # degree of the controls, which are continuous
 
     @property
     def orders(self) -> int:
@@ -74,24 +66,19 @@ class ChainSplines:
         """Number of all coefficients."""
         return int(self.counts.sum()) * len(self.chains)
 
-    def at(self, places: Places, coefficients: ca.MX, durations: ca.MX) -> ca.MX:
+    def at(
+        self, places: Places, coefficients: ca.MX, durations: ca.MX, orders: tuple[int, ...] = ()
+    ) -> ca.MX:
         """States and controls (nx + nu, P) at places, as expressions of the coefficients.
 
-        `durations` (K,) are those of each interval's phase.
+        `durations` (K,) are those of each interval's phase. With `orders`, derivatives of these
+        orders (len(orders) n, P) of all chains instead.
         """
-        matrix, powers, _ = self._coefficient_map(places)
+        matrix, powers, _ = self._coefficient_map(places, orders)
+        height = len(orders) * len(self.chains) or self.values
         moved = ca.mtimes(_to_casadi(matrix), coefficients)
-        stretched = self._durations_at(places, durations, self.values) ** ca.DM(-powers)
-        return ca.reshape(moved * stretched, self.values, len(places))
-
-    def derivative(
-        self, order: int, places: Places, coefficients: ca.MX, durations: ca.MX
-    ) -> ca.MX:
-        """Derivative of one order of all chains (n, P), as `at`."""
-        matrix, powers, _ = self._coefficient_map(places, (order,))
-        moved = ca.mtimes(_to_casadi(matrix), coefficients)
-        stretched = self._durations_at(places, durations, len(self.chains)) ** ca.DM(-powers)
-        return ca.reshape(moved * stretched, len(self.chains), len(places))
+        stretched = self._durations_at(places, durations, height) ** ca.DM(-powers)
+        return ca.reshape(moved * stretched, height, len(places))
 
     def positions(self, places: Places, states: Sequence[int], columns: int) -> ca.DM:
         """Matrix from variables, the coefficients first, to positions, place by place."""
@@ -105,12 +92,8 @@ class ChainSplines:
     def nonzero_basis(self, places: Places) -> tuple[np.ndarray, np.ndarray]:
         """Nonzero basis functions at places.
 
-        Returns
-        -------
-        coefficients : array (P, degree + 1) of int
-            Rows of the coefficients (size / n, n).
-        basis : array (P, orders, degree + 1)
-            Derivatives by shares of the phase's duration.
+        `coefficients` (P, degree + 1) of int: rows of the coefficients (size / n, n). `basis` (P,
+        orders, degree + 1): derivatives by shares of the phase's duration.
         """
         begins = np.cumsum(self.counts) - self.counts
         splines = np.arange(self.degree + 1)
@@ -144,11 +127,7 @@ class ChainSplines:
     ) -> np.ndarray:
         """Fit coefficients to states and controls (P, nx + nu) at places by least squares.
 
-        Parameters
-        ----------
-        values : array (P, nx + nu)
-        scales : array (nx + nu,)
-        durations : array (phases,)
+        `values` (P, nx + nu). `scales` (nx + nu,). `durations` (phases,).
         """
         n, start = len(self.chains), 0
         found = np.zeros((int(self.counts.sum()), n))

@@ -29,34 +29,20 @@ _MAX_BACK_OFF_GROWTH = 8.0
 
 @dataclass(frozen=True)
 class Excess:
-    """Excess of exact path rows over their bounds, in units of the rows.
+    """Excess of exact path rows over their bounds, in units of the rows."""
 
-    Parameters
-    ----------
-    largest : dict of row name to float
-    near : tuple of (block, index (k, m), upper (k, m), lower (k, m))
-        For every block its NLP rows, point by point in time, and the largest excess of either bound
-        in the neighbourhood of each point.
-    """
-
-    largest: dict[str, float]
+    largest: dict[str, float]  # by row name
+    # (block, index (k, m), upper (k, m), lower (k, m)) for every block its NLP rows, point by point
+    # in time, and the largest excess of either bound in the neighbourhood of each point.
     near: tuple[tuple[Block, np.ndarray, np.ndarray, np.ndarray], ...]
 
 
 @dataclass(frozen=True)
 class KnownRows:
-    """Exact values of rows that were computed outside the programme.
+    """Exact values of rows that were computed outside the programme."""
 
-    Parameters
-    ----------
-    times : array (K,)
-        From 0 [s].
-    values : array (K, m)
-        In the unit of the rows and in their order.
-    """
-
-    times: np.ndarray
-    values: np.ndarray
+    times: np.ndarray  # (K,) from 0 [s]
+    values: np.ndarray  # (K, m) in the unit of the rows and in their order
 
 
 def path_row_excess(
@@ -68,19 +54,11 @@ def path_row_excess(
 ) -> Excess:
     """Excess of the exact path rows of a motion, at the points of the programme and between them.
 
-    Parameters
-    ----------
-    x : array
-        Solution of the NLP.
-    parameters : array (np,)
-    rows : PointFunction
-        Exact path rows.
-    found : mapping of row name to KnownRows
-        Further values to be considered, as of motors, which arrive later than the links.
+    `x`: solution of the NLP. `parameters` (np,). `rows`: exact path rows. `found`: further values
+    to be considered, as of motors, which arrive later than the links.
     """
     motion = transcription.guess_from(x)
-    steps = transcription.intervals.shares @ transcription.phase_durations(x)
-    breaks = np.concatenate([[0.0], np.cumsum(steps)])
+    steps, breaks = transcription.steps(x), transcription.breaks(x)
     inside = np.linspace(0.0, 1.0, _POINTS_PER_INTERVAL, endpoint=False)
     times = np.append((breaks[:-1, None] + steps[:, None] * inside).ravel(), breaks[-1])
     share = times / breaks[-1]
@@ -118,17 +96,9 @@ def back_off_exceeded(
 ) -> Nlp:
     """Return the NLP with the bounds of path rows backed off where a motion exceeds them.
 
-    Parameters
-    ----------
-    nlp : Nlp
-        The solved one, with its back-off.
-    given : Nlp
-        With the original bounds.
-    most : float
-        Largest back-off in one step, in units of the row.
-    limits : container of str
-        Names of rows that must hold. The others bound a peak that is minimised: their back-off is
-        just the excess.
+    `given` has the original bounds; one step is at most `most`, in units of the row. Rows of the
+    names in `limits` must hold; the others bound a peak that is minimised: their back-off is just
+    the excess.
     """
     lower, upper = nlp.lower_g.copy(), nlp.upper_g.copy()
     for block, index, above, below in excess.near:
@@ -152,10 +122,7 @@ def back_off_exceeded(
 def back_off_uniformly(nlp: Nlp, excess: Mapping[str, float]) -> Nlp:
     """Return the NLP with both bounds of all rows of these names backed off by their excess.
 
-    Parameters
-    ----------
-    excess : mapping row name -> float
-        In units of the row; bounds are reduced to 5 % of their value at least.
+    `excess`: in units of the row; bounds are reduced to 5 % of their value at least.
     """
     lower, upper = nlp.lower_g.copy(), nlp.upper_g.copy()
     for block in nlp.rows.items:

@@ -50,15 +50,9 @@ def differentiation_matrix(nodes: np.ndarray) -> np.ndarray:
 
 
 def integration_matrix(nodes: np.ndarray, ends: np.ndarray, times: int = 1) -> np.ndarray:
-    """Matrix (len(ends), len(nodes)): repeated integrals from 0 to each end.
+    """Matrix (len(ends), len(nodes)) of integrals from 0 to each end, repeated `times` times.
 
-    Parameters
-    ----------
-    nodes : array (m,)
-        Where the integrand is given; it is the polynomial of degree m - 1 through the values.
-    ends : array (k,)
-    times : int
-        How often to integrate; 2 turns an acceleration into a displacement.
+    The integrand is the polynomial through the values at the nodes.
     """
     integrals = legendre.legint(_legendre_from_values(nodes), m=times, lbnd=-1.0, scl=0.5)
     return np.asarray(

@@ -19,19 +19,9 @@ Mesh = list[np.ndarray]
 
 
 def uniform_mesh(intervals: int, phases: int = 1, shares: Sequence[float] | None = None) -> Mesh:
-    """Equal intervals within each phase.
+    """Equal intervals within each phase: `intervals` in all, at least one a phase.
 
-    Parameters
-    ----------
-    intervals : int
-        Total number, at least one a phase.
-    shares : sequence of float, optional
-        Proportions of intervals among the phases (any positive numbers); equal when absent.
-
-    Returns
-    -------
-    list of array
-        Interval fractions of each phase.
+    `shares` are positive proportions of intervals among the phases; equal when absent.
     """
     if intervals < phases:
         raise ProblemError(
@@ -80,17 +70,7 @@ def checked_mesh(mesh: Sequence[np.ndarray], phases: int) -> Mesh:
 
 
 def equidistribute(fractions: np.ndarray, monitor: np.ndarray, count: int) -> np.ndarray:
-    """Place intervals over which a piecewise-constant monitor has equal integrals.
-
-    Parameters
-    ----------
-    fractions : array (k,)
-        Present intervals.
-    monitor : array (k,)
-        Positive density on each present interval.
-    count : int
-        New number of intervals.
-    """
+    """Place `count` intervals with equal integrals of a piecewise-constant, positive monitor."""
     mass = np.concatenate([[0.0], np.cumsum(fractions * monitor)])
     breaks = np.concatenate([[0.0], np.cumsum(fractions)])
     new = np.interp(np.linspace(0.0, mass[-1], count + 1), mass, breaks)
@@ -102,20 +82,12 @@ _INTERVAL_SAMPLES = np.linspace(0.0, 1.0, 5)
 
 
 def control_activity(transcription: Transcription, x: np.ndarray) -> np.ndarray:
-    """Rate of change of the controls in each interval.
+    """Rate of change of the controls in each interval (K,) [1/s] of a solution `x`.
 
-    Parameters
-    ----------
-    x : array
-        A solution of its NLP.
-
-    Returns
-    -------
-    array (K,)
-        Largest total variation rate |du/dt| over the controls, each divided by its own range over
-        the motion; jumps from the interval before count as change within the interval. [1/s]
+    Largest total variation rate |du/dt| over the controls, each divided by its own range over the
+    motion; jumps from the interval before count as change within the interval.
     """
-    steps = transcription.intervals.shares @ transcription.phase_durations(x)
+    steps = transcription.steps(x)
     coefficients = transcription.control_polynomials(x)
     local = steps * _INTERVAL_SAMPLES[:, None]
     values = polynomial.polyval(local[:, :, None], np.moveaxis(coefficients, 1, 0), tensor=False)
@@ -133,27 +105,12 @@ def refine_mesh(
     floor: float = 0.1,
     shortest: float = 0.1,
 ) -> Mesh:
-    """Return a mesh whose intervals have equal shares of the controls' activity.
+    """Return a mesh of `intervals` whose intervals have equal shares of the controls' activity.
 
     The monitor is sqrt(activity + floor * mean activity): where a control switches or a boundary
-    layer lies the intervals become short, elsewhere they keep a bounded length.
-
-    Parameters
-    ----------
-    x : array
-        A solution of its NLP.
-    intervals : int
-        Of the new mesh, over all phases.
-    floor : float
-        Relative to the mean activity; larger values give more uniform meshes.
-    shortest : float
-        No interval becomes shorter than this share of the phase's mean interval (before the
-        fractions are normalised again).
-
-    Returns
-    -------
-    list of array
-        Interval fractions of each phase.
+    layer lies the intervals become short, elsewhere they keep a bounded length. No interval becomes
+    shorter than the share `shortest` of the phase's mean interval (before the fractions are
+    normalised again).
     """
     present = transcription.intervals
     durations = transcription.phase_durations(x)

@@ -30,31 +30,15 @@ class Places:
 
 @dataclass(frozen=True)
 class NlpEntry:
-    """Name of one variable or row of the NLP.
+    """Name of one variable or row of the NLP."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the block, for example "torque".
-    label : str
-        Label within the block, for example "joint 2".
-    scale : float
-        The NLP works with value / scale.
-    phase : int
-        -1 where the entry belongs to no point in time.
-    fraction : float
-        Of the phase's duration; nan where the entry belongs to no point in time.
-    given : bool
-        True where both bounds are equal.
-    """
-
-    name: str
-    label: str
+    name: str  # name of the block, for example "torque"
+    label: str  # label within the block, for example "joint 2"
     unit: str
-    scale: float
-    phase: int
-    fraction: float
-    given: bool = False
+    scale: float  # the NLP works with value / scale
+    phase: int  # -1 where the entry belongs to no point in time
+    fraction: float  # of the phase's duration; nan where the entry belongs to no point in time
+    given: bool = False  # True where both bounds are equal
 
     def __str__(self) -> str:
         text = f"{self.name}, {self.label}" if self.label else self.name
@@ -66,20 +50,13 @@ class NlpEntry:
 
 @dataclass(frozen=True)
 class RowViolation:
-    """A row outside its bound.
-
-    Attributes
-    ----------
-    value, bound : float
-        In the row's unit.
-    relative : float
-        Excess divided by the row's scale.
-    """
+    """A row outside its bound."""
 
     entry: NlpEntry
+    # In the row's unit.
     value: float
     bound: float
-    relative: float
+    relative: float  # excess divided by the row's scale
 
     def __str__(self) -> str:
         unit = f" {self.entry.unit}" if self.entry.unit else ""
@@ -91,28 +68,15 @@ class RowViolation:
 
 @dataclass(frozen=True, kw_only=True)
 class Block:
-    """Entries with m labels at k points in time; labels run fastest.
+    """Entries with m labels at k points in time; labels run fastest."""
 
-    Parameters
-    ----------
-    rows : Rows
-        Name, labels, unit and scale.
-    places : Places or None
-        None for entries that belong to no point in time (k = 1).
-    lower, upper : array (m, k)
-        Bounds in the entries' unit.
-    offset : int
-        Index of its first entry.
-    structural : bool
-        Equations of motion; never named as the cause of a conflict.
-    """
-
-    rows: Rows
-    places: Places | None
+    rows: Rows  # name, labels, unit and scale
+    places: Places | None  # None for entries that belong to no point in time (k = 1)
+    # (m, k) bounds in the entries' unit.
     lower: np.ndarray
     upper: np.ndarray
-    offset: int
-    structural: bool = False
+    offset: int  # index of its first entry
+    structural: bool = False  # equations of motion; never named as the cause of a conflict
 
     @property
     def size(self) -> int:
@@ -206,15 +170,9 @@ class Blocks:
 
 @dataclass(frozen=True, eq=False)
 class BlockScales:
-    """Scales of a programme, one array a block.
+    """Scales of a programme, one array a block."""
 
-    Parameters
-    ----------
-    variables : tuple of array
-        Of states, controls, static variables and durations.
-    rows : tuple of array
-    """
-
+    # Of states and controls, or spline coefficients, of static variables and durations.
     variables: tuple[np.ndarray, ...]
     rows: tuple[np.ndarray, ...]
 
@@ -283,12 +241,8 @@ class Nlp:
     def worst_rows(self, g: np.ndarray, n: int = 5, tolerance: float = 0.0) -> list[RowViolation]:
         """Find the n most violated rows, each name and label once, at its worst point.
 
-        Parameters
-        ----------
-        g : array
-            Row values of the NLP (scaled).
-        tolerance : float
-            Rows with a smaller relative excess are left out.
+        `g`: row values of the NLP (scaled). `tolerance`: rows with a smaller relative excess are
+        left out.
         """
         g = np.asarray(g, dtype=float).ravel()
         excess = self.violations(g)
@@ -308,23 +262,11 @@ class Nlp:
     def conflicts(
         self, multipliers_x: np.ndarray, multipliers_g: np.ndarray, n: int = 40
     ) -> list[NlpEntry]:
-        """Find the limits and boundary values that cannot hold together.
+        """Find at most `n` limits and boundary values that cannot hold together, by falling weight.
 
         At a point of locally minimal infeasibility, multipliers weigh the bounds that prevent
-        feasibility.
-
-        Parameters
-        ----------
-        multipliers_x, multipliers_g : array
-            Multipliers at the infeasible point.
-        n : int
-            Largest number of entries.
-
-        Returns
-        -------
-        list of NlpEntry
-            By falling weight, each name and label once at its heaviest point; those below one
-            per cent of the heaviest are left out.
+        feasibility. Each name and label stands once, at its heaviest point; those below one per
+        cent of the heaviest are left out.
         """
         found: list[tuple[float, NlpEntry]] = []
         for blocks, multipliers in ((self.variables, multipliers_x), (self.rows, multipliers_g)):

@@ -24,19 +24,6 @@ import numpy as np
 class SplineCoordinates:
     """Map from local variables (spline coefficients, statics, duration) to a stage's variables w.
 
-    Parameters
-    ----------
-    chains : tuple of (position index, velocity index, .., control index)
-        Indices in w.
-    degree : int
-        Degree of the positions: degree + 1 splines are nonzero at a point.
-    statics : int
-        Number of static variables, the last of w.
-    free : bool
-        True where the duration of a point's phase is a variable, the last of all.
-
-    Notes
-    -----
     States and controls at a point are sums of few nonzero splines. The chain rule through them is
     part of the stage's derivatives: sparse matrix products of the whole programme took longer than
     the stages. Local variables are the coefficients (chains run fastest), the static variables, the
@@ -44,10 +31,11 @@ class SplineCoordinates:
     column, as derivatives by the share of the phase's duration, or by time where it is fixed.
     """
 
+    # (position index, velocity index, .., control index) indices in w.
     chains: tuple[tuple[int, ...], ...]
-    degree: int
-    statics: int
-    free: bool
+    degree: int  # degree of the positions: degree + 1 splines are nonzero at a point
+    statics: int  # number of static variables, the last of w
+    free: bool  # True where the duration of a point's phase is a variable, the last of all
 
     @property
     def orders(self) -> int:
@@ -76,16 +64,9 @@ class SplineCoordinates:
     def stage_derivatives(self, functions: Sequence[ca.Function]) -> tuple[ca.Function, ...]:
         """Return a stage and its derivatives by local variables.
 
-        Parameters
-        ----------
-        functions : sequence of casadi.Function
-            (w, p, numbers) -> values; -> Jacobian by w; (.., weights) -> Hessian by w.
-
-        Returns
-        -------
-        tuple of casadi.Function
-            (local, p, numbers, basis) -> values; -> Jacobian; (.., weights) -> upper half of the
-            Hessian.
+        `functions`: (w, p, numbers) -> values; -> Jacobian by w; (.., weights) -> Hessian by w.
+        Returns tuple of casadi.Function: (local, p, numbers, basis) -> values; -> Jacobian; (..,
+        weights) -> upper half of the Hessian.
         """
         values, jacobian, hessian = functions
         local, basis = (
@@ -113,24 +94,14 @@ _STRUCTURAL_NUMBERS = (-2.0, -1.0, 0.0, 0.5, 1.0, 2.0)
 
 @dataclass(frozen=True)
 class NumberedStage:
-    """A stage function whose numbers are inputs.
+    """A stage function whose numbers are inputs."""
 
-    Parameters
-    ----------
-    function : casadi.Function
-        (w, p, numbers) -> (y, values): w holds state, control and static variables, values the
-        integrands and the path rows; y is the intermediate.
-    numbers : array
-        Values of the last input.
-    formula : str
-        Hash of the function.
-    along : SplineCoordinates, optional
-        Where spline coefficients are the variables: derivatives are by these.
-    """
-
+    # (w, p, numbers) -> (y, values): w holds state, control and static variables, values the
+    # integrands and the path rows; y is the intermediate.
     function: ca.Function
-    numbers: np.ndarray
-    formula: str
+    numbers: np.ndarray  # values of the last input
+    formula: str  # hash of the function
+    # Where spline coefficients are the variables: derivatives are by these.
     along: SplineCoordinates | None = None
 
     @property
@@ -143,12 +114,8 @@ class NumberedStage:
 def extract_numbers(stage: ca.Function, intermediate: ca.Function | None = None) -> NumberedStage:
     """Turn the numbers of a stage function into inputs.
 
-    Parameters
-    ----------
-    stage : casadi.Function
-        (x, u, z, p) -> (integrands, path rows), of SX.
-    intermediate : casadi.Function, optional
-        (x, u, z, p) -> (y,), of the same symbols: quantities through which most of it is computed.
+    `stage`: (x, u, z, p) -> (integrands, path rows), of SX. `intermediate`: (x, u, z, p) -> (y,),
+    of the same symbols: quantities through which most of it is computed.
     """
     *variables, parameters = symbols = stage.sx_in()
     through = [ca.SX(0, 1)] if intermediate is None else intermediate.call(symbols)
@@ -157,14 +124,15 @@ def extract_numbers(stage: ca.Function, intermediate: ca.Function | None = None)
     inputs = [ca.vertcat(*variables), parameters]
     plain = ca.Function("stage", inputs, outputs)
     read = _read_formula(plain)
-    if read.formula not in _formula_cache:
+    key = hashlib.sha256(repr(read.formula).encode()).hexdigest()
+    if key not in kept_formulas:
         function, uses = _without_numbers(plain, inputs)
         formula = hashlib.sha256(function.serialize().encode()).hexdigest()
-        _formula_cache[read.formula] = function, uses, formula
-    _formula_cache.move_to_end(read.formula)
-    while len(_formula_cache) > _MAX_CACHED_FORMULAS:
-        _formula_cache.popitem(last=False)
-    function, uses, formula = _formula_cache[read.formula]
+        kept_formulas[key] = function, uses, formula
+    kept_formulas.move_to_end(key)
+    while len(kept_formulas) > _MAX_KEPT_FORMULAS:
+        kept_formulas.popitem(last=False)
+    function, uses, formula = kept_formulas[key]
     return NumberedStage(function, np.array([read.constants[k] for k in uses]), formula)
 
 
@@ -176,10 +144,10 @@ class _Formula:
     constants: dict[int, float]
 
 
-# Most recently used formulas without numbers, with the instructions of these; most problems of a
-# sweep share one.
-_formula_cache: OrderedDict[tuple[object, ...], tuple[ca.Function, list[int], str]] = OrderedDict()
-_MAX_CACHED_FORMULAS = 8
+# Most recently used formulas without numbers, with the instructions of these and the hash of the
+# formula, by a hash of the operations; most problems of a sweep share one.
+kept_formulas: OrderedDict[str, tuple[ca.Function, list[int], str]] = OrderedDict()
+_MAX_KEPT_FORMULAS = 8
 
 
 def _read_formula(function: ca.Function) -> _Formula:
@@ -217,16 +185,9 @@ def _without_numbers(function: ca.Function, inputs: list[ca.SX]) -> tuple[ca.Fun
 def with_derivatives(function: ca.Function) -> tuple[ca.Function, ca.Function, ca.Function]:
     """Return the stage function, its Jacobian and its Hessian.
 
-    Parameters
-    ----------
-    function : casadi.Function
-        Of a `NumberedStage`.
-
-    Returns
-    -------
-    tuple of casadi.Function
-        (w, p, numbers) -> values (m,); (w, p, numbers) -> Jacobian by w (m, n);
-        (w, p, numbers, weights (m,)) -> Hessian of the weighted values by w (n, n). Sparse.
+    `function`: of a `NumberedStage`. Returns tuple of casadi.Function: (w, p, numbers) -> values
+    (m,); (w, p, numbers) -> Jacobian by w (m, n); (w, p, numbers, weights (m,)) -> Hessian of the
+    weighted values by w (n, n). Sparse.
     """
     inputs = function.sx_in()
     w = inputs[0]
@@ -262,15 +223,9 @@ def _replay_operations(
 ) -> list[ca.SX]:
     """Compute the outputs of a function again, operation by operation.
 
-    Parameters
-    ----------
-    function : casadi.Function
-        Of SX, with dense outputs.
-    number : callable
-        (value, instruction) -> symbol of a number, called at each of its uses: equal numbers stay
-        separate inputs, since their equality is no part of the formula.
-    intermediate : SX, optional
-        Replaces the first output in everything computed from it.
+    `number` gives a symbol for (value, instruction) at each use of a number: equal numbers stay
+    separate inputs, since their equality is no part of the formula. `intermediate` replaces the
+    first output in everything computed from it.
     """
     work: dict[int, ca.SX | tuple[float, int]] = {}
 

@@ -20,29 +20,15 @@ from stiffopt.transcription.transcription import Transcription
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NodeRows:
-    """One row at each of k nodes.
+    """One row at each of k nodes."""
 
-    Parameters
-    ----------
-    rows : Rows
-        Of one label.
-    function : casadi.Function
-        (states (m,), numbers (d,)) -> scalar, of SX: some of the states at the node.
-    states : sequence of int (m,)
-        Their indices; positions only where motions are splines.
-    columns : array (k,) of int
-        Nodes, counted from the first.
-    numbers : array (k, d)
-    kept : array (k,) of bool
-        Rows that hold; the others have no bounds.
-    """
-
-    rows: Rows
+    rows: Rows  # of one label
+    # (states (m,), numbers (d,)) -> scalar, of SX: some of the states at the node.
     function: ca.Function
-    states: Sequence[int]
-    columns: np.ndarray
-    numbers: np.ndarray
-    kept: np.ndarray
+    states: Sequence[int]  # (m,) their indices; positions only where motions are splines
+    columns: np.ndarray  # (k,) nodes, counted from the first
+    numbers: np.ndarray  # (k, d)
+    kept: np.ndarray  # (k,) rows that hold; the others have no bounds
 
 
 def with_node_rows(first: Transcription, blocks: Sequence[NodeRows]) -> Transcription:
@@ -92,14 +78,7 @@ def renumber_node_rows(
 ) -> Transcription:
     """Return the programme with other numbers of the node rows, and others of them active.
 
-    Parameters
-    ----------
-    made : Transcription
-        Result of `with_node_rows`.
-    first : Transcription
-        Without the rows.
-    blocks : sequence of NodeRows
-        At the same nodes.
+    `made`: result of `with_node_rows`. `first`: without the rows. `blocks`: at the same nodes.
     """
     kept = np.concatenate([block.kept for block in blocks])
     lower, upper = (

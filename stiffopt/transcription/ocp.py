@@ -38,30 +38,17 @@ def _broadcast_vector(value: object, size: int) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True)
 class Rows:
-    """A named block of constraint rows with bounds, one label a row.
+    """A named block of constraint rows with bounds, one label a row."""
 
-    Parameters
-    ----------
-    name : str
-        Limited quantity, for example "torque".
-    labels : sequence of str
-        One a row, for example "joint 2".
-    lower, upper : array_like (m,)
-        Bounds in the row's own unit; +-inf where there is none.
-    scale : array_like (m,)
-        Typical magnitude; the NLP row is divided by it, violations are reported relative to it.
-    unit : str
-        For messages.
-    midpoints : bool
-        Also enforced in the middle of each interval where the transcription has such points.
-    """
-
-    name: str
-    labels: tuple[str, ...]
+    name: str  # limited quantity, for example "torque"
+    labels: tuple[str, ...]  # one a row, for example "joint 2"
+    # (m,) bounds in the row's own unit; +-inf where there is none.
     lower: np.ndarray
     upper: np.ndarray
+    # (m,) typical magnitude; the NLP row is divided by it, violations are reported relative to it.
     scale: np.ndarray
-    unit: str = ""
+    unit: str = ""  # for messages
+    # Also enforced in the middle of each interval where the transcription has such points.
     midpoints: bool = False
 
     @classmethod
@@ -108,79 +95,44 @@ class Rows:
 
 @dataclass(frozen=True, kw_only=True)
 class Waypoint:
-    """Rows that hold at one point: the start, the end, or the border between two phases.
+    """Rows that hold at one point: the start, the end, or the border between two phases."""
 
-    Parameters
-    ----------
-    function : casadi.Function
-        (x) or (x, p) -> (m,)
-    rows : tuple of Rows
-        Blocks of the m rows in order.
-    """
-
-    function: ca.Function
-    rows: tuple[Rows, ...]
+    function: ca.Function  # (x) or (x, p) -> (m,)
+    rows: tuple[Rows, ...]  # blocks of the m rows in order
 
 
 @dataclass(frozen=True, kw_only=True)
 class OptimalControlProblem:
-    """Statement of an optimal-control problem; see the module's text for the form.
-
-    Parameters
-    ----------
-    dynamics : casadi.Function
-        (x, u, p) -> dx/dt
-    stage : casadi.Function
-        (x, u, z, p) -> (integrands (k,), path rows (m,)); either may be empty (0, 1).
-    intermediate : casadi.Function, optional
-        (x, u, z, p) -> (y,), of the stage's own symbols: quantities through which most of the stage
-        is computed (joint torques). It makes second derivatives cheaper and changes no value.
-    objective : casadi.Function
-        (I (k,), T, z, x0, xf, p) -> scalar. T is the total duration.
-    integral_function : casadi.Function or None
-        (I, T, z, p) -> rows, bounded by `integral_rows`.
-    path_rows : tuple of Rows
-        Blocks of the path rows in order.
-    start, end : Waypoint or None
-        Nonlinear rows on the first and last state.
-    vias : tuple of Waypoint
-        Rows at the borders between phases; len(vias) + 1 phases.
-    duration : (lower, upper)
-        Of the whole; equal values fix it. [s]
-    phase_fraction_min : float
-        Smallest share of the upper duration that a phase may take (only with vias); with many, a
-        share of their mean (`shortest_phase_share`).
-    control_rate_lower, control_rate_upper : array (nu,)
-        Bounds of du/dt (jerk where u is an acceleration).
-    chains : tuple of (position index, velocity index, .., control index)
-        Chains of integrators: each state's derivative IS the next one, the last one's IS that
-        control; all of one length. Integrated exactly. Of length 3 (the control is an
-        acceleration) in every transcription: piecewise-linear control then gives positions that
-        are C2 cubic splines. Longer ones, for smoother motions, with piecewise-linear control only.
-    parameters : array (np,)
-        Default value of p.
-    """
+    """Statement of an optimal-control problem; see the module's text for the form."""
 
     name: str
     states: tuple[str, ...]
     controls: tuple[str, ...]
-    dynamics: ca.Function
+    dynamics: ca.Function  # (x, u, p) -> dx/dt
+    # (x, u, z, p) -> (integrands (k,), path rows (m,)); either may be empty (0, 1).
     stage: ca.Function
+    # (I (k,), T, z, x0, xf, p) -> scalar. T is the total duration.
     objective: ca.Function
-    duration: tuple[float, float]
+    duration: tuple[float, float]  # (lower, upper) of the whole; equal values fix it [s]
     statics: tuple[str, ...] = ()
-    path_rows: tuple[Rows, ...] = ()
+    path_rows: tuple[Rows, ...] = ()  # blocks of the path rows in order
+    # (x, u, z, p) -> (y,), of the stage's own symbols: quantities through which most of the stage
+    # is computed (joint torques). It makes second derivatives cheaper and changes no value.
     intermediate: ca.Function | None = None
-    integral_function: ca.Function | None = None
+    integral_function: ca.Function | None = None  # (I, T, z, p) -> rows, bounded by `integral_rows`
     integral_rows: tuple[Rows, ...] = ()
+    # Nonlinear rows on the first and last state.
     start: Waypoint | None = None
     end: Waypoint | None = None
-    vias: tuple[Waypoint, ...] = ()
+    vias: tuple[Waypoint, ...] = ()  # rows at the borders between phases; len(vias) + 1 phases
+    # Smallest share of the upper duration that a phase may take (only with vias); with many, a
+    # share of their mean (`shortest_phase_share`).
     phase_fraction_min: float = 0.02
     state_lower: np.ndarray
     state_upper: np.ndarray
     control_lower: np.ndarray
     control_upper: np.ndarray
+    # (nu,) bounds of du/dt (jerk where u is an acceleration).
     control_rate_lower: np.ndarray | None = None
     control_rate_upper: np.ndarray | None = None
     static_lower: np.ndarray = field(default_factory=lambda: np.zeros(0))
@@ -193,8 +145,13 @@ class OptimalControlProblem:
     initial_control_upper: np.ndarray | None = None
     final_control_lower: np.ndarray | None = None
     final_control_upper: np.ndarray | None = None
+    # (position index, velocity index, .., control index) chains of integrators: each state's
+    # derivative IS the next one, the last one's IS that control; all of one length. Integrated
+    # exactly. Of length 3 (the control is an acceleration) in every transcription: piecewise-linear
+    # control then gives positions that are C2 cubic splines. Longer ones, for smoother motions,
+    # with piecewise-linear control only.
     chains: tuple[tuple[int, ...], ...] = ()
-    parameters: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    parameters: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (np,) default value of p
     state_scale: np.ndarray | None = None
     control_scale: np.ndarray | None = None
     static_scale: np.ndarray | None = None
@@ -244,20 +201,13 @@ class OptimalControlProblem:
 
 @dataclass(frozen=True, kw_only=True)
 class Guess:
-    """Initial guess: callables of the scaled time s in [0, 1] over the whole motion.
+    """Initial guess: callables of the scaled time s in [0, 1] over the whole motion."""
 
-    Parameters
-    ----------
-    states, controls : callable
-        s (k,) -> (k, nx), (k, nu)
-    statics : array (nz,)
-    phase_fractions : array (phases,)
-        Share of the duration that each phase takes; sums to one. Equal shares are taken when the
-        number of entries is not that of the phases.
-    """
-
+    # s (k,) -> (k, nx), (k, nu).
     states: Callable[[np.ndarray], np.ndarray]
     controls: Callable[[np.ndarray], np.ndarray]
     duration: float
-    statics: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    statics: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (nz,)
+    # (phases,) share of the duration that each phase takes; sums to one. Equal shares are taken
+    # when the number of entries is not that of the phases.
     phase_fractions: np.ndarray = field(default_factory=lambda: np.ones(1))

@@ -22,7 +22,7 @@ import casadi as ca
 import numpy as np
 
 from stiffopt import native
-from stiffopt.interpreter.batched import batched
+from stiffopt.interpreter.batched import Batch, read_batch
 from stiffopt.symbolic import BufferedFunction
 from stiffopt.transcription.node_derivatives import NumberedStage, extract_numbers
 
@@ -31,7 +31,9 @@ _SHARED_INPUTS = (1, 2)
 # Functions kept for another mesh or the next problem of the same formula.
 MAX_KEPT = 16
 
-_kept_functions: OrderedDict[tuple[str, Path | None], tuple[ca.Function, ...]] = OrderedDict()
+kept_functions: OrderedDict[tuple[str, Path | None], tuple[ca.Function, ...]] = OrderedDict()
+# By formula, what the compiled core reads of them.
+kept_batches: OrderedDict[str, tuple[Batch, ...]] = OrderedDict()
 
 
 def stage_functions(stage: NumberedStage) -> tuple[ca.Function, ...]:
@@ -50,34 +52,33 @@ def _prepare_once(
 ) -> tuple[ca.Function, ...]:
     path = native.library()
     key = (formula, path)
-    if key not in _kept_functions:
-        found = functions()
+    if key not in kept_functions:
+        several: list[ca.Function | None] = [None]
         if path is not None:
-            # Values and Jacobian are evaluated repeatedly at one iterate.
-            several = [
-                batched(path, each, _SHARED_INPUTS, recalled=len(found) > 1 and k < 2)
-                for k, each in enumerate(found)
-            ]
-            # All functions of one stage must have the same number of points.
-            if None not in several:
-                found = tuple(each for each in several if each is not None)
-        _kept_functions[key] = found
-    _kept_functions.move_to_end(key)
-    while len(_kept_functions) > MAX_KEPT:
-        _kept_functions.popitem(last=False)
-    return _kept_functions[key]
+            if formula not in kept_batches:
+                found = functions()
+                # Values and Jacobian are evaluated repeatedly at one iterate.
+                kept_batches[formula] = tuple(
+                    read_batch(each, _SHARED_INPUTS, recalled=len(found) > 1 and k < 2)
+                    for k, each in enumerate(found)
+                )
+            several = [each.load(path) for each in kept_batches[formula]]
+        # All functions of one stage must have the same number of points.
+        loaded = tuple(each for each in several if each is not None)
+        kept_functions[key] = loaded if len(loaded) == len(several) else functions()
+    kept_functions.move_to_end(key)
+    for kept in (kept_functions, kept_batches):
+        while len(kept) > MAX_KEPT:
+            kept.popitem(last=False)
+    return kept_functions[key]
 
 
 class PointFunction:
     """Values, without derivatives, of a function at any number of points.
 
-    Parameters
-    ----------
-    function : casadi.Function
-        (x, u, z, p) -> (m,), of SX.
-    extended : callable, optional
-        (variables, values) -> (variables, values) to be evaluated in their place, as derivatives:
-        numbers are extracted from the short function, before it is extended.
+    `function`: (x, u, z, p) -> (m,), of SX. `extended`: (variables, values) -> (variables, values)
+    to be evaluated in their place, as derivatives: numbers are extracted from the short function,
+    before it is extended.
     """
 
     def __init__(
@@ -96,12 +97,8 @@ class PointFunction:
     def __call__(self, variables: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """Values (m, k).
 
-        Parameters
-        ----------
-        variables : array (n, k)
-            x above u above z at every point.
-        parameters : array (np,)
-            The same at all points.
+        `variables` (n, k): x above u above z at every point. `parameters` (np,): the same at all
+        points.
         """
         function, count = self._function, variables.shape[1]
         lanes = int(function.size2_in(0))
@@ -116,17 +113,11 @@ class PointFunction:
 class StageFunction:
     """Stage of a problem at `count` points, with exact derivatives.
 
-    Parameters
-    ----------
-    parameters : int
-        Number of the programme's parameters that the stage has; its numbers are the last.
-    basis : MX (k, count), optional
-        Basis of the splines at every point, where their coefficients are the variables.
-
-    Notes
-    -----
-    The variables of all points are one matrix (n, count), so are the values (m, count); as vectors
-    their columns follow one another. `parameters` of the methods are all of the programme's.
+    `parameters`: number of the programme's parameters that the stage has; its numbers are the last.
+    `basis` (k, count): basis of the splines at every point, where their coefficients are the
+    variables. The variables of all points are one matrix (n, count), so are the values (m, count);
+    as vectors their columns follow one another. `parameters` of the methods are all of the
+    programme's.
     """
 
     def __init__(
@@ -156,12 +147,8 @@ class StageFunction:
     def hessian(self, variables: ca.MX, parameters: ca.MX, weights: ca.MX) -> ca.MX:
         """Second derivatives of the values' weighted sum (n count, n count), block-diagonal.
 
-        Only the upper half where spline coefficients are the variables.
-
-        Parameters
-        ----------
-        variables, parameters : MX (n, count), (np,)
-        weights : MX (m, count)
+        Only the upper half where spline coefficients are the variables. `variables` and
+        `parameters` (n, count), (np,). `weights` (m, count).
         """
         found = self._hessian(
             *self._stage_arguments(variables, parameters), self._pad_columns(weights)
@@ -199,19 +186,11 @@ def compose_derivatives(
 ) -> tuple[ca.MX, ca.MX, dict[str, ca.Function]]:
     """Compose objective and rows as expressions of x, and derivatives for `casadi.nlpsol`.
 
-    Parameters
-    ----------
-    symbols : MX
-        z, parameters p, and v (m, count), the placeholder of the stage's values.
-    variables : MX (n, count)
-        w(z).
-    objective, rows : MX
-        f(z, v), g(z, v).
-    lifted : (MX, DM or None)
-        x and a constant matrix z'(x): z are the variables and copies of some of them, by which
-        second derivatives are sparse. None where z is x.
-    slope : MX, optional
-        w'(x), where its sparsity is known better than by CasADi.
+    `symbols`: z, parameters p, and v (m, count), the placeholder of the stage's values. `variables`
+    (n, count): w(z). `objective` and `rows`: f(z, v), g(z, v). `lifted` (MX, DM or None): x and a
+    constant matrix z'(x): z are the variables and copies of some of them, by which second
+    derivatives are sparse. None where z is x. `slope`: w'(x), where its sparsity is known better
+    than by CasADi.
     """
     z, p, v = symbols
     x, lift = lifted

@@ -20,17 +20,10 @@ from stiffopt.transcription.ocp import OptimalControlProblem, Rows
 
 @dataclass(frozen=True)
 class Intervals:
-    """Intervals of a mesh in order of time.
+    """Intervals of a mesh in order of time."""
 
-    Attributes
-    ----------
-    phase : array (K,)
-        Phase of each interval.
-    start, width : array (K,)
-        Fractions of the phase's duration.
-    """
-
-    phase: np.ndarray
+    phase: np.ndarray  # (K,) phase of each interval
+    # (K,) fractions of the phase's duration.
     start: np.ndarray
     width: np.ndarray
 
@@ -73,46 +66,30 @@ class Intervals:
 
 @dataclass(frozen=True, kw_only=True)
 class StagePoints:
-    """Points at which the stage is evaluated.
+    """Points at which the stage is evaluated."""
 
-    Attributes
-    ----------
-    states, controls : MX (nx, P), (nu, P)
-    weights : array (P, K)
-        Quadrature weights of the points, as factors of the interval durations.
-    places : Places (P,)
-    main : array (P,) of bool
-        False for points that only rows with `midpoints` use.
-    """
-
+    # (nx, P), (nu, P).
     states: ca.MX
     controls: ca.MX
+    # (P, K) quadrature weights of the points, as factors of the interval durations.
     weights: np.ndarray
-    places: Places
-    main: np.ndarray
+    places: Places  # (P,)
+    main: np.ndarray  # (P,) False for points that only rows with `midpoints` use
 
 
 @dataclass(frozen=True, kw_only=True)
 class Symbols:
-    """Unscaled symbols of one NLP under construction.
-
-    Attributes
-    ----------
-    states, controls : MX (nx, NX), (nu, NU)
-    durations : MX (K,)
-        Of each interval's phase [s].
-    parameters : MX (np, 1)
-    spline_values : callable, optional
-        Places -> states and controls (nx + nu, P), where spline coefficients are variables.
-    """
+    """Unscaled symbols of one NLP under construction."""
 
     ocp: OptimalControlProblem
     intervals: Intervals
+    # (nx, NX), (nu, NU).
     states: ca.MX
     controls: ca.MX
-    durations: ca.MX
-    parameters: ca.MX
-    spline_values: Callable[[Places], ca.MX] | None = None
+    durations: ca.MX  # (K,) of each interval's phase [s]
+    parameters: ca.MX  # (np, 1)
+    # `ChainSplines.at` of the coefficients, where these are variables.
+    spline_values: Callable[..., ca.MX] | None = None
 
     @cached_property
     def first_order(self) -> list[int]:
@@ -159,22 +136,13 @@ Defect = tuple[str, list[int], ca.MX, Places]
 
 
 class Scheme(abc.ABC):
-    """Nodes of one interval and the equations on them.
-
-    Attributes
-    ----------
-    state_nodes : array
-        Local nodes with 0 (shared with the interval before) and 1.
-    control_nodes : array
-        Local nodes; where the first is 0 it is shared with the interval before.
-    rate_nodes : array
-        Local points where the control's time derivative is bounded.
-    """
+    """Nodes of one interval and the equations on them."""
 
     name: str
-    state_nodes: np.ndarray
+    state_nodes: np.ndarray  # local nodes with 0 (shared with the interval before) and 1
+    # Local nodes; where the first is 0 it is shared with the interval before.
     control_nodes: np.ndarray
-    rate_nodes: np.ndarray
+    rate_nodes: np.ndarray  # local points where the control's time derivative is bounded
 
     @property
     def continuous_control(self) -> bool:

@@ -23,69 +23,43 @@ from stiffopt.transcription.scheme import Intervals, Scheme
 
 @dataclass(frozen=True, kw_only=True)
 class Unpacked:
-    """A motion read from an NLP vector, in the problem's units.
+    """A motion read from an NLP vector, in the problem's units."""
 
-    Attributes
-    ----------
-    times : array (NX,)
-        Times of the states [s].
-    states : array (NX, nx)
-    control_times : array (NU,)
-        Times of the controls [s]; those of `times` unless the scheme has no control at the start.
-    controls : array (NU, nu)
-    statics : array (nz,)
-    duration : float
-        [s]
-    phase_durations : array (phases,)
-        [s]
-    breaks : array (K + 1,)
-        Borders of the intervals [s].
-    integrals : array (k,)
-    """
-
-    times: np.ndarray
-    states: np.ndarray
+    times: np.ndarray  # (NX,) times of the states [s]
+    states: np.ndarray  # (NX, nx)
+    # (NU,) times of the controls [s]; those of `times` unless the scheme has no control at the
+    # start.
     control_times: np.ndarray
-    controls: np.ndarray
-    statics: np.ndarray
-    duration: float
-    phase_durations: np.ndarray
-    breaks: np.ndarray
-    integrals: np.ndarray
+    controls: np.ndarray  # (NU, nu)
+    statics: np.ndarray  # (nz,)
+    duration: float  # [s]
+    phase_durations: np.ndarray  # (phases,) [s]
+    breaks: np.ndarray  # (K + 1,) borders of the intervals [s]
+    integrals: np.ndarray  # (k,)
     objective: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class Transcription:
-    """NLP of an optimal-control problem on a mesh; made by `transcribe`.
-
-    Attributes
-    ----------
-    mesh : list of array
-        Interval fractions of each phase.
-    states, controls, statics, durations : Block or None
-        Blocks of these variables in the NLP vector; `durations` is None when fixed.
-    splines, coefficients : ChainSplines, Block or None
-        Splines whose coefficients are the variables, and the block of these. The blocks of states
-        and controls then hold their bounds and scales only.
-    path_blocks : tuple of (Block, array)
-        Blocks of the path rows among the NLP's rows, and their indices in the stage's path rows.
-    structure : str
-        Hash, equal for problems whose programmes differ in bounds and `Nlp.numbers` only.
-    """
+    """NLP of an optimal-control problem on a mesh; made by `transcribe`."""
 
     ocp: OptimalControlProblem
     scheme: Scheme
-    mesh: Mesh
+    mesh: Mesh  # interval fractions of each phase
     nlp: Nlp
+    # Blocks of these variables in the NLP vector; `durations` is None when fixed.
     states: Block
     controls: Block
     statics: Block
     durations: Block | None
+    # Splines whose coefficients are the variables, and the block of these. The blocks of states and
+    # controls then hold their bounds and scales only.
     splines: ChainSplines | None = None
     coefficients: Block | None = None
+    # Blocks of the path rows among the NLP's rows, and their indices in the stage's path rows.
     path_blocks: tuple[tuple[Block, np.ndarray], ...]
     outputs: ca.Function
+    # Hash, equal for problems whose programmes differ in bounds and `Nlp.numbers` only.
     structure: str
 
     @property
@@ -99,6 +73,14 @@ class Transcription:
             return np.array([self.ocp.duration[0]])
         durations: np.ndarray = self.durations.take(x)[0]
         return durations
+
+    def steps(self, x: np.ndarray) -> np.ndarray:
+        """Duration of each interval [s] (K,)."""
+        return np.asarray(self.intervals.shares @ self.phase_durations(x))
+
+    def breaks(self, x: np.ndarray) -> np.ndarray:
+        """Borders of the intervals [s] (K + 1,)."""
+        return np.concatenate([[0.0], np.cumsum(self.steps(x))])
 
     def times_of(self, places: Places, x: np.ndarray) -> np.ndarray:
         """Times (k,) [s] of places in the motion of an NLP vector."""
@@ -145,7 +127,6 @@ class Transcription:
         p = self.ocp.parameters if parameters is None else parameters
         durations = self.phase_durations(x)
         integrals, objective = self.outputs(x, self.nlp.parameters(p))
-        steps = self.intervals.shares @ durations
         return Unpacked(
             times=_place_times(self.scheme.state_places(self.intervals), durations),
             states=self.node_states(x),
@@ -154,15 +135,14 @@ class Transcription:
             statics=self.statics.take(x)[0],
             duration=float(durations.sum()),
             phase_durations=durations,
-            breaks=np.concatenate([[0.0], np.cumsum(steps)]),
+            breaks=self.breaks(x),
             integrals=array_of(integrals).ravel(),
             objective=float(objective),
         )
 
     def control_polynomials(self, x: np.ndarray) -> np.ndarray:
         """Power coefficients (K, m, nu) of the controls in local time [s], lowest power first."""
-        durations = self.phase_durations(x)
-        steps = self.intervals.shares @ durations
+        steps = self.steps(x)
         values = self._node_controls(x)[self.scheme.control_columns(len(steps))]
         coefficients = np.einsum(
             "ij,kjn->kin", grid.power_from_values(self.scheme.control_nodes), values
@@ -174,29 +154,20 @@ class Transcription:
     def acceleration_polynomials(
         self, x: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return the second-order states as piecewise-polynomial accelerations.
+        """Return the second-order states as piecewise-polynomial accelerations, from their start.
 
-        Returns
-        -------
-        breaks : array (K + 1,)
-            [s]
-        coefficients : array (K, degree + 1, n)
-            Power basis in the time since the interval's start [s], lowest power first; n runs
-            over `ocp.chains`.
-        position, velocity : array (n,)
-            At the start.
+        Breaks (K + 1,) [s], coefficients (K, degree + 1, n) in the time since the interval's start,
+        lowest power first, for n `ocp.chains`; position and velocity (n,) at the start.
         """
         if not self.ocp.chains:
             raise ProblemError(
                 f"{self.ocp.name}: no second-order states, so there is no acceleration to export."
             )
         q, v, *higher, u = (list(index) for index in zip(*self.ocp.chains, strict=True))
-        steps = self.intervals.shares @ self.phase_durations(x)
         states, controls = self.node_states(x), self.control_polynomials(x)[:, :, u]
-        breaks = np.concatenate([[0.0], np.cumsum(steps)])
-        starts = states[self.scheme.state_columns(len(steps))[:, 0]]
+        starts = states[self.scheme.state_columns(len(controls))[:, 0]]
         coefficients = _integrate_polynomials([starts[:, own] for own in higher], controls)
-        return breaks, coefficients, states[0, q], states[0, v]
+        return self.breaks(x), coefficients, states[0, q], states[0, v]
 
     def guess_from(self, x: np.ndarray) -> Guess:
         """Return the motion as a guess for another mesh or scheme.
@@ -207,10 +178,8 @@ class Transcription:
         x = np.asarray(x, dtype=float).ravel()
         durations = self.phase_durations(x)
         total = float(durations.sum())
-        steps = self.intervals.shares @ durations
-        breaks = np.concatenate([[0.0], np.cumsum(steps)])
-        controls = self.control_polynomials(x)
-        states = self._state_polynomials(x, steps, controls)
+        breaks, controls = self.breaks(x), self.control_polynomials(x)
+        states = self._state_polynomials(x, self.steps(x), controls)
         return Guess(
             states=lambda s: _evaluate_pieces(breaks, states, np.asarray(s) * total),
             controls=lambda s: _evaluate_pieces(breaks, controls, np.asarray(s) * total),
@@ -299,9 +268,7 @@ def _integrate_polynomials(starts: list[np.ndarray], coefficients: np.ndarray) -
 def _sample_guess(
     function: Callable[[np.ndarray], np.ndarray], block: Block, places: Places, shares: np.ndarray
 ) -> np.ndarray:
-    starts = np.cumsum(shares) - shares
-    s = starts[places.phase] + shares[places.phase] * places.fraction
-    values = np.asarray(function(s), dtype=float)
+    values = np.asarray(function(_place_times(places, shares)), dtype=float)
     expected = (len(places), len(block.rows))
     if values.shape != expected:
         raise ProblemError(

@@ -151,12 +151,12 @@ def lighter_rotors(patch):
 
 
 def shorter_tool(patch):
-    sound = stage_model.point_jacobian
+    sound = stage_model.frame_jacobian
 
-    def point_jacobian(tree, number, offset, q):
-        return sound(tree, number, 0.9 * np.asarray(offset), q)
+    def frame_jacobian(tree, frame, q):
+        return sound(tree, replace(frame, offset=0.9 * frame.offset), q)
 
-    patch.setattr(stage_model, "point_jacobian", point_jacobian)
+    patch.setattr(stage_model, "frame_jacobian", frame_jacobian)
 
 
 def static_left_in(patch):

@@ -5,13 +5,27 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
-from servo_sets import ARMATURE, COULOMB, DELAY, KP, URDF, VISCOUS, commanded_motion
+from servo_sets import (
+    ARMATURE,
+    COULOMB,
+    DELAY,
+    GRAVITY,
+    INERTIA,
+    KP,
+    LEVER,
+    MASS,
+    URDF,
+    VISCOUS,
+    commanded_motion,
+)
 
 from stiffopt.actuator.law import ActuatorLaw
 from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.parameters import Parameters, zero_parameters
+from stiffopt.closed_loop.physics import LoopPhysics, LoopSpring
 from stiffopt.closed_loop.polish import polish
 from stiffopt.closed_loop.simulation import (
     CommandedRun,
@@ -109,3 +123,97 @@ def test_polish_finds_friction_armature_and_delay_from_none(loop: CommandedArm) 
     assert abs(own.delay - DELAY) < 1e-3
     assert found.residual[0] < 1e-3
     assert (found.deviations[deviations == 0.0] == 0.0).all()
+
+
+# Of a joint with backlash: width [rad], rounding of its flanks [N m], their stiffness [N m/rad].
+WIDTH, ROUNDING, FLANK, SPRING_DAMPING = 0.03, 0.03, 60.0, 0.05
+
+
+def wound(torque: float | np.ndarray | ca.SX) -> float | np.ndarray | ca.SX:
+    """Motor less link angle."""
+    return 0.5 * WIDTH * torque / (torque**2 + ROUNDING**2) ** 0.5 + torque / FLANK
+
+
+def two_masses(run: CommandedRun, *, at_output: bool) -> np.ndarray:
+    """Readings (K,) of a motor and a pendulum with backlash between them, in small steps."""
+    loads = np.sinh(np.linspace(-9.0, 9.0, 4001)) * 1e-3
+    angles = np.asarray(wound(loads))
+    h, motor, link, v, w = 2e-5, run.position[0, 0], run.position[0, 0], 0.0, 0.0
+    # The spring carries the weight from the beginning.
+    weight = MASS * GRAVITY * LEVER * np.sin(link)
+    if at_output:
+        motor = link + float(np.asarray(wound(weight)))
+    else:
+        link = motor - float(np.asarray(wound(weight)))
+    found = np.empty(len(run.time))
+    every = round((run.time[1] - run.time[0]) / h)
+    late = round(DELAY / h)
+    sent = np.repeat(run.command[:, 0], every)
+    about = INERTIA + MASS * LEVER**2
+    for k in range(len(found)):
+        found[k] = link if at_output else motor
+        for s in range(every):
+            u = sent[max(k * every + s - late, 0)]
+            carried = np.interp(motor - link, angles, loads) + SPRING_DAMPING * (w - v)
+            drive = KP * (u - (link if at_output else motor)) - carried
+            free = w + h * (drive - VISCOUS * w) / ARMATURE
+            most = h * COULOMB / ARMATURE
+            w = 0.0 if abs(free) < most else free - most * np.sign(free)
+            v += h * (carried - MASS * GRAVITY * LEVER * np.sin(link)) / about
+            motor, link = motor + h * w, link + h * v
+    return found
+
+
+@pytest.mark.parametrize("at_output", [False, True])
+def test_backlash_moves_both_sides_as_two_masses_do(loop: CommandedArm, at_output: bool) -> None:
+    run = recorded(5, 2.0)
+    run = replace(run, position=np.zeros_like(run.position), velocity=np.zeros_like(run.velocity))
+    spring = LoopSpring(windup=wound, damping=SPRING_DAMPING, encoder_at_output=at_output)
+    own = CommandedArm(loop.tree, loop.law, np.zeros(1), LoopPhysics(springs={0: spring}))
+    found = simulate(own, run, true_parameters())[:, 0]
+    wanted = two_masses(run, at_output=at_output)
+    plain = simulate(loop, run, true_parameters())[:, 0]
+    away = float(np.std(wanted - plain))
+    assert away > 2e-3
+    assert float(np.std(found - wanted)) < 0.1 * away
+
+
+def test_derivatives_pass_through_a_spring(loop: CommandedArm) -> None:
+    spring = LoopSpring(windup=lambda torque: torque / FLANK, damping=SPRING_DAMPING)
+    own = CommandedArm(loop.tree, loop.law, np.zeros(1), LoopPhysics(springs={0: spring}))
+    run, start = recorded(6, 0.6), true_parameters()
+    place = start.place("armature").start
+    whole = [Stretch(run, 0, len(run.time) - 1, run.velocity[0])]
+    slopes = simulate_stretches(own, whole, start, np.array([place]))[0].slopes[:, 0, 0]
+    moved = []
+    for sign in (1.0, -1.0):
+        values = start.values.copy()
+        values[place] += sign * 1e-6
+        moved.append(simulate_stretches(own, whole, replace(start, values=values))[0].position)
+    numeric = (moved[0] - moved[1])[:, 0] / 2e-6
+    np.testing.assert_allclose(slopes, numeric, atol=1e-4 * np.abs(numeric).max())
+
+
+def test_torques_by_accelerations_count_as_inertia(loop: CommandedArm) -> None:
+    """A rotor stated as an added torque is the rotor stated as an armature."""
+    run, more = recorded(6, 1.0), 0.02
+    added = LoopPhysics(torque=lambda signals: more * signals.acceleration)
+    own = CommandedArm(loop.tree, loop.law, np.zeros(1), added)
+    heavier = true_parameters()
+    heavier.values[heavier.place("armature")] += more
+    np.testing.assert_allclose(
+        simulate(own, run, true_parameters()), simulate(loop, run, heavier), atol=1e-9
+    )
+
+
+def test_a_displaced_link_carries_its_weight_there(loop: CommandedArm) -> None:
+    physics = LoopPhysics(displacement=lambda position: 0.3 * position)
+    own = CommandedArm(loop.tree, loop.law, np.zeros(1), physics)
+    run = recorded(6, 3.0)
+    run = replace(run, command=np.full_like(run.command, 0.8))
+    free = true_parameters()
+    free.values[free.place("coulomb")] = 0.0
+    end = float(simulate(own, run, free)[-1, 0])
+    # By virtual work the motor carries 0.7 of the weight at 0.7 of its angle.
+    carried = 0.7 * MASS * GRAVITY * LEVER * np.sin(0.7 * end)
+    np.testing.assert_allclose(KP * (0.8 - end), carried, rtol=1e-3)

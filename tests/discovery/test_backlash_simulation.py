@@ -65,7 +65,7 @@ def test_spring_law_compliance_is_mean_over_sample_period(played):
 def test_simulate_links_across_play_matches_simulator(played):
     case, training, play = played
     for number, run in enumerate(training.runs):
-        found, *_ = linearise_run(run, training.robot, Extension(), play)
+        found, *_ = linearise_run(run, Extension(), play)
         wound = found.signals.motor_position - found.signals.link_position
         every = slice(None, len(run.time) * case.spec.substeps, case.spec.substeps)
         true = (case.trace.motor - case.trace.link)[number, every]

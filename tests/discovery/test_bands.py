@@ -46,23 +46,25 @@ def test_prediction_bands_with_noisy_encoders_are_narrower(tmp_path: Path) -> No
     folder = recorded(tmp_path, [("train", (1.0, 1.3))], "nominal = { coulomb = [3.0, 2.5] }\n")
     training = prepare_training(load_recordings(folder), Settings(cutoff=12.0))
     noisy = replace(training, recorded=tuple(_noisy(run) for run in training.recorded))
-    wide, narrow = (choose_prediction_bands(each, [Extension()]) for each in (training, noisy))
+    wide, narrow = (choose_prediction_bands(each, Extension()) for each in (training, noisy))
     assert max(narrow) < min(wide)
 
 
 def test_prediction_bands_limit_only_elastic_joints(monkeypatch: pytest.MonkeyPatch) -> None:
     """A rigid joint beside an elastic one follows what its own torque bears out."""
     monkeypatch.setattr(
-        prediction_bands, "_torque_errors", lambda *given: np.full(2, given[2] ** -2.0)
+        prediction_bands,
+        "_torque_errors",
+        lambda *given: np.outer(np.array(given[2]) ** -2.0, [1, 1]),
     )
     training = _training()
     first, second = training.constants.joints
-    elastic = choose_prediction_bands(training, ())
+    elastic = choose_prediction_bands(training, Extension())
     joints = (first, replace(second, chain=None))
     mixed = replace(training, constants=replace(training.constants, joints=joints))
     assert elastic[0] == elastic[1]
-    assert choose_prediction_bands(mixed, ())[0] == elastic[0]
-    assert choose_prediction_bands(mixed, ())[1] > elastic[1]
+    assert choose_prediction_bands(mixed, Extension())[0] == elastic[0]
+    assert choose_prediction_bands(mixed, Extension())[1] > elastic[1]
 
 
 def test_bands_with_little_motion_keep_defaults() -> None:
@@ -74,5 +76,5 @@ def test_bands_with_little_motion_keep_defaults() -> None:
     assert choose_fit_band(robot, [still], slow=0.03, fit=12.0, predict=20.0) == 12.0
     training = _training()
     at_rest = replace(training, recorded=(replace(still, velocity=None),))
-    bands = choose_prediction_bands(at_rest, [Extension()])
+    bands = choose_prediction_bands(at_rest, Extension())
     assert set(bands) == {prediction_bands.PREDICTION_CUTOFF}

@@ -166,13 +166,63 @@ def test_ripple_and_transmission_error_have_expected_orders():
 
 def test_wrist_coupling_does_no_work():
     signals = ROBOT.of_joint(4)
-    term = effect("wrist_coupling").term(signals, [0.02], [])
+    term = effect("wrist_coupling").term(signals, [0.02], [0.0, 0.0])
     before = ROBOT.motor_velocity[:, 3]
     # The link turns by c of the joint before, so the spring's work is what that joint gives.
     given = term.previous_torque * before
     taken = signals.spring_torque * (0.02 * before)
     np.testing.assert_allclose(term.deflection, -0.02 * signals.previous_position)
     np.testing.assert_allclose(given, taken, rtol=1e-12)
+
+
+def test_friction_and_rotor_at_the_link_of_a_coupled_wrist_take_the_power_of_its_motion():
+    share = 1e-5
+    constants = replace(ROBOT.of_joint(4).constants, coulomb=0.7, viscous=0.3, rotor_inertia=0.05)
+    signals = replace(
+        ROBOT.of_joint(4), constants=constants, spring_torque=np.zeros(len(ROBOT.time))
+    )
+    own, rate, before = (
+        signals.motor_velocity, signals.motor_acceleration, signals.previous_velocity
+    )  # fmt: skip
+
+    def taken(c: float) -> np.ndarray:
+        """Power of friction and rotor at the link."""
+        speed, faster = own + c * before, rate + c * signals.previous_acceleration
+        torque = 0.7 * np.tanh(speed / 0.01) + 0.3 * speed + 0.05 * faster
+        return torque * speed
+
+    drive = 0.7 * np.tanh(own / 0.01) + 0.3 * own + 0.05 * rate
+    term = effect("wrist_coupling").term(
+        replace(signals, drive_torque=drive), [share], [share, 1.0]
+    )
+    given = term.drive_torque * own + term.previous_torque * before
+    wanted = taken(share) - taken(0.0)
+    np.testing.assert_allclose(given, wanted, atol=1e-3 * np.abs(wanted).max())
+
+
+def test_a_motor_behind_the_encoder_takes_the_impulses_of_its_travel():
+    signals = ROBOT.of_joint(4)
+    width, rounding = 0.02, 3.0
+    time = np.arange(400) * 1e-3
+    load = 10.0 * np.cos(2.0 * np.pi * 5.0 * time)
+    constants = replace(signals.constants, rotor_inertia=0.05, viscous=1e-9, coulomb=1e-9)
+    own = replace(
+        signals,
+        constants=constants,
+        dt=1e-3,
+        spring_torque=load,
+        motor_velocity=np.ones_like(time),
+    )
+    shapes = [width, rounding / constants.torque_rated]
+    torque = effect("output_backlash").term(own, [width], shapes).drive_torque
+    travel = 0.5 * width * load / np.hypot(load, rounding)
+    # Impulses of the rotor from one flank to the other: as much to start it as to stop it.
+    middle = slice(0, 100)
+    np.testing.assert_allclose(np.trapezoid(torque[middle], dx=1e-3), 0.0, atol=1e-4)
+    given = np.cumsum(torque) * 1e-3
+    peak = np.abs(given[middle]).max()
+    speed = np.abs(np.gradient(travel, 1e-3))[middle].max()
+    np.testing.assert_allclose(peak, 0.05 * speed, rtol=0.05)
 
 
 def test_coupled_drive_power_balance():

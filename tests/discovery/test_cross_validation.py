@@ -101,7 +101,7 @@ def test_friction_is_refitted_to_moving_samples() -> None:
     )
     # Its words follow the sign of the amplitude.
     assert "more dry friction" in there.effect.phrase_of(off.effects[0].amplitudes)
-    rows = _MovingSamples(training, training.settings, (), off, [effect("coulomb").identity])
+    rows = _MovingSamples(training, off, [effect("coulomb").identity])
     again = _apply_steps(training, off, rows, [effect("coulomb").identity])
     value, sd = again.parameters(0, there.constants(constants))["dFc"]
     known, exact = first.parameters(0, there.constants(constants))["dFc"]
@@ -115,11 +115,11 @@ def test_friction_contradicted_by_moving_samples_is_dropped() -> None:
     comparison = training.comparison()
     places = [LocatedEffect(effect=effect("coulomb"), joint=j) for j in (0, 1)]
     wrong = estimate_parameters(comparison, places).moved(np.array([1.0, 0.0]))
-    rows = _MovingSamples(training, training.settings, (), wrong, [effect("coulomb").identity])
+    rows = _MovingSamples(training, wrong, [effect("coulomb").identity])
     helps = [rows.helps(found, [effect("coulomb").identity], training) for found in wrong.effects]
     assert helps == [False, True]
     there = Selected(places[1], 1.0, 1.0, 1.0, (), 1)
-    kept, parameters = refit_friction(training, training.settings, (), comparison, [there])
+    kept, parameters = refit_friction(training, comparison, [there])
     assert kept == (there,)
     known = estimate_parameters(comparison, places[1:]).effects
     assert parameters.effects[0].amplitudes == known[0].amplitudes
@@ -132,5 +132,5 @@ def test_link_encoder_offset_is_not_refitted() -> None:
     offset = LocatedEffect(effect=effect("encoder_offset"), joint=0)
     there = LocatedEffect(effect=effect("coulomb"), joint=1)
     found = [Selected(each, 1.0, 1.0, 1.0, (), 1) for each in (offset, there)]
-    kept, _ = refit_friction(training, training.settings, (), comparison, found)
+    kept, _ = refit_friction(training, comparison, found)
     assert [each.located for each in kept] == [offset, there]

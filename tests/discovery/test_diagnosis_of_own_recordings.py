@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from swivel_sets import recorded, swivel_model
 
-import stiffopt.discovery.diagnose as diagnosing
+from stiffopt.discovery import opening
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.extended.model import load_extended
 from stiffopt.recording.recording_set import load_recordings
@@ -101,7 +101,7 @@ def test_open_residual_is_independent_of_decimation(tmp_path, monkeypatch, state
     # At five times the rate the same torque is more noise of a sample.
     section = model.left_open.model_copy(update={"sampling_rate": 100.0})
     for every in (1, 3):
-        monkeypatch.setattr(diagnosing, "decimation_factor", lambda runs, every=every: every)
+        monkeypatch.setattr(opening, "decimation_factor", lambda runs, every=every: every)
         found = diagnose(source, model=replace(model, left_open=section), experiment=False)
         assert found.verdict == "nothing_missing"
         left.append(found.left_open.torque[0])

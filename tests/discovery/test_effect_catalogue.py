@@ -74,6 +74,7 @@ REPORTED = {
     "tool_force": {"fx": "N", "fy": "N", "fz": "N"},
     "turning_tool_force": {"fx": "N", "fy": "N", "fz": "N"},
     "wrist_coupling": {"c": ""},
+    "output_backlash": {"width": "rad"},
     "external_contact": {"k": "N/m", "z": "m"},
     "inertial_error": {
         "dm": "kg",

@@ -122,7 +122,7 @@ def opened(what):
     comparison = training.comparison()
     fit = comparison.fit([each.located for each in LACKS.effects])
     run = recordings.open(recordings.with_role("test")[0])
-    predictor = Predictor(training.robot, run, training.constants, training.settings)
+    predictor = Predictor(training, run)
     prepared = predictor.nominal
     signals, at = prepared.signals, np.searchsorted(prepared.time, run.time)
     motion = [
@@ -142,9 +142,7 @@ def opened(what):
         with_role=lambda *_: [SimpleNamespace(file=run.file)],
         open=lambda _: replace(run, torque=run.torque + more),
     )
-    held = HeldOutRuns(
-        training, training.settings, (), LACKS, (), known=training_tracks(comparison, fit)
-    )
+    held = HeldOutRuns(training, LACKS, (), known=training_tracks(comparison, fit))
     held.predict_all(own, lambda _: None)
     return held
 

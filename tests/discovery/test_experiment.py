@@ -13,6 +13,7 @@ import pytest
 from benchmarks.simulator import CaseSpec, simulate, write_case
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.design_matrix import DesignMatrix
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.experiment.design import ExperimentPlan, leading_pair, plan_experiment
 from stiffopt.discovery.experiment.motion import (
@@ -80,7 +81,7 @@ def found() -> Found:
 @cache
 def plan() -> ExperimentPlan:
     own = found()
-    designed = plan_experiment(own.training, own.result, SETTINGS, (COULOMB, STRIBECK))
+    designed = plan_experiment(own.training, own.result, (COULOMB, STRIBECK))
     assert designed is not None
     return designed
 
@@ -103,7 +104,7 @@ def test_separation_is_residual_of_rival_refit() -> None:
     own = found()
     run = own.training.runs[0]
     base = own.comparison
-    single = Comparison(base.robot, [run], base.noise, base.tolerance)
+    single = Comparison(DesignMatrix(base.robot, (run,), base.noise, base.tolerance))
     left = []
     fits = [base.fit((e,)) for e in (COULOMB, STRIBECK)]
     columns = [single.stack_columns([e]) for e in (COULOMB, STRIBECK)]
@@ -124,7 +125,7 @@ def test_separation_is_independent_of_design_sampling() -> None:
     limits = motion_limits(own.training)
     motion = random_motion(limits, 5.0, np.random.default_rng(2))
     assert motion is not None
-    run = prepared_motion(own.training, own.training.constants, motion, SETTINGS)
+    run = prepared_motion(own.training, motion)
     separation = Separation(own.comparison, COULOMB, STRIBECK)
     plain, finer = separation.of(run), separation.of(run, step=run.signals.dt / 4.0)
     # What four times the samples say is at most twice as much, since parameters stay open.
@@ -168,9 +169,9 @@ def test_variations_improve_on_random_motions() -> None:
     for _ in range(24):
         motion = random_motion(limits, 5.0, random)
         assert motion is not None
-        run = prepared_motion(own.training, own.training.constants, motion, SETTINGS)
+        run = prepared_motion(own.training, motion)
         values.append(separation.of(run, step=own.training.runs[0].signals.dt))
-    designed = plan_experiment(own.training, own.result, SETTINGS, (COULOMB, crosstalk))
+    designed = plan_experiment(own.training, own.result, (COULOMB, crosstalk))
     assert designed is not None
     assert designed.separation > 1.1 * max(values)
 

@@ -120,9 +120,7 @@ def test_terms_do_not_use_measured_torque(tmp_path: Path) -> None:
             located = next(effect_places(effect, constants, [run.name]), None)
             if located is None:
                 continue
-            for one, two in zip(
-                located.columns(as_is, robot), located.columns(other, robot), strict=True
-            ):
+            for one, two in zip(located.columns(as_is), located.columns(other), strict=True):
                 for a, b in zip(one, two, strict=True):
                     same = (a is None and b is None) if a is None or b is None else (a == b).all()
                     assert same, located.label

@@ -52,3 +52,21 @@ def test_probability_is_the_product_of_its_shares(
     there = Selected(located, 1.0, 1.0, 1.0, (), 1)
     (found,) = build_findings(comparison, [there], known, training, np.array([again]))
     assert found.probability == pytest.approx(probability, abs=0.01)
+
+
+@pytest.mark.parametrize(("calibrated", "probability"), [(False, 0.7), (True, 0.96)])
+def test_friction_is_not_doubted_as_what_a_joint_may_lack(
+    training: Training, monkeypatch: pytest.MonkeyPatch, calibrated: bool, probability: float
+) -> None:
+    """Two deviations from zero, and predictions of stretches left out that need it."""
+    gain = LeftOutGain(
+        removed=10.0, left_open=0.0, share=0.5, explained=0.5, channel=1, support=1.0
+    )
+    monkeypatch.setattr(conclusions, "left_out_gains", lambda *_: (gain,))
+    monkeypatch.setattr(Estimate, "p_value", lambda *_: 0.05)
+    located = LocatedEffect(effect=effect("coulomb"), joint=1, calibrated=calibrated)
+    comparison = training.comparison()
+    there = Selected(located, 1.0, 1.0, 1.0, (), 1)
+    known = estimate_parameters(comparison, [located])
+    (found,) = build_findings(comparison, [there], known, training, np.ones(1))
+    assert found.probability == pytest.approx(probability, abs=0.02)

@@ -11,11 +11,11 @@ from shipped_set import SHIPPED
 from small_arms import ROOT
 
 from stiffopt.cli import run
-from stiffopt.discovery.comparison.channel_rows import known_noise
+from stiffopt.discovery.comparison.channel_rows import ChannelNoise, KnownNoise, known_noise
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepared_run import prepare_run
 from stiffopt.discovery.diagnose import diagnose
-from stiffopt.discovery.sanity.doubt import scale_line
+from stiffopt.discovery.sanity.doubt import format_shares, scale_line
 from stiffopt.discovery.sanity.gate import SanityGate
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import open_training_runs
@@ -128,3 +128,17 @@ def test_counts_of_a_torque_are_part_of_its_noise(count, tmp_path):
         for k, each in enumerate(open_training_runs(recordings))
     ]
     assert known_noise(recordings.noise, runs).channels.torque[1] >= 0.99 * count / np.sqrt(12.0)
+
+
+def test_noise_of_a_sliding_joint_is_a_force():
+    channels = ChannelNoise(torque=np.array([8.0, 2.0]), deflection=np.full(2, np.nan))
+    noise = KnownNoise(
+        channels=channels, torque_stated=np.zeros(2, bool), deflection_stated=np.ones(2, bool)
+    )
+    (told,) = noise.assumptions(np.array([True, False]))
+    assert "(joint 1: 8 N, 2: 2 N m)" in told
+
+
+def test_residual_shares_are_percentages():
+    told = format_shares(np.array([96.0, 0.64]), np.array([2.9e-4, 0.012]), [0, 1])
+    assert "0.029 % at joint 1 (as described 9,600 %), 1.2 % at joint 2 (as described 64 %)" in told

@@ -6,6 +6,7 @@ from simulated_sets import simulated
 
 from benchmarks.simulator import CaseSpec, write_case
 from stiffopt.discovery.comparison.filtering import interpolate_motion
+from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.comparison.prepared_run import motor_cutoff
 from stiffopt.discovery.judging.bursts import find_bursts
 from stiffopt.discovery.settings import SIGN_SPEED, Settings
@@ -47,12 +48,12 @@ def as_modelled(request, tmp_path_factory):
 
 
 def test_bursts_exclude_friction_reversal(as_modelled):
-    assert find_bursts(as_modelled, ()) is None
+    assert find_bursts(as_modelled, Extension()) is None
 
 
 @pytest.mark.parametrize("rate", RATES)
 def test_bursts_include_slow_drive_at_friction_reversal(tmp_path, rate):
-    found = find_bursts(trained(tmp_path, ("slew_limit", 4, 0.3), rate=rate), ())
+    found = find_bursts(trained(tmp_path, ("slew_limit", 4, 0.3), rate=rate), Extension())
     assert found is not None
     assert found.channels == ("torque_4",)
     assert found.regressors == ("dtorque_4",)

@@ -8,6 +8,7 @@ from simulated_sets import COULOMB, simulated
 
 from benchmarks.simulator import write_case
 from stiffopt.discovery.comparison.initial_states import estimate_initial_states, with_initial_state
+from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.judging.bursts import find_bursts
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.thresholds import BURST_RATIO
@@ -56,26 +57,28 @@ def vibrating(training, begin, *, links=False):
 
 
 def test_bursts_exclude_initial_vibration(begun_moving):
-    assert find_bursts(vibrating(begun_moving, BEGIN), ()) is None
+    assert find_bursts(vibrating(begun_moving, BEGIN), Extension()) is None
 
 
 def test_bursts_include_vibration_without_cause(begun_moving):
-    found = find_bursts(vibrating(begun_moving, LATER), ())
+    found = find_bursts(vibrating(begun_moving, LATER), Extension())
     assert found is not None
     assert found.channels[0] in ("torque_1", "torque_2")
 
 
 def test_bursts_exclude_measured_link_vibration(begun_moving):
     """Their encoders show what the torque shows: the arm swings otherwise than modelled."""
-    assert find_bursts(vibrating(begun_moving, LATER, links=True), ()) is None
+    assert find_bursts(vibrating(begun_moving, LATER, links=True), Extension()) is None
 
 
 def test_bursts_of_the_starting_model_are_not_reported(begun_moving):
     shaken = vibrating(begun_moving, LATER)
-    ratio = find_bursts(shaken, ()).ratio
+    ratio = find_bursts(shaken, Extension()).ratio
     least = np.full(4, 0.5 * ratio / BURST_RATIO)
-    assert find_bursts(replace(shaken, least=least), ()).ratio == pytest.approx(2.0 * BURST_RATIO)
-    assert find_bursts(replace(shaken, least=4.0 * least), ()) is None
+    assert find_bursts(replace(shaken, least=least), Extension()).ratio == pytest.approx(
+        2.0 * BURST_RATIO
+    )
+    assert find_bursts(replace(shaken, least=4.0 * least), Extension()) is None
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +93,7 @@ def heavy(tmp_path_factory):
 def shown(training, run):
     """The run as links show it that begin in a swing of two modes, and their true signals."""
     state = 0.7 * run.initial_states()[:, 0] + 0.7 * run.initial_states()[:, 1]
-    true = with_initial_state(run, training.comparison(), state).signals
+    true = with_initial_state(run, state).signals
     read = replace(
         run,
         torque=run.torque + true.drive_torque - run.signals.drive_torque,

@@ -97,7 +97,7 @@ def test_ctrl_c_in_last_stages_keeps_findings(tmp_path, monkeypatch, stage, told
     ("module", "stage", "left_out"),
     [
         (searching, "reidentify_rigid_model", "more effects may be missing"),
-        (searching, "select_supported", "not compared with their rivals"),
+        (searching, "select_predictive", "not compared with their rivals"),
         (rivals, "rank_rivals", "not compared with their rivals"),
         (diagnosing, "assess_findings", "after the search"),
         (diagnosing, "refit_friction", "without samples near standstill"),
@@ -122,7 +122,7 @@ def test_ctrl_c_after_first_fit_keeps_findings(tmp_path, monkeypatch, module, st
 
 def test_ctrl_c_in_second_search_keeps_first_result(tmp_path, monkeypatch):
     """Without what touched the arm all is sought anew: what a stop leaves of that is no answer."""
-    plain, answers = searches._search_once, []
+    plain, answers = searches.TrainingSearch._search_once, []
 
     def searched(*arguments, **named):
         answers.append(plain(*arguments, **named))
@@ -130,7 +130,7 @@ def test_ctrl_c_in_second_search_keeps_first_result(tmp_path, monkeypatch):
 
     touch = Episode(run="a", role="train", begin=3.0, end=3.5, joints=(1,), sizes=(1.0,))
     monkeypatch.setattr(searches, "_find_contacts", lambda result: (touch,))
-    monkeypatch.setattr(searches, "_search_once", searched)
+    monkeypatch.setattr(searches.TrainingSearch, "_search_once", searched)
     # Behind the first effects, each time.
     interrupted(monkeypatch, searching, "reidentify_rigid_model", 2)
     found = diagnosing.diagnose(unvouched(tmp_path), experiment=False)
@@ -162,17 +162,16 @@ def test_ctrl_c_keeps_predicted_runs_consistent(monkeypatch):
         with_role=lambda *_: [stands_for(file=name) for name in names],
         open=lambda _: stands_for(usable=True, at_rest=False),
     )
-    training = stands_for(robot=None, constants=None, noise=stands_for(channels=None))
+    training = stands_for(before=(), robot=None, noise=stands_for(channels=None))
     stopped = 0
     for line in range(200):
-        opened = held_out.HeldOutRuns(training, None, (), None, ())
+        opened = held_out.HeldOutRuns(training, None, ())
         opened.shares = stands_for(add=lambda *_: None)
         try:
             with interrupted_at(line, held_out.HeldOutRuns.predict_all):
                 opened.predict_all(recordings, lambda _: None)
         except KeyboardInterrupt:
             stopped += 1
-        assert len(opened.proofs) == len(opened.velocities)
         assert opened.left in ([], *([list(names[len(opened.proofs) :])]))
     assert 20 < stopped < 200
 
@@ -268,7 +267,7 @@ def test_ctrl_c_in_noise_ceiling_keeps_proof(tmp_path, monkeypatch):
 @pytest.mark.parametrize("later", [{"stopped": True}, {"hurried": True}])
 def test_stopped_search_is_reported_beside_better_result(monkeypatch, later):
     """Where links swing otherwise than the model's: three searches, of which one is the answer."""
-    plain, answers = searches._search_once, []
+    plain, answers = searches.TrainingSearch._search_once, []
 
     def searched(*arguments, **named):
         if not answers:
@@ -278,7 +277,7 @@ def test_stopped_search_is_reported_beside_better_result(monkeypatch, later):
         answers.append(worse)
         return worse
 
-    monkeypatch.setattr(searches, "_search_once", searched)
+    monkeypatch.setattr(searches.TrainingSearch, "_search_once", searched)
     monkeypatch.setattr(searches, "MAX_VIBRATION_MISFIT", 0.0)
     monkeypatch.setattr(diagnosing, "leading_pair", lambda selected: selected)
     monkeypatch.setattr(diagnosing, "plan_experiment", lambda *_, **__: pytest.fail("takes long"))

@@ -12,6 +12,7 @@ from shipped_set import SHIPPED
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.channel_rows import ChannelNoise
 from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.design_matrix import DesignMatrix
 from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.search.cross_validation import FoldPredictions
@@ -44,9 +45,8 @@ def test_noise_above_the_stated_one_is_no_open_law(noise: float, wave: float, op
     time = time[:: low_pass.step]
     residual = samples + wave * np.sin(2.0 * np.pi * 0.5 * time)
     run = SimpleNamespace(time=time, index=0, low_pass=low_pass)
-    comparison: Any = SimpleNamespace(
-        runs=[run], rows=SimpleNamespace(sample_signal=lambda signal: signal(run))
-    )
+    rows = SimpleNamespace(run=np.zeros(len(time)), sample_signal=lambda signal: signal(run))
+    comparison: Any = SimpleNamespace(runs=[run], rows=rows)
     squares = _smooth_squares(comparison, residual, np.ones(len(time), dtype=bool))
     assert squares / len(time) == pytest.approx(open_, abs=0.12)
 
@@ -66,7 +66,7 @@ def test_noise_that_is_stated_too_small_leaves_nothing_open() -> None:
     """What the channels hold above the filter's band is noise, whatever the set states."""
     whole = prepare_training(load_recordings(SHIPPED), Settings()).comparison()
     noise = ChannelNoise(0.5 * whole.noise.torque, 0.5 * whole.noise.deflection)
-    optimistic = Comparison(whole.robot, whole.runs, noise, whole.tolerance)
+    optimistic = Comparison(DesignMatrix(whole.robot, whole.runs, noise, whole.tolerance))
     there = LocatedEffect(effect=effect("coulomb"), joint=1)
     (gain,) = left_out_gains(optimistic, [there])
     assert gain.open_share < 0.1

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
@@ -56,7 +57,8 @@ def _errors(spec, folder, *extensions, vibrating=True):
     for record, (name, run) in zip(case.runs, runs.items(), strict=True):
         if not name.startswith("test"):
             continue
-        predictor = Predictor(robot, run, ranged, Settings())
+        training = SimpleNamespace(robot=robot, constants=ranged, settings=Settings())
+        predictor = Predictor(training, run)
         if not vibrating:
             predictor.nominal = prepare_run(
                 robot, run, 0, ranged, replace(Settings(), cutoff=20.0), vibrating=False
@@ -111,7 +113,7 @@ def test_link_vibration_is_independent_of_initial_linearisation(folder):
     """However soft or stiff they were taken to be first, links end with the same motion."""
     _, robot, runs, _ = _opened(SHARP, folder)
     run = prepare_run(robot, next(iter(runs.values())), 0, None, Settings())
-    springs, slow = run.springs(robot), run.vibration.reference
+    springs, slow = run.springs(), run.vibration.reference
     found = []
     for softer in (0.7, 1.0, 1.5):
         wrong = springs.linearise(run.links, np.full_like(run.signals.windup, softer))
@@ -142,7 +144,7 @@ def test_added_inertia_matches_body(folder):
     run = prepare_run(robot, next(iter(runs.values())), 0, ranged, Settings())
     block = _block(LOADED)
     found = _found("payload", tuple(block.toDynamicParameters()))
-    added = added_inertia(run, robot, [found], every=100)
+    added = added_inertia(run, [found], every=100)
     model = robot.arm.model.copy()
     model.inertias[robot.n] += block
     for matrix, q in zip(added, run.signals.link_position[::100], strict=True):

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 from servo_sets import ARMATURE, COULOMB, DELAY, KP, VISCOUS, write_servo_set
@@ -42,14 +44,14 @@ def simulated(recordings: RecordingSet, *found: EstimatedEffect) -> np.ndarray:
     own = resolve_actuator(recordings, open_training_runs(recordings))
     training = prepare_training(own.recordings, Settings(), None, lambda _: None, own.runs)
     model = extended_model(own.recordings, training.constants, Extension(effects=found))
-    robot, added, zeros = robot_in_loop(own.recordings, model)
+    robot, physics, own_values = robot_in_loop(own.recordings, model)
     run = commanded_run(own.recordings, own.runs[0])
-    loop = build_loop(own.recordings, [run], robot.tree, added)
+    loop = build_loop(own.recordings, [run], robot.tree, physics)
     values = nominal_parameters(own.recordings, robot)
     for name, value in (("armature", ARMATURE), ("viscous", VISCOUS), ("coulomb", COULOMB)):
         values.values[values.place(name)] = value
-    for place, zero in zeros.items():
-        values.values[values.place("zero")][place] = zero
+    for (name, place), value in own_values.items():
+        values.values[values.place(name)][place] = value
     quiet = replace(run, command=np.full_like(run.command, 0.8))
     return simulate(loop, quiet, values)[:, 0]
 
@@ -77,6 +79,51 @@ def test_an_encoder_zero_moves_the_weight(servo: RecordingSet) -> None:
     plain = simulated(servo)[-1]
     turned = simulated(servo, found("joint_zero", (0.3,), (0.3,)))[-1]
     assert turned < plain - 0.005
+
+
+def test_load_friction_holds_the_arm_back(servo: RecordingSet) -> None:
+    plain = simulated(servo)[-1]
+    held = simulated(servo, found("load_friction", (0.4,), (0.02,)))[-1]
+    assert held < plain - 0.005
+
+
+def test_a_surface_carries_the_arm(tmp_path: Path) -> None:
+    actuator = f"kp = [{KP}]\nkd = [0.0]\ndelay = {DELAY}"
+    folder = write_servo_set(tmp_path / "set", actuator=actuator, runs=2)
+    file = folder / "recordings.toml"
+    file.write_text('tool_frame = "tip"\n' + file.read_text())
+    urdf = folder / "robot.urdf"
+    tip = """<link name="tip"/><joint name="end" type="fixed"><parent link="arm"/>
+<child link="tip"/><origin xyz="0 0 -0.2"/></joint></robot>"""
+    urdf.write_text(urdf.read_text().replace("</robot>", tip))
+    pressed = load_recordings(folder)
+    stiffness, height = 400.0, 0.36
+    located = LocatedEffect(effect=effect("external_contact"), shapes=(height,))
+    contact = EstimatedEffect(located=located, amplitudes=(stiffness,))
+    end = simulated(pressed, contact)[-1]
+    plain = simulated(pressed)[-1]
+    # At its command of 0.8 rad the tip stands higher; it began below the surface.
+    depth = max(height - (0.5 - 0.2 * np.cos(end)), 0.0)
+    push = stiffness * depth * 0.2 * np.sin(end)
+    left = KP * (0.8 - end) - 0.75 * 9.81 * 0.14 * np.sin(end) + push
+    assert end > plain + 0.005
+    assert depth > 0.0
+    assert abs(left) <= 1.05 * COULOMB
+
+
+def test_backlash_before_the_encoder_lets_the_motor_travel_unseen(servo: RecordingSet) -> None:
+    width, rounding = 0.05, 0.01
+    own = resolve_actuator(servo, open_training_runs(servo)).recordings
+    training = prepare_training(own, Settings(), None, lambda _: None, open_training_runs(servo))
+    extension = Extension(effects=(found("output_backlash", (width,), (width, rounding)),))
+    physics = robot_in_loop(own, extended_model(own, training.constants, extension))[1]
+    (spring,) = physics.springs.values()
+    assert spring.encoder_at_output
+    assert physics.torque is None
+    load = training.constants.joints[0].torque_rated
+    both = [float(spring.windup(ca.SX(sign * load))) for sign in (1.0, -1.0)]
+    # The flanks yield besides.
+    assert width < both[0] - both[1] < width + 0.02
 
 
 def test_effects_with_memory_are_left_out(servo: RecordingSet) -> None:

@@ -36,8 +36,8 @@ def _left_out() -> RecordedRun:
 
 def _rod(found: Extension) -> NoiseCeiling:
     training = _training()
-    box = BlackBox(training, training.settings, (found,))
-    predictor = Predictor(training.robot, _left_out(), training.constants, training.settings)
+    box = BlackBox(training, found)
+    predictor = Predictor(training, _left_out())
     box.add(predictor, predictor.predict(), predictor.predict(found))
     rod = box.found()
     assert rod is not None
@@ -76,7 +76,7 @@ def test_noise_ceiling_exceeds_missing_effect_and_names_signal() -> None:
 def test_offset_of_one_run_is_reported(kind: str, value: float) -> None:
     """And of a run that has none nothing is said."""
     training, run = _training(), _left_out()
-    predictor = Predictor(training.robot, run, training.constants, training.settings)
+    predictor = Predictor(training, run)
     speed = predictor.velocity
     shape = {
         "constant": np.ones_like(speed[:, 0]),
@@ -86,15 +86,15 @@ def test_offset_of_one_run_is_reported(kind: str, value: float) -> None:
     torque = run.torque.copy()
     torque[:, 0] += value * shape
     proofs = [_proof(training, predictor, each) for each in (run, replace(run, torque=torque))]
-    assert not find_run_deviations(proofs[:1], [speed])
-    (said,) = find_run_deviations(proofs[1:], [speed])
+    assert not find_run_deviations(proofs[:1])
+    (said,) = find_run_deviations(proofs[1:])
     assert (said.channel, said.kind) == ("torque_1", kind)
     assert said.value == pytest.approx(value, rel=0.2)
     few = torque.copy()
     few[np.flatnonzero(np.abs(speed[:, 0]) > MIN_MOVING_SPEED)[10:], 0] = np.nan
     proof = _proof(training, predictor, replace(run, torque=few))
     assert "torque_1" in [channel.name for channel in proof.channels]
-    assert not find_run_deviations([proof], [speed])
+    assert not find_run_deviations([proof])
 
 
 ALONG = {"constant": np.ones_like, "dry friction": np.sign, "viscous friction": lambda v: v}
@@ -137,12 +137,12 @@ def _shifted(
 ) -> tuple[NotCarriedOver, ...]:
     """What is said of a run with more torque at the first joint."""
     training, run = _training(), _left_out()
-    predictor = Predictor(training.robot, run, training.constants, training.settings)
+    predictor = Predictor(training, run)
     speed = predictor.velocity
     torque = run.torque.copy()
     torque[:, 0] = np.where(kept(speed[:, 0]), torque[:, 0] + shift(speed[:, 0]), np.nan)
     proof = _proof(training, predictor, replace(run, torque=torque))
-    return find_run_deviations([proof], [speed], [drift])
+    return find_run_deviations([proof], [drift])
 
 
 def _proof(training: Training, predictor: Predictor, run: RecordedRun) -> RunProof:

@@ -60,7 +60,7 @@ def creeping(tmp_path_factory):
 
 def test_relative_compliance_of_belt_excludes_creep(creeping):
     run, robot, extension = creeping
-    softer = relative_compliance(run, robot, extension)
+    softer = relative_compliance(run, extension)
     quick = 0.5 * (1.0 - np.exp(-run.signals.dt / 0.15))
     nominal = robot.compliance(run.signals.spring_torque) / robot.compliance(0.0 * run.torque)
     np.testing.assert_allclose(softer[:, 0], 1.0)
@@ -73,7 +73,7 @@ def test_relative_compliance_of_belt_excludes_creep(creeping):
 
 def test_simulate_links_with_creeping_belt_converges_in_few_rounds(creeping, monkeypatch):
     """With the slope of a belt that has settled it took hundreds, and some found no motion."""
-    run, robot, extension = creeping
+    run, _, extension = creeping
     rounds, whole_change = [], extended_run.extension_change
 
     def counted(*given):
@@ -81,7 +81,7 @@ def test_simulate_links_with_creeping_belt_converges_in_few_rounds(creeping, mon
         return whole_change(*given)
 
     monkeypatch.setattr(extended_run, "extension_change", counted)
-    found = extended_run.simulate_links(run, robot, extension)
+    found = extended_run.simulate_links(run, extension)
     (added,) = (e.located.contribution(found, e.amplitudes) for e in extension.effects)
     assert np.max(np.abs(added.deflection)) > 1e-4
     np.testing.assert_allclose(found.added_deflection, added.deflection, atol=1e-6)
@@ -96,7 +96,7 @@ def test_a_law_of_the_load_makes_the_spring_softer_and_others_do_not(creeping, k
     law = Law(1, "deflection", (Factor(LawSource(kind, 1), "linear"),))
     located = LocatedEffect(effect=law_effect(law, [1.0]), joint=1)
     softer = EstimatedEffect(located=located, amplitudes=(0.3 * compliance,))
-    found = relative_compliance(run, robot, Extension(effects=(softer,)))
+    found = relative_compliance(run, Extension(effects=(softer,)))
     nominal = robot.compliance(run.signals.spring_torque)[:, 1] / compliance
     expected = 1.3 if kind == "load" else 1.0
     np.testing.assert_allclose(found[:, 0], 1.0)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stiffopt.discovery.catalogue import elastic, recurrence
+from stiffopt.discovery.catalogue import common, elastic
 
 LOAD = 2e-5 * np.cumsum(np.random.default_rng(0).normal(size=800))
 # It stands for a while, and turns round.
@@ -15,7 +15,7 @@ def test_first_order_lag_matches_recurrence(kept):
     slow = [LOAD[0]]
     for value in LOAD[1:]:
         slow.append(value + (slow[-1] - value) * kept)
-    np.testing.assert_allclose(recurrence.first_order_lag(LOAD, kept), slow, rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(common.first_order_lag(LOAD, kept), slow, rtol=0.0, atol=1e-15)
 
 
 @pytest.mark.parametrize("reach", [2e-5, 3e-4, 5e-3])

@@ -7,6 +7,7 @@ import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings
 from stiffopt.discovery.sanity.explanations import Explanations
 from stiffopt.discovery.sanity.gate import SanityGate
-from stiffopt.discovery.sanity.interpretations import sample_runs
+from stiffopt.discovery.sanity.interpretations import Reading, sample_runs
 from stiffopt.discovery.training import open_training_runs
 from stiffopt.recording.recording_set import load_recordings
 from stiffopt.recording.signals import is_set_point
@@ -165,6 +166,24 @@ def test_gravity_upside_down_or_aside(stated: str, tmp_path: Path) -> None:
     (found,) = doubted(folder)
     assert found.kind == "gravity"
     assert found.line == "gravity = [0.0, 0.0, -9.81]"
+
+
+def test_a_current_that_fits_every_factor_has_no_unit(tmp_path: Path) -> None:
+    """Friction of a joint without weight may have any size: 1 A may be 10 N m or 1000."""
+
+    def current(columns: Columns) -> None:
+        angles = np.column_stack([columns["q1"], columns["q2"]])
+        weight = robot.gravity_torque(angles, recordings.gravity)[:, 1]
+        friction = 300.0 * np.tanh(columns["qd2"] / 0.02)
+        columns["tau2"] = (columns["tau2"] - weight + friction) / 100.0
+
+    recordings = load_recordings(SHIPPED)
+    robot = RobotModel(recordings)
+    folder = changed_copy(SHIPPED, tmp_path / "set", current)
+    file = folder / "recordings.toml"
+    text = re.sub(r"(?m)^(coulomb|viscous) = .*\n", "", file.read_text())
+    file.write_text(text + '\n[signals.scale]\ntorque = [1.0, "A"]\n')
+    assert doubted(folder) == ()
 
 
 def test_late_torques(tmp_path: Path) -> None:
@@ -322,6 +341,20 @@ def test_torques_of_currents_of_a_joint_without_weight_are_no_kilonewtons(tmp_pa
     gains, left = np.array([1e-3, 1.0 / 13.9, 1e-3]), np.array([0.02, 0.01, 0.02])
     search._adopt_common_gain(gains, left, None, np.zeros((4, 3)))
     np.testing.assert_allclose(gains, [1.0 / 13.9, 1.0 / 13.9, 1e-3])
+
+
+@pytest.mark.parametrize(("gravity", "accepted"), [((1.0, 0.0, 0.0), True), ((0.0,) * 3, False)])
+def test_a_spring_may_stand_beside_another_gravity(gravity, accepted, monkeypatch):
+    """Joint 2 carries hardly any weight; a spring fits it with the stated gravity as well."""
+    search = Explanations.__new__(Explanations)
+    search.n, search.samples = 2, SimpleNamespace(torque=np.zeros((4, 2)))
+    search.own = Reading.as_described(2)
+    search.strict, search.left = np.array([1.0, 0.33]), np.array([0.9, 0.025])
+    alone, sprung = np.array([0.002, 0.2]), np.array([0.002, 0.02])
+    monkeypatch.setattr(Explanations, "_residual_shares", lambda *_: alone)
+    monkeypatch.setattr(Explanations, "_shares_with_additions", lambda *_: sprung)
+    found = search._accept_weight(None, np.array(gravity))
+    assert (found is not None) == accepted
 
 
 def test_torques_without_weight_are_doubted(tmp_path):

@@ -26,14 +26,14 @@ def training():
 
 
 def test_contributions_respond_together_as_alone(training):
-    run, robot = training.runs[0], training.robot
+    run = training.runs[0]
     assert run.vibration is not None
     units = np.eye(len(PAYLOAD.effect.amplitudes))
     every = [PAYLOAD.contribution(run, unit) for unit in units]
     every.append(FRICTION.contribution(run, [1.0]))
-    together = channel_changes(every, run, robot)
+    together = channel_changes(every, run)
     for each, (torque, deflection) in zip(every, together, strict=True):
-        ((alone, moved),) = channel_changes([each], run, robot)
+        ((alone, moved),) = channel_changes([each], run)
         np.testing.assert_array_equal(torque, alone)
         assert (deflection is None) == (moved is None)
         if moved is not None:

@@ -19,8 +19,9 @@ def evaluate(name: str, force: object) -> tuple[dict[str, np.ndarray], pin.Model
     model = arm(name)
     joint = model.njoints - 1
     x = [ca.SX.sym(part, model.nv) for part in "qva"]
-    torques = spring_torques(body_tree(model), joint, OFFSET, *x, force)
     jacobian = point_jacobian(body_tree(model), joint, OFFSET, x[0])
+    pushed = None if force is None else ca.mtimes(jacobian.T, force)
+    torques = spring_torques(body_tree(model), *x, pushed)
     parts = tool_deflection(jacobian, torques, lambda tau: tau / 1e4 + np.tanh(tau) / 1e3)
     names = ["static", "dynamic", "process", "total"]
     outputs = [getattr(parts, part) for part in names]
@@ -70,7 +71,7 @@ def test_a_weight_pulls_the_tool_down() -> None:
     body = pin.Inertia(10.0, np.array([1.0, 0.0, 0.0]), np.zeros((3, 3)))
     model.appendBodyToJoint(axis_y, body, pin.SE3.Identity())
     q = ca.SX.zeros(1)
-    torques = spring_torques(body_tree(model), 1, [1.0, 0.0, 0.0], q, q, q)
+    torques = spring_torques(body_tree(model), q, q, q)
     jacobian = point_jacobian(body_tree(model), 1, [1.0, 0.0, 0.0], q)
     sag = ca.DM(tool_deflection(jacobian, torques, lambda tau: tau / 1e4).static)
     assert np.asarray(sag).ravel() == pytest.approx([0.0, 0.0, -10.0 * 9.81 / 1e4], rel=1e-12)

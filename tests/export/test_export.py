@@ -293,6 +293,8 @@ def test_yaskawa_job_has_moves_rest_and_gripper(folder):
     points = {key: np.array(row.split(","), dtype=int) for key, row in
               (line.split("=") for line in lines if re.match(r"C\d{5}=", line))}  # fmt: skip
     assert f"///NPOS {len(points)},0,0,0,0,0" in lines
+    # Exports of one motion are equal on every day.
+    assert "///DATE 2000/01/01 00:00" in lines
     code = lines[lines.index("NOP") + 1 : lines.index("END")]
     assert all(len(line) <= 33 for line in code)
     moves = [line.split() for line in code if line.startswith("MOVJ")]

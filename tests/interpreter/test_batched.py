@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from stiffopt import native
-from stiffopt.interpreter.batched import POINTS, batched, kind_names
+from stiffopt.interpreter.batched import POINTS, kind_names, read_batch
 
 # Calls that interpreter.c recalls.
 CALLS = 128
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.skipif(native.library() is None, reason="needs the comp
 
 def many_of(function: ca.Function, *, recalled: bool = False) -> ca.Function:
     """The function at several points; its second input is the same at all of them."""
-    found = batched(native.library(), function, (1,), recalled=recalled)
+    found = read_batch(function, (1,), recalled=recalled).load(native.library())
     assert found is not None
     return found
 
@@ -128,11 +128,11 @@ def test_recalled_values_are_freed_with_their_function() -> None:
     code = f"""
 import casadi as ca, numpy as np, resource
 from stiffopt import native
-from stiffopt.interpreter.batched import batched
+from stiffopt.interpreter.batched import read_batch
 x, shared = ca.SX.sym("x", 2), ca.SX.sym("shared")
 one = ca.Function("many", [x, shared], [ca.vertcat(*[shared * x + k for k in range(300)])])
 def used():
-    many = batched(native.library(), one, (1,), recalled=True)
+    many = read_batch(one, (1,), recalled=True).load(native.library())
     for k in range({CALLS}):
         many(np.full((2, {POINTS}), k), 1.0)
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -148,7 +148,7 @@ def test_functions_in_use_are_limited_and_their_places_are_used_again() -> None:
     one = ca.Function("shifted", [x, shared], [x + shared])
     kept: list[ca.Function | None] = []
     while len(kept) < 1000 and None not in kept:
-        kept.append(batched(native.library(), one, (1,)))
+        kept.append(read_batch(one, (1,)).load(native.library()))
     assert 400 < len(kept) < 1000
     many = kept[-2]
     assert many is not None
@@ -158,7 +158,7 @@ def test_functions_in_use_are_limited_and_their_places_are_used_again() -> None:
     del many
     kept.clear()
     np.testing.assert_array_equal(twice(np.ones((1, 2 * POINTS)), np.ones((1, 2))), 2.0)
-    assert batched(native.library(), one, (1,)) is not None
+    assert read_batch(one, (1,)).load(native.library()) is not None
 
 
 def test_threads_that_share_a_function_do_not_disturb_each_other() -> None:

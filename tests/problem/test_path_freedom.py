@@ -1,5 +1,7 @@
 """Freedom of a tool path: against dense scans by the exact laws, within its bounds, refusals."""
 
+import json
+
 import numpy as np
 import pytest
 from rail_arm import write_ur10_on_rail
@@ -13,7 +15,10 @@ from stiffopt.problem.branches import solutions_of_pose
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.freedom_goals import TimeGoal
 from stiffopt.problem.freedom_programme import optimise_freedom
+from stiffopt.result.provenance import inputs_hash
+from stiffopt.result.store import write_result
 from stiffopt.robot.frames import LinkFrame
+from stiffopt.solver.solve import solve
 
 # A spindle at a right angle to the flange: rotation about its axis moves the whole arm.
 PROBLEM = """schema = 1
@@ -249,3 +254,33 @@ def test_a_rail_is_used(tmp_path):
         )
         peaks[name] = peak_on_path(load_problem(file).problem)
     assert peaks["robot.toml"] < 0.9 * peaks["ur10"]
+
+
+def test_choice_of_a_solved_result_is_taken_without_a_search(choose, tmp_path, monkeypatch):
+    problem, _, _ = choose('tool_axis_rotation = "20 deg"\nposture = "near"')
+    kept = json.loads(json.dumps(problem.path_choice))
+
+    def searched(task, near):
+        raise AssertionError("searched")
+
+    monkeypatch.setattr(freedom_choice, "optimise_freedom", searched)
+    file = tmp_path / "problem.toml"
+    again = load_problem(file, choice=kept).problem
+    assert inputs_hash(again) == inputs_hash(problem)
+    np.testing.assert_array_equal(again.path.coefficients, problem.path.coefficients)
+    # Another task, or a document that is none, is not taken.
+    file.write_text(file.read_text().replace("20 deg", "21 deg"))
+    for other in (kept, {**kept, "joints": [[0.0]]}, "text"):
+        with pytest.raises(AssertionError, match="searched"):
+            load_problem(file, choice=other)
+    file.write_text(file.read_text().replace("21 deg", "20 deg"))
+    with pytest.raises(AssertionError, match="searched"):
+        load_problem(file, choice={**kept, "joints": [[0.0]]})
+
+
+def test_result_keeps_the_choice_of_its_path(choose, tmp_path):
+    problem, _, _ = choose('tool_axis_rotation = "20 deg"\nposture = "near"')
+    (tmp_path / "out").mkdir()
+    write_result(solve(problem), tmp_path / "out", stated=problem)
+    document = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert document["path_choice"]["joints"] == problem.path_choice["joints"]

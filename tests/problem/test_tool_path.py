@@ -1,9 +1,12 @@
 """Tool paths of lines and arcs: geometry, joint spline, tool speed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from small_arms import write_robot
 
+from stiffopt.elastic.uncertainty import AssumedUncertainty
 from stiffopt.errors import InputError, ProblemError
 from stiffopt.path.timed_path import timed_motion
 from stiffopt.problem.files import load_problem
@@ -76,7 +79,7 @@ def test_stops_may_be_corners_and_divide_the_path():
 def test_splines_pass_their_points_and_change_speed_without_a_bend():
     points = np.array([ORIGIN, X + 0.3 * Y, 2 * X, 3 * X + 0.2 * Y, 4 * X])
     speeds = np.array([1.0, 1.0, 1.0, 0.5, 0.5])
-    segments = spline_segments(points, None, speeds, np.zeros(5, dtype=bool), "p.csv, row ")
+    segments = spline_segments(points, None, speeds, np.zeros(5, dtype=bool), list("abcde"))
     path = ToolPath(points[0], FRAME, segments)
     assert path.speeds.tolist() == [1.0, 0.5]
     found, _ = path.poses(np.linspace(0, path.length, 20001))
@@ -86,7 +89,13 @@ def test_splines_pass_their_points_and_change_speed_without_a_bend():
     assert np.abs(np.diff(bend)).max() < 0.02 * bend.max()
     again = np.insert(points, 2, points[1], axis=0)
     with pytest.raises(ProblemError, match=r"p\.csv, row 3 repeats the point before"):
-        spline_segments(again, None, np.ones(6), np.zeros(6, dtype=bool), "p.csv, row ")
+        spline_segments(
+            again,
+            None,
+            np.ones(6),
+            np.zeros(6, dtype=bool),
+            [f"p.csv, row {k}" for k in range(1, 7)],
+        )
 
 
 def test_tangential_segments_need_no_blend():
@@ -257,6 +266,7 @@ near = [0, 0, 0, 0, 0.5, 0]
 file = "points.csv"
 length = "mm"
 angle = "deg"
+speed = "m/s"
 
 [[minimise]]
 objective = "duration"
@@ -280,11 +290,23 @@ def test_path_of_a_table_stands_in_its_work_frame(tmp_path):
     assert set(problem.path.speeds) == {0.1, 0.2}
 
 
+@pytest.mark.parametrize(("unit", "speed"), [("", 0.1), ('speed = "cm/min"', 1.0 / 60.0)])
+def test_table_with_decimal_commas_and_speeds_of_its_lengths(tmp_path, unit, speed):
+    rows = [f"{x};0,0;{0.25 * x:.2f};180;0;-90;100,0;seam" for x in range(0, 81, 8)]
+    text = "\ufeffx;y; z;rx;ry;rz;speed;label\n" + "\n".join(rows).replace(".", ",") + "\n"
+    (tmp_path / "points.csv").write_text(text)
+    problem = write(tmp_path, TABLE.replace('speed = "m/s"', unit))
+    assert problem.path.speeds == pytest.approx(np.full(len(problem.path.speeds), speed))
+    end = problem.robot.rigid_bodies().pose(problem.robot.tool, problem.path.points[-1])[0]
+    assert end[2] == pytest.approx(0.2 + 0.02, abs=1e-6)
+
+
 @pytest.mark.parametrize(
     ("row", "words"),
     [
-        ("8,0,0,180,0,-90,0.1,a", "points.csv, row 3 repeats the point before"),
+        ("8,0,0,180,0,-90,0.1,root", r"points\.csv, row 3 \(root\) repeats the point before"),
         ("16,0,0,180,0,-90,-0.1,a", "row 3, speed"),
+        ("16,0,0,180,0,-90,100,a", r"row 3, speed: 100 m/s .* path\.table\.speed: .*cm/min"),
         ("16,0,,180,0,-90,0.1,a", "row 3, z"),
         ("9000,0,0,180,0,-90,0.1,a", "from its start"),
     ],
@@ -309,6 +331,23 @@ def test_motion_rests_at_stops_and_keeps_the_speeds_of_its_segments(tmp_path):
     assert motion.tool_speed[before].max() == pytest.approx(0.1, rel=5e-3)
     assert motion.tool_speed[~before].max() == pytest.approx(0.2, rel=5e-3)
     assert np.max(np.abs(motion.jerk) / problem.active_limits.jerk) <= 1.005
+
+
+def test_motion_whose_motors_lead_rests_at_stops_as_well(tmp_path):
+    text = PROBLEM.replace('blend = "30 mm"', "stop = true").replace(
+        '[limits]\njerk = "none"\n', ""
+    )
+    problem = write(tmp_path, text + "\n[uncertainty]\nstiffness = 0.2\n")
+    assert problem.leads_on_path
+    motion = timed_motion(problem).assessment
+    fastest = timed_motion(replace(problem, uncertainty=AssumedUncertainty())).assessment
+    # Averaged over 40 ms twice in each of the two parts.
+    assert motion.duration == pytest.approx(fastest.duration + 4 * 0.04, abs=0.02)
+    away = np.linalg.norm(motion.tool - problem.path.corners[0], axis=1)
+    at = int(np.argmin(away))
+    assert away[at] < 2e-5
+    assert np.abs(motion.velocity[at]).max() < 1e-3
+    assert motion.tool_speed.max() > 0.15
 
 
 def test_motion_without_end_is_refused(tmp_path):

@@ -18,6 +18,7 @@ from stiffopt.discovery.judging.explained_shares import ExtensionPart, MismatchS
 from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.recording.run import Fault
 from stiffopt.report.common.text import pm, significant
+from stiffopt.report.diagnosis import sections
 from stiffopt.report.diagnosis.figures import trace, worst_windows
 from stiffopt.report.diagnosis.mismatch import mismatches
 from stiffopt.report.diagnosis.page import write_diagnosis_report
@@ -123,6 +124,17 @@ def test_improbable_findings_are_neither_named_nor_listed(friction, tmp_path, ca
     assert statements(none) == []
     print_diagnosis(none, tmp_path)
     assert "dFc =" not in capsys.readouterr().out
+
+
+def test_values_of_sliding_and_turning_joints_have_their_own_units(friction, monkeypatch):
+    (finding,) = friction.findings
+    other = replace(
+        finding, estimated=replace(finding.estimated, located=replace(finding.located, joint=0))
+    )
+    monkeypatch.setattr(sections, "is_prismatic", lambda _, located: located.joint == 0)
+    values = sections._unstated_row(friction, [other, finding])[2].splitlines()
+    assert values[0].endswith(" N")
+    assert values[1].endswith(" N m")
 
 
 def test_value_that_is_zero_within_its_deviation_is_not_named():

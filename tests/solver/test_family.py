@@ -6,9 +6,10 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from small_arms import ROOT
+from small_arms import ROOT, load
 
 from stiffopt import native, solve
+from stiffopt.command.command_search import CommandSearch
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.formulation import Scales, formulate
 from stiffopt.problem.resolve import resolve
@@ -59,6 +60,41 @@ def test_similar_problem_reuses_the_programme(first, change):
         "scale" in change or "offset" in change
     )
     assert warm.baselines == {}
+
+
+@pytest.mark.parametrize("goal", ["tool_deviation", "dynamic_deflection"])
+def test_planned_links_start_from_the_solved_state(tmp_path, goal):
+    stated = load(tmp_path, "planar", minimise=f'objective = "{goal}"', duration="0.6")
+    longer = replace(stated, duration=(0.62, 0.62))
+    family = ProblemFamily()
+    _, end = family.solve(stated)
+    again = WarmStart.from_bytes(end.to_bytes())
+    assert again.back_off.tolist() == end.back_off.tolist()
+    warm, _ = family.solve(longer, again)
+    cold = solve(longer)
+    assert warm.status is cold.status
+    assert warm.solver.iterations < 0.6 * cold.solver.iterations
+    # The mesh of the first motion remains, and with it its error.
+    assert warm.objective.value <= cold.objective.value * 1.01
+
+
+def test_a_command_is_chosen_as_that_of_the_solved_state(tmp_path, monkeypatch):
+    stated = load(tmp_path, "planar", minimise='objective = "tool_deviation"', duration="0.9")
+    longer, family = replace(stated, duration=(0.92, 0.92)), ProblemFamily()
+    before, end = family.solve(stated, simulate=True, beside_rivals=False)
+    end = WarmStart.from_bytes(end.to_bytes())
+    own = before.compensation.optimised
+    assert not own.excess
+    assert end.command == (own.spacing, own.share, own.servo_share)
+    # A choice that the limits exclude is made anew.
+    other = replace(end, command=(own.spacing, 1e4, own.servo_share))
+    again, _ = family.solve(longer, other, simulate=True, beside_rivals=False)
+    assert again.compensation.optimised.share < 2.0
+    monkeypatch.setattr(CommandSearch, "_candidates_within_limits", None)
+    found, _ = family.solve(longer, end, simulate=True, beside_rivals=False)
+    led = found.compensation.optimised
+    assert (led.spacing, led.share, led.servo_share) == end.command
+    assert led.compensated.worst_case <= 1.02 * again.compensation.optimised.compensated.worst_case
 
 
 def test_another_programme_is_built(first):

@@ -1,22 +1,26 @@
 """Replays: the recipe of a result, solved again and compared."""
 
 import json
+from collections import OrderedDict
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from small_arms import write_problem
 
+from stiffopt import native
 from stiffopt.cli import run
+from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import InputFileError
 from stiffopt.folders import MANIFEST
 from stiffopt.problem.files import load_problem
 from stiffopt.recipe.replay import replay
-from stiffopt.recipe.stored_result import STATE_FILE, read_state
+from stiffopt.recipe.stored_result import PREPARED_FILE, STATE_FILE, read_state
 from stiffopt.report.solve.page import write_solve_report
 from stiffopt.result.archive import ARCHIVE_FILE, read_archive, write_archive
 from stiffopt.result.store import RESULT_FILE
-from stiffopt.solver.family import WarmStart
-from stiffopt.solver.solve import solve
+from stiffopt.solver.family import ProblemFamily, WarmStart
+from stiffopt.solver.solve import complete_comparison, solve
 
 PIECES = {"method": "intervals = 20"}
 
@@ -94,6 +98,27 @@ def test_an_archived_solution_is_the_same(tmp_path):
     assert again.trajectory(0.1).tolist() == solution.trajectory(0.1).tolist()
 
 
+def test_rivals_are_simulated_when_the_page_is_drawn(tmp_path):
+    problem = load_problem(write_problem(tmp_path, "planar", **PIECES)).problem
+    problem = replace(problem, uncertainty=Uncertainty(draws=50))
+    whole, family = solve(problem, simulate=True), ProblemFamily()
+    alone, state = family.solve(problem, simulate=True, beside_rivals=False)
+    again, _ = family.solve(problem, state, simulate=True, beside_rivals=False)
+    assert [each.name for each in alone.simulation.motions] == ["optimised"]
+    assert not again.baselines
+    assert "not compared with baselines" in again.message
+    for each in (alone, again):
+        found = complete_comparison(problem, each)
+        assert [each.name for each in found.simulation.motions] == [
+            each.name for each in whole.simulation.motions
+        ]
+        rival, other = (each.compensation.best_rival for each in (found, whole))
+        assert rival.compensated.worst_case == pytest.approx(other.compensated.worst_case)
+        assert found.ratio_to_better_baseline == pytest.approx(
+            whole.ratio_to_better_baseline, rel=1e-6
+        )
+
+
 def test_a_damaged_archive_is_refused(stored, tmp_path):
     content = (stored[1] / ARCHIVE_FILE).read_bytes()
     (tmp_path / ARCHIVE_FILE).write_bytes(content[:1000])
@@ -122,6 +147,34 @@ def test_a_guess_starts_from_the_solved_state(stored):
     assert len(solver["homotopy"]) == 1
     assert solver["iterations"] < before["iterations"]
     assert replay(other).differences == ()
+
+
+def test_functions_of_an_earlier_process_are_not_prepared_again(stored, tmp_path, monkeypatch):
+    from stiffopt.transcription import node_derivatives, point_function, prepared
+
+    kept = (
+        (node_derivatives, "kept_formulas"),
+        (point_function, "kept_functions"),
+        (point_function, "kept_batches"),
+    )
+    for module, name in kept:
+        monkeypatch.setattr(module, name, OrderedDict())
+        if hasattr(prepared, name):
+            monkeypatch.setattr(prepared, name, getattr(module, name))
+    # What cannot be read is prepared again.
+    damaged = tmp_path / PREPARED_FILE
+    damaged.write_bytes((stored[1] / PREPARED_FILE).read_bytes()[:-100])
+    prepared.read_prepared(damaged)
+    assert not node_derivatives.kept_formulas
+    state = read_state(stored[1])
+    assert node_derivatives.kept_formulas
+    monkeypatch.setattr(node_derivatives, "_without_numbers", None)
+    if native.library() is not None:
+        monkeypatch.setattr(node_derivatives, "with_derivatives", None)
+    problem = load_problem(stored[0]).problem
+    solution, _ = ProblemFamily().solve(replace(problem, duration=(0.515, 0.515)), state)
+    assert solution.status.usable
+    assert len(solution.solver.homotopy) == 1
 
 
 def test_a_state_that_is_cut_off_is_no_start(stored, tmp_path):

@@ -6,6 +6,7 @@ import json
 import re
 import tomllib
 from datetime import datetime, timedelta
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from stiffopt.recording.readers.read import read_tables
 from stiffopt.recording.recording_set import load_recordings
 from stiffopt.robot.files import load_robot
 from stiffopt.starter.guessing import guess_columns
-from stiffopt.starter.table_layouts import _joint_fields, name_blocks
+from stiffopt.starter.table_layouts import _joint_fields, join_signal_files, name_blocks
 
 URDF = ROOT / "problems" / "recordings" / "two_link_friction" / "robot.urdf"
 NAMES = ["t", "q1", "q2", "tau1", "tau2"]
@@ -244,6 +245,20 @@ def test_speed_unit_is_guessed_from_positions(position, factor, unit, unsure, tm
 def test_message_names_other_than_joints_are_ignored(name):
     found = _joint_fields("/t", {"name": name, "position": [1.0, 2.0]}, ["a", "b"])
     assert found == ["/t.position[0]", "/t.position[1]"]
+
+
+def test_files_of_one_signal_are_joined_in_the_order_of_the_joints():
+    """Each lists the joints backwards, as ROS lists them by the alphabet."""
+    robot = load_robot(URDF)
+    names = [f"- {joint}" for joint in reversed(robot.joint_names)]
+    tables = {
+        Path(f"logs/{file}.csv"): {"t": TIME, names[0]: second, names[1]: first}
+        for file, first, second in (("q", *VALUES[:2]), ("tau", *VALUES[2:]))
+    }
+    (joined,) = join_signal_files(tables, robot).values()
+    assert list(joined) == ["t", "q[0]", "q[1]", "tau[0]", "tau[1]"]
+    for name, values in zip(list(joined)[1:], VALUES, strict=True):
+        np.testing.assert_array_equal(joined[name], values)
 
 
 def german(folder, factor=(9.5, 4.2)):

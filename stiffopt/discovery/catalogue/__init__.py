@@ -11,30 +11,25 @@ from dataclasses import replace
 
 from stiffopt.discovery.catalogue.base_tilt import BASE_TILT
 from stiffopt.discovery.catalogue.belt_creep import BELT_CREEP
-from stiffopt.discovery.catalogue.clock_drift import CLOCK_DRIFT
 from stiffopt.discovery.catalogue.contacts import CONTACTS
 from stiffopt.discovery.catalogue.coupled_drive import COUPLED_DRIVE
 from stiffopt.discovery.catalogue.crosstalk import CROSSTALK
-from stiffopt.discovery.catalogue.elastic import BACKLASH, HYSTERESIS
-from stiffopt.discovery.catalogue.friction import FRICTION
+from stiffopt.discovery.catalogue.elastic import BACKLASH, HYSTERESIS, OUTPUT_BACKLASH
+from stiffopt.discovery.catalogue.friction import FRICTION, QUADRATIC_DRAG, STROKE_FRICTION
 from stiffopt.discovery.catalogue.friction_drift import FRICTION_DRIFT
-from stiffopt.discovery.catalogue.friction_warmup import FRICTION_WARMUP
 from stiffopt.discovery.catalogue.gain_drift import GAIN_DRIFTS
-from stiffopt.discovery.catalogue.gain_warmup import GAIN_WARMUP
 from stiffopt.discovery.catalogue.inertial import INERTIAL
 from stiffopt.discovery.catalogue.joint_damping import JOINT_DAMPING
 from stiffopt.discovery.catalogue.joint_zero import JOINT_ZERO
 from stiffopt.discovery.catalogue.lubricated_friction import LUBRICATED_FRICTION
 from stiffopt.discovery.catalogue.periodic import PERIODIC
 from stiffopt.discovery.catalogue.preload_loss import PRELOAD_LOSS
-from stiffopt.discovery.catalogue.quadratic_drag import QUADRATIC_DRAG
-from stiffopt.discovery.catalogue.run_clock import RUN_CLOCK
 from stiffopt.discovery.catalogue.sensors import SENSORS
 from stiffopt.discovery.catalogue.springs import SPRINGS
 from stiffopt.discovery.catalogue.stiffness import K1_SOFTENING, STIFFNESS_LINEAR
-from stiffopt.discovery.catalogue.stroke_friction import STROKE_FRICTION
-from stiffopt.discovery.catalogue.time_delay import TIME_DELAY
+from stiffopt.discovery.catalogue.timing import TIMING
 from stiffopt.discovery.catalogue.tool_force import TOOL_FORCES
+from stiffopt.discovery.catalogue.warmup import FRICTION_WARMUP, GAIN_WARMUP
 from stiffopt.discovery.effect import Effect
 from stiffopt.errors import InputError, nearest
 
@@ -47,6 +42,7 @@ CATALOGUE: tuple[Effect, ...] = (
     QUADRATIC_DRAG,
     COUPLED_DRIVE,
     BACKLASH,
+    OUTPUT_BACKLASH,
     HYSTERESIS,
     STIFFNESS_LINEAR,
     K1_SOFTENING,
@@ -59,9 +55,7 @@ CATALOGUE: tuple[Effect, ...] = (
     JOINT_ZERO,
     *SPRINGS,
     *SENSORS,
-    TIME_DELAY,
-    CLOCK_DRIFT,
-    RUN_CLOCK,
+    *TIMING,
     *GAIN_DRIFTS,
     GAIN_WARMUP,
     CROSSTALK,
@@ -92,12 +86,8 @@ def effects_of_runs(
 
     Effects of runs are left out where there are too many runs.
 
-    Parameters
-    ----------
-    runs : sequence of str
-        Names of the training runs.
-    after : sequence of str
-        Names of the runs in another state of the robot than the others.
+    `runs`: names of the training runs. `after`: names of the runs in another state of the robot
+    than the others.
     """
     states = {"states": ["after" if run in after else "before" for run in runs]} if after else {}
     return tuple(
@@ -112,10 +102,7 @@ def changes_in(effects: Sequence[Effect], runs: Sequence[str]) -> tuple[Effect, 
 
     Effects of single runs are left out: they are no property of a state.
 
-    Parameters
-    ----------
-    runs : sequence of str
-        Names of all runs of that state.
+    `runs`: names of all runs of that state.
     """
     return tuple(
         replace(each, only_in=tuple(runs), usual=False)
@@ -127,10 +114,7 @@ def changes_in(effects: Sequence[Effect], runs: Sequence[str]) -> tuple[Effect, 
 def effect(name: str) -> Effect:
     """Return the entry of a name.
 
-    Raises
-    ------
-    InputError
-        No entry has this name; the message lists the names.
+    Raises `InputError`: no entry has this name; the message lists the names.
     """
     for entry in CATALOGUE:
         if entry.name == name:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stiffopt.discovery.catalogue.common import winds_up, working_compliance
-from stiffopt.discovery.catalogue.recurrence import first_order_lag
+from stiffopt.discovery.catalogue.common import first_order_lag, winds_up, working_compliance
 from stiffopt.discovery.catalogue.robot_change import (
     TORQUE_SHARES,
     chain_of,

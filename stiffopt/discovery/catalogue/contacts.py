@@ -3,11 +3,39 @@
 from __future__ import annotations
 
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term, Values
-from stiffopt.discovery.signals import RobotConstants, RobotSignals
+from stiffopt.discovery.signals import JointSignals, RobotConstants, RobotSignals, smooth_sign
 from stiffopt.symbolic import smooth_abs
 
 # Height over which the contact force sets in [m].
 _CONTACT_ROUNDING = 1e-4
+# Share of the joint before about which the direction of friction is at least linearised.
+_MIN_SHARE = 1e-4
+# Typical error of a coupling's ratio, and largest one.
+_TYPICAL_COUPLING, _MAX_COUPLING = 0.01, 0.2
+
+
+def wrist_coupling_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
+    """Return the torques of a link that turns by c of the joint before besides its own motor.
+
+    By virtual work the joint before carries the share c of what acts on the link: the torque of the
+    bodies, and friction and rotor inertia where these turn with the link (`at_link` 1), not with
+    the motor (0). Then they follow its motion too; dry friction is linear about a share.
+    """
+    share, about, at_link = amplitudes[0], shapes[0], shapes[1]
+    own, spring = signals.constants, signals.spring_torque
+    about = about if abs(about) > _MIN_SHARE else _MIN_SHARE
+    speed = signals.motor_velocity
+    reversed_dry = smooth_sign(speed + about * signals.previous_velocity) - smooth_sign(speed)
+    with_link = (
+        own.rotor_inertia * signals.previous_acceleration
+        + own.viscous * signals.previous_velocity
+        + own.coulomb / about * reversed_dry
+    )
+    return Term(
+        deflection=-share * signals.previous_position,
+        drive_torque=share * at_link * with_link,
+        previous_torque=share * (spring + at_link * (signals.drive_torque - spring)),
+    )
 
 
 def external_contact_term(signals: RobotSignals, amplitudes: Values, shapes: Values) -> Term:
@@ -34,12 +62,21 @@ WRIST_COUPLING = Effect(
     remedy="Check the coupling ratio of {where} in the controller's wrist parameters, and"
     " correct it by {c}.",
     needs=("sensor", "moves", "before"),
-    # By virtual work the previous joint carries a share of the torque.
-    term=lambda signals, a, s: Term(
-        deflection=-a[0] * signals.previous_position,
-        previous_torque=a[0] * signals.spring_torque,
+    term=wrist_coupling_term,
+    amplitudes=(
+        Amplitude(
+            "c",
+            "",
+            _TYPICAL_COUPLING,
+            -_MAX_COUPLING / _TYPICAL_COUPLING,
+            _MAX_COUPLING / _TYPICAL_COUPLING,
+        ),
     ),
-    amplitudes=(Amplitude("c", "", 0.01, -5.0, 5.0),),
+    shapes=(
+        Shape("about", "", (0.0,), -_MAX_COUPLING, _MAX_COUPLING, 0.0, fit="secant"),
+        Shape("at_link", "", (0.0, 1.0), 0.0, 1.0, 0.0, fit="held"),
+    ),
+    report=lambda amplitudes, shapes, constants: {"c": amplitudes[0]},
     applies=lambda constants: constants.joint > 1,
     log_prior=lambda constants: 0.0 if constants.joint > 4 else -1.0,
     separate="Move the joint before while this one stands: an error of its own gear or encoder"

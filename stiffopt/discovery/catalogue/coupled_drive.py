@@ -6,11 +6,7 @@ both angles. A model with one rotor and friction per joint has neither.
 
 from __future__ import annotations
 
-from stiffopt.discovery.catalogue.common import (
-    dry_friction,
-    motor_inertia,
-    viscous_friction,
-)
+from stiffopt.discovery.catalogue.common import dry_friction, motor_inertia, viscous_friction
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term, Values
 from stiffopt.discovery.signals import JointSignals, smooth_sign
 

@@ -6,18 +6,29 @@ Dahl (1968), with his exponent.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.special import boxcox, inv_boxcox
 
-from stiffopt.discovery.catalogue.common import carried_share, winds_up
-from stiffopt.discovery.catalogue.recurrence import linear_recurrence
+from stiffopt.discovery.catalogue.common import (
+    carried_share,
+    dry_friction,
+    linear_recurrence,
+    motor_inertia,
+    viscous_friction,
+    winds_up,
+)
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term, Values
-from stiffopt.discovery.signals import JointConstants, JointSignals
+from stiffopt.discovery.signals import JointConstants, JointSignals, smooth_sign
 
 # Remainder to the limit that counts as reached.
 _MIN_REMAINDER = 1e-9
 # Smallest rounding of a flank over the rated torque.
 _MIN_ROUNDING = 5e-5
+# Backlash about which friction of a crossing motor is at least linearised [rad], and the typical
+# one of a gear that a commanded joint shows.
+_MIN_WIDTH, _TYPICAL_WIDTH = 1e-4, 5e-3
 
 
 def backlash_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
@@ -25,6 +36,21 @@ def backlash_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> 
     s = signals.spring_torque
     rounding = shapes[0] * signals.constants.torque_rated
     return Term(deflection=0.5 * amplitudes[0] * s / np.sqrt(s * s + rounding * rounding))
+
+
+def output_backlash_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
+    """Return the torque of a motor that crosses the backlash behind the encoder of the link.
+
+    Its travel and rates follow from the side of the load; dry friction turns where the crossing is
+    faster than the link, linear about the travel of the first shape.
+    """
+    travel = backlash_term(signals, (1.0,), shapes[1:]).deflection
+    speed = np.gradient(travel, signals.dt)
+    own, link = signals.constants, signals.motor_velocity
+    width = max(shapes[0], _MIN_WIDTH)
+    turned = smooth_sign(link + width * speed) - smooth_sign(link)
+    torque = motor_inertia(own) * np.gradient(speed, signals.dt) + viscous_friction(own) * speed
+    return Term(drive_torque=amplitudes[0] * (torque + dry_friction(own) / width * turned))
 
 
 def hysteresis_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
@@ -93,13 +119,42 @@ BACKLASH = Effect(
             ),
             1e-7,
             0.08,
+            reported=False,
         ),
     ),
-    report=lambda amplitudes, shapes, constants: {"width": amplitudes[0]},
     possible=lambda shapes, constants: shapes[0] >= _MIN_ROUNDING * carried_share(constants),
     applies=winds_up,
     separate="Carry the load slowly through zero torque: backlash is a step between two plateaus,"
     " a soft joint bends gradually, an encoder offset does not change side.",
+)
+
+OUTPUT_BACKLASH = Effect(
+    name="output_backlash",
+    family="geometry",
+    scope="joint",
+    equation="tau += J*d2p/dt2 + Fv*dp/dt + Fc*(sg(v + dp/dt) - sg(v)),"
+    " p = width/2*s/sqrt(s^2 + e^2)",
+    signature="torque in short bursts where the load of the joint changes side",
+    title="backlash before the encoder",
+    phrase="backlash {width} between the motor and the encoder at the output",
+    remedy="Check gear mesh, key and coupling of {where} for play, and adjust or replace the"
+    " worn part.",
+    needs=("commanded", "moves", "load_changes_sign"),
+    confused_with=("rotor_inertia", "stribeck"),
+    reference="NordinGutman2002",
+    term=output_backlash_term,
+    at_motor=BACKLASH,
+    amplitudes=(Amplitude("width", "rad", _TYPICAL_WIDTH, 0.0, 20.0),),
+    shapes=(
+        Shape("about", "rad", (0.0,), 0.0, 20.0 * _TYPICAL_WIDTH, 0.0, fit="secant"),
+        replace(BACKLASH.shapes[0], upper=0.5),
+    ),
+    report=lambda amplitudes, shapes, constants: {"width": amplitudes[0]},
+    applies=lambda constants: not constants.elastic,
+    # Bursts of torque are what any error of friction leaves at reversals.
+    log_prior=lambda constants: -2.0,
+    separate="Hold the joint where its load changes side and step the command: the motor runs"
+    " through the backlash before the link moves.",
 )
 
 HYSTERESIS = Effect(
@@ -119,10 +174,8 @@ HYSTERESIS = Effect(
         Shape("s", "rad", (1e-4, 3e-4, 1e-3), 2e-5, 5e-3),
         # Rate at which the loop approaches its limit: recordings seldom show it, but h depends on
         # it.
-        Shape("i", "", (1.0,), 0.3, 2.0, 1.0),
+        Shape("i", "", (1.0,), 0.3, 2.0, 1.0, reported=False),
     ),
-    report=lambda amplitudes, shapes, constants: {"h": amplitudes[0], "s": shapes[0]},
-    units={"h": "N m", "s": "rad"},
     applies=winds_up,
     separate="Load and unload slowly, at two speeds and two amplitudes: creep shrinks when slow,"
     " hysteresis does not; backlash has one value for each load.",

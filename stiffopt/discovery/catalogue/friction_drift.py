@@ -139,13 +139,9 @@ def friction_drift(
 ) -> Effect:
     """Return the effect with one amplitude per run.
 
-    Parameters
-    ----------
-    seen : bool
-        True where runs of these names are those of the amplitudes.
-    states : sequence of str, optional
-        State of the robot in each run: deviations are from the mean of each state, and their
-        difference is a change of the robot. Default: one state.
+    `seen`: True where runs of these names are those of the amplitudes. `states`: state of the robot
+    in each run: deviations are from the mean of each state, and their difference is a change of the
+    robot. Default: one state.
     """
     states = tuple(states) if states is not None else ("",) * len(runs)
     return Effect(

@@ -53,14 +53,9 @@ def gain_drift(
 ) -> Effect:
     """Return the effect with one amplitude per run.
 
-    Parameters
-    ----------
-    scope : {"joint", "robot"}
-        One torque constant, or that of all joints alike.
-    seen : bool
-        True where runs of these names are those of the amplitudes.
-    states : sequence of str, optional
-        State of the robot in each run, where two are compared.
+    `scope` {"joint", "robot"}: one torque constant, or that of all joints alike. `seen`: True where
+    runs of these names are those of the amplitudes. `states`: state of the robot in each run, where
+    two are compared.
     """
     states = tuple(states) if states is not None else ("",) * len(runs)
     common = scope == "robot"

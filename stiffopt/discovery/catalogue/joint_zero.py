@@ -66,8 +66,9 @@ JOINT_ZERO = Effect(
             "dq", "rad", _TYPICAL_ZERO, -_MAX_ZERO / _TYPICAL_ZERO, _MAX_ZERO / _TYPICAL_ZERO
         ),
     ),
-    shapes=(Shape("about", "rad", _INITIAL_ZEROS, -_MAX_ZERO, _MAX_ZERO, 0.0, fit="secant"),),
-    report=lambda amplitudes, shapes, constants: {"dq": amplitudes[0]},
+    shapes=(
+        Shape("about", "rad", _INITIAL_ZEROS, -_MAX_ZERO, _MAX_ZERO, 0.0, "secant", reported=False),
+    ),
     applies=_turns,
     remedy=_describe_remedy,
     separate="Move the joint to both sides of the vertical with the next joints bent and stretched:"

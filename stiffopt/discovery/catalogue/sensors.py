@@ -5,11 +5,7 @@ Readings: torque reading = (1 + eps) drive torque + off; link reading = link ang
 
 from __future__ import annotations
 
-from stiffopt.discovery.catalogue.common import (
-    CHANGED_SCALE_RATIO,
-    dry_friction,
-    viscous_friction,
-)
+from stiffopt.discovery.catalogue.common import CHANGED_SCALE_RATIO, dry_friction, viscous_friction
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term, Values
 from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.symbolic import softplus

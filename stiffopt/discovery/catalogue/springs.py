@@ -139,9 +139,8 @@ END_STOP = Effect(
     ),
     shapes=(
         Shape("q0", "rad", lambda constants: along_stroke(constants, 6), -20.0, 20.0),
-        Shape("side", "", (-1.0, 1.0), -1.0, 1.0),
+        Shape("side", "", (-1.0, 1.0), -1.0, 1.0, reported=False),
     ),
-    report=lambda amplitudes, shapes, constants: {"k": amplitudes[0], "q0": shapes[0]},
     possible=_is_within_stroke,
     separate="Go to that end of the stroke slowly, and stop short of it: a stop has no effect short"
     " of its angle, cables and weight pull everywhere.",

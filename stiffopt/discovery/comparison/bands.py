@@ -53,23 +53,12 @@ def candidate_bands(runs: Sequence[RecordedRun], usual: float) -> list[float]:
 
 
 def choose_fit_band(
-    robot: RobotModel,
-    runs: Sequence[RecordedRun],
-    *,
-    slow: float,
-    fit: float,
-    predict: float,
+    robot: RobotModel, runs: Sequence[RecordedRun], *, slow: float, fit: float, predict: float
 ) -> float:
     """Return the band of a fit that best predicts stretches left out [Hz].
 
-    Parameters
-    ----------
-    runs : sequence of RecordedRun
-        Training runs.
-    slow : float
-        Joints slower than this are at rest [rad/s].
-    fit, predict : float
-        Usual bands of fit and prediction; the first is kept where too little moves to select [Hz].
+    `runs`: training runs. `slow`: joints slower than this are at rest [rad/s]. `fit`, `predict`:
+    usual bands of fit and prediction; the first is kept where too little moves to select [Hz].
     """
     tried = candidate_bands(runs, predict)
     errors = np.array([_cross_validation_errors(robot, runs, band, slow) for band in tried])

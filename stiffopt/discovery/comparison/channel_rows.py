@@ -4,26 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.recording.channel import DEVIATION_PER_MAD
 from stiffopt.recording.nominal import Noise
+from stiffopt.units import joint_unit
 
 
 @dataclass(frozen=True, eq=False)
 class ChannelNoise:
-    """Standard deviation of each unfiltered channel.
+    """Standard deviation of each unfiltered channel."""
 
-    Parameters
-    ----------
-    torque, deflection : array (n,)
-        [N m], [rad]
-    """
-
+    # torque, deflection (n,) [N m], [rad]
     torque: np.ndarray
     deflection: np.ndarray
+
+    @property
+    def stacked(self) -> np.ndarray:
+        """Deviations (2 n,) of all channels, torques first."""
+        return np.concatenate([self.torque, self.deflection])
 
 
 class ChannelRows:
@@ -31,15 +33,9 @@ class ChannelRows:
 
     Channels are numbered: torque of joint 1 to n, then deflection of joint 1 to n.
 
-    Parameters
-    ----------
-    blocks : int
-        Cross-validation blocks per run; 1 takes each run as a whole.
+    `blocks`: cross-validation blocks per run; 1 takes each run as a whole.
 
-    Attributes
-    ----------
-    channel, block : array (m,) of int
-        Channel and block of every row.
+    `channel`, `block` (m,) of int: channel and block of every row.
     """
 
     def __init__(self, runs: Sequence[PreparedRun], noise: ChannelNoise, blocks: int = 1) -> None:
@@ -87,16 +83,9 @@ class ChannelRows:
         )
 
     def flatten(
-        self,
-        torque: Sequence[np.ndarray | None],
-        deflection: Sequence[np.ndarray | None],
+        self, torque: Sequence[np.ndarray | None], deflection: Sequence[np.ndarray | None]
     ) -> np.ndarray:
-        """Return one column of rows from additions to the channels of every run.
-
-        Parameters
-        ----------
-        torque, deflection : sequence of array (K, n) or None, one a run
-        """
+        """Return one column of rows from additions (K, n) to the channels of every run."""
         out = np.zeros(self.size)
         for number, both in enumerate(zip(torque, deflection, strict=True)):
             self.fill_run(out, number, *both)
@@ -105,13 +94,7 @@ class ChannelRows:
     def fill_run(
         self, out: np.ndarray, number: int, torque: np.ndarray | None, deflection: np.ndarray | None
     ) -> None:
-        """Write additions to the channels (K, n) of one run (from 0) into its rows of a column.
-
-        Parameters
-        ----------
-        out : array (m,)
-        torque, deflection : array (K, n) or None
-        """
+        """Write additions (K, n) to the channels of one run (from 0) into its rows of `out`."""
         run, places, begins = self.runs[number], self._places[number], self._first_rows[number]
         for kind, values in enumerate((torque, deflection)):
             own = slice(kind * self.n, (kind + 1) * self.n)
@@ -132,15 +115,8 @@ class ChannelRows:
     ) -> Iterator[tuple[int, np.ndarray]]:
         """Yield columns of rows from additions to single channels of one run (from 0).
 
-        Parameters
-        ----------
-        own : sequence of (kind, joint, column, array (K,))
-            "torque" or "deflection", and the joint from 0.
-
-        Yields
-        ------
-        (int, array (rows, count))
-            First row, and the columns from there on, of each affected channel.
+        `own`: kind of channel, joint and column (from 0), and the addition (K,). Yields the first
+        row of each affected channel, and its columns (rows, count) from there on.
         """
         if not own:
             return
@@ -156,6 +132,16 @@ class ChannelRows:
             columns[:, column] += values[where] / (scale[joint] * run.low_pass.noise_gain)
         for channel, columns in found.items():
             yield int(begins[channel]), columns
+
+    @cached_property
+    def run(self) -> np.ndarray:
+        """Number (m,) of the run of every row, from 0."""
+        return np.repeat(np.arange(len(self.runs)), [len(p.channel) for p in self._places])
+
+    @cached_property
+    def sample(self) -> np.ndarray:
+        """Number (m,) of the sample of its run that every row is of."""
+        return np.concatenate([where for p in self._places for where in p.samples])
 
     def sample_signal(self, signal: Callable[[PreparedRun], np.ndarray]) -> np.ndarray:
         """Return a signal (K, ...) of each run at every row (m, ...)."""
@@ -174,6 +160,12 @@ class _RowPlaces:
     block: np.ndarray
 
 
+def part_numbers(time: np.ndarray, parts: int) -> np.ndarray:
+    """Return the number (K,) of the equal part of a run that each of its times is in."""
+    share = (time - time[0]) / float(time[-1] - time[0])
+    return np.asarray(np.minimum((share * parts).astype(int), parts - 1))
+
+
 # Standard deviation of rounding to one count.
 _QUANTISATION_SD = 12.0**-0.5
 # Smallest estimated noise over a channel's range: smoothed recordings hold less, and no robot model
@@ -183,33 +175,28 @@ _MIN_NOISE_SHARE = 1e-3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class KnownNoise:
-    """Noise of the channels and its origin.
+    """Noise of the channels and its origin."""
 
-    Parameters
-    ----------
-    channels : ChannelNoise
-        Standard deviations of torque [N m] and deflection [rad] (n,).
-    torque_stated, deflection_stated : array (n,) of bool
-        True where the set states it; otherwise estimated.
-    at_rest : bool
-        Torques are of poses at rest: their noise includes friction of unknown direction.
-    """
-
-    channels: ChannelNoise
+    channels: ChannelNoise  # standard deviations of torque [N m] and deflection [rad] (n,)
+    # torque_stated, deflection_stated (n,) of bool: True where the set states it; otherwise
+    # estimated.
     torque_stated: np.ndarray
     deflection_stated: np.ndarray
+    # Torques are of poses at rest: their noise includes friction of unknown direction.
     at_rest: bool = False
 
-    def assumptions(self) -> list[str]:
-        """Return sentences about estimated noise."""
+    def assumptions(self, prismatic: np.ndarray) -> list[str]:
+        """Return sentences about estimated noise, from which joints are `prismatic`."""
         found = []
         for name, values, stated, unit in (
             ("Torque", self.channels.torque, self.torque_stated, "N m"),
             ("Link encoder", self.channels.deflection, self.deflection_stated, "rad"),
         ):
             guessed = np.flatnonzero(~stated & np.isfinite(values))
+            each = ", ".join(
+                f"{j + 1}: {values[j]:.3g} {joint_unit(unit, bool(prismatic[j]))}" for j in guessed
+            )
             if guessed.size and self.at_rest and name == "Torque":
-                each = ", ".join(f"{j + 1}: {values[j]:.3g} {unit}" for j in guessed)
                 found.append(
                     "Poses at rest: friction holds a pose with any torque within its band, and its"
                     f" direction is unknown; the scatter of the poses (joint {each}, one standard"
@@ -218,7 +205,6 @@ class KnownNoise:
                 )
                 continue
             if guessed.size:
-                each = ", ".join(f"{j + 1}: {values[j]:.3g} {unit}" for j in guessed)
                 found.append(
                     f"{name} noise is estimated from the training runs above the filter's cutoff"
                     f" (joint {each})."
@@ -229,13 +215,8 @@ class KnownNoise:
 def known_noise(stated: Noise, runs: Sequence[PreparedRun]) -> KnownNoise:
     """Return the noise of the unfiltered channels.
 
-    Parameters
-    ----------
-    runs : sequence of PreparedRun
-        Training runs, for channels without stated noise.
+    `runs`: training runs, for channels without stated noise.
 
-    Notes
-    -----
     An estimate is the spread of the samples above the cutoff of the zero-phase low-pass, scaled to
     white noise; by medians, so that jerks at reversals hardly count. Motion above the cutoff counts
     as noise. A channel that no run has is nan. Rounding to one count is the lower limit.

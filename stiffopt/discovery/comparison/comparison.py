@@ -11,7 +11,6 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
-from stiffopt.discovery.comparison.channel_rows import ChannelNoise
 from stiffopt.discovery.comparison.design_matrix import (
     MAX_LINEARISATION_ERROR,
     MIN_RUNS_AS_BLOCKS,
@@ -32,12 +31,10 @@ from stiffopt.discovery.comparison.inertial_parameters import (
     nominal_bodies,
 )
 from stiffopt.discovery.comparison.located_effect import Extension, LocatedEffect, with_amplitudes
-from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.piece_sums import WeightedSums
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.settings import MAX_NOMINAL_DEVIATIONS
-from stiffopt.recording.nominal import Tolerance
 
 # Default of a nominal model without an earlier diagnosis.
 _NO_SUSPECTS: Mapping[str, float] = MappingProxyType({})
@@ -45,19 +42,11 @@ _NO_SUSPECTS: Mapping[str, float] = MappingProxyType({})
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Least-squares fit of nominal values within tolerance and of effects.
-
-    Parameters
-    ----------
-    posterior : Posterior
-        Of the nuisance values, then the amplitudes over their sizes.
-    residual : array (m,)
-        Over the stated noise.
-    """
+    """Least-squares fit of nominal values within tolerance and of effects."""
 
     effects: tuple[LocatedEffect, ...]
-    posterior: Posterior
-    residual: np.ndarray
+    posterior: Posterior  # of the nuisance values, then the amplitudes over their sizes
+    residual: np.ndarray  # (m,) over the stated noise
     nuisance: int
 
     def evidence_losses(self) -> np.ndarray:
@@ -80,59 +69,33 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class ModelSums:
-    """Sums of products of a model's columns.
+    """Sums of products of a model's columns."""
 
-    Parameters
-    ----------
-    own : Sums
-        Of the nominal values, then the amplitudes over their sizes.
-    added_sums : callable
-        -> sums of an effect's columns with those.
-    """
-
-    own: Sums
-    added_sums: Callable[[LocatedEffect], AddedSums]
+    own: Sums  # of the nominal values, then the amplitudes over their sizes
+    added_sums: Callable[[LocatedEffect], AddedSums]  # -> sums of an effect's columns with those
 
 
 class Comparison:
     """Training runs against the nominal model.
 
-    Parameters
-    ----------
-    runs : sequence of PreparedRun
-        Runs with the nominal model.
-    start : Extension, optional
-        Extension of the compared model beyond the nominal one.
-    inflation : array (2 n,), optional
-        Factor on the noise of every channel for its unexplained residual.
-    least : array (2 n,), optional
-        Smallest of these factors: the residual of the starting model in its own recordings; nan for
-        unseen channels.
-    suspects : mapping of str to float
-        Log evidence per row of effects, by label, that the starting model left unexplained: so much
-        does not count as evidence of a change.
-    columns : DesignMatrix, optional
-        Design matrix of these runs, linearised about known findings.
+    `columns`: design matrix of these runs, linearised about known findings. `inflation` (2 n,):
+    factor on the noise of every channel for its unexplained residual. `least` (2 n,): smallest of
+    these factors: the residual of the starting model in its own recordings; nan for unseen
+    channels. `suspects`: log evidence per row of effects, by label, that the starting model left
+    unexplained: so much does not count as evidence of a change.
     """
 
     def __init__(
         self,
-        robot: RobotModel,
-        runs: Sequence[PreparedRun],
-        noise: ChannelNoise,
-        tolerance: Tolerance,
+        columns: DesignMatrix,
         *,
-        start: Extension | None = None,
         inflation: np.ndarray | None = None,
         least: np.ndarray | None = None,
         suspects: Mapping[str, float] = _NO_SUSPECTS,
-        columns: DesignMatrix | None = None,
     ) -> None:
-        self.robot, self.noise, self.tolerance = robot, noise, tolerance
-        self.nominal_runs, self.start = tuple(runs), start or Extension()
-        self.columns = columns or DesignMatrix(
-            robot, self.nominal_runs, noise, tolerance, self.start, Extension()
-        )
+        self.columns, robot = columns, columns.robot
+        self.robot, self.noise, self.tolerance = robot, columns.noise, columns.tolerance
+        self.nominal_runs, self.start = columns.nominal_runs, columns.start
         self.runs, self.rows = self.columns.runs, self.columns.rows
         self.constants = self.runs[0].signals.constants
         self.blocks = int(self.rows.block.max()) + 1
@@ -150,10 +113,7 @@ class Comparison:
     def linearised_at(self, fit: Fit, near: float = MAX_LINEARISATION_ERROR) -> Comparison:
         """Return the comparison linearised at a fit, with its residual noise in each channel.
 
-        Parameters
-        ----------
-        near : float
-            Largest linearisation error of the links, rms over that noise.
+        `near`: largest linearisation error of the links, rms over that noise.
         """
         left = np.nan_to_num(self.channel_ratio(fit.residual), nan=1.0)
         return self.with_extension(self.extension_of(fit), np.maximum(self.least, left), near)
@@ -179,24 +139,12 @@ class Comparison:
 
     def with_runs(self, runs: Sequence[PreparedRun]) -> Comparison:
         """Return the comparison of other runs with the same model."""
-        return self._derive_comparison(None, None, runs)
+        columns = DesignMatrix(self.robot, tuple(runs), self.noise, self.tolerance, self.start)
+        return self._derive_comparison(None, columns)
 
-    def _derive_comparison(
-        self,
-        inflation: np.ndarray | None,
-        columns: DesignMatrix | None,
-        runs: Sequence[PreparedRun] | None = None,
-    ) -> Comparison:
+    def _derive_comparison(self, inflation: np.ndarray | None, columns: DesignMatrix) -> Comparison:
         return Comparison(
-            self.robot,
-            self.nominal_runs if runs is None else runs,
-            self.noise,
-            self.tolerance,
-            start=self.start,
-            inflation=inflation,
-            least=self._least_known,
-            suspects=self.suspects,
-            columns=columns,
+            columns, inflation=inflation, least=self._least_known, suspects=self.suspects
         )
 
     @property

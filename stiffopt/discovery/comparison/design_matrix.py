@@ -38,6 +38,7 @@ _START_CACHE_BYTES, _RECENT_CACHE_SIZE = 2**27, 64
 _BATCH_BYTES = 2**21
 # Number of earlier linearisations in memory.
 _MAX_EARLIER = 4
+_NO_EXTENSION = Extension()
 # Largest linearisation error of the links before a new linearisation, rms over the residual noise.
 MAX_LINEARISATION_ERROR = 0.3
 
@@ -64,14 +65,8 @@ class _NominalColumns:
 class DesignMatrix:
     """Training runs linearised about an extension, and columns of small changes to them.
 
-    Parameters
-    ----------
-    runs : tuple of PreparedRun
-        Runs with the nominal model.
-    start : Extension
-        Extension of the compared model.
-    found : Extension
-        Further extension by which the links move; nonlinear effects are linearised about it.
+    `runs`: runs with the nominal model. `start`: extension of the compared model. `found`: further
+    extension by which the links move; nonlinear effects are linearised about it.
     """
 
     def __init__(
@@ -80,12 +75,12 @@ class DesignMatrix:
         runs: tuple[PreparedRun, ...],
         noise: ChannelNoise,
         tolerance: Tolerance,
-        start: Extension,
-        found: Extension,
+        start: Extension = _NO_EXTENSION,
+        found: Extension = _NO_EXTENSION,
     ) -> None:
         self.robot, self.noise, self.tolerance = robot, noise, tolerance
         self.start, self.found, self.nominal_runs = start, found, runs
-        about = [linearise_run(run, robot, start, found) for run in runs]
+        about = [linearise_run(run, start, found) for run in runs]
         self.runs = tuple(run for run, _, _ in about)
         self._own_share = [(torque, deflection) for _, torque, deflection in about]
         self.rows = ChannelRows(self.runs, noise, self._blocks_per_run())
@@ -114,13 +109,9 @@ class DesignMatrix:
         Returns itself where masses are not positive definite, whose vibration would grow without
         bound.
 
-        Parameters
-        ----------
-        inflation : array (2 n,), optional
-            Residual noise of every channel over the stated one; default as stated. With vibrating
-            links the residual may stem from the linearisation: the stated one counts.
-        near : float
-            Largest linearisation error of the links, rms over that noise.
+        `inflation` (2 n,): residual noise of every channel over the stated one; default as stated.
+        With vibrating links the residual may stem from the linearisation: the stated one counts.
+        `near`: largest linearisation error of the links, rms over that noise.
         """
         found = self._link_moving_part(found)
         if any(run.vibration is not None for run in self.runs):
@@ -209,11 +200,11 @@ class DesignMatrix:
         # A joint at rest, or links without a solution, have no column in a run. A few columns after
         # others: a long run has no memory for all of them before decimation.
         for number, run in enumerate(self.runs):
-            new = nuisance_columns(
-                run, self.robot, self.tolerance, self.bodies, lambda name: name not in known
-            )
+            new = nuisance_columns(run, self.tolerance, self.bodies, lambda name: name not in known)
             while together := list(islice(new, _batch_size(run))):
-                changes = channel_changes([each.added for each in together], run, self.robot)
+                like = run.signals.spring_torque
+                added = [each.contribution(like) for each in together]
+                changes = channel_changes(added, run)
                 for each, change in zip(together, changes, strict=True):
                     sd[each.name] = each.sd
                     rows = columns.setdefault(each.name, np.zeros(self.rows.size))
@@ -352,7 +343,7 @@ class DesignMatrix:
 
     def _robot_effect_pieces(self, located: LocatedEffect) -> PieceColumns:
         """Return the columns of an effect of the robot or a link."""
-        per_run = [located.columns(run, self.robot) for run in self.runs]
+        per_run = [located.columns(run) for run in self.runs]
         rows = [
             self.rows.flatten([c[0] for c in each], [c[1] for c in each])
             for each in zip(*per_run, strict=True)
@@ -366,7 +357,7 @@ class DesignMatrix:
         # Run by run: vibrating links respond in all channels, which takes memory.
         for number, run in enumerate(self.runs):
             for own, size, of_run in zip(
-                parts, sizes, effect_channel_changes(effects, run, self.robot), strict=True
+                parts, sizes, effect_channel_changes(effects, run), strict=True
             ):
                 stretches = self.rows.channel_columns(number, of_run, len(size))
                 own.extend((begin, part * size) for begin, part in stretches)

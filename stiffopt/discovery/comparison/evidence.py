@@ -21,21 +21,12 @@ _MIN_KNOWN_SHARE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Gaussian posterior of the parameters.
+    """Gaussian posterior of the parameters."""
 
-    Parameters
-    ----------
-    mean : array (p,)
-    covariance : array (p, p)
-    log_evidence : float
-        Of all rows, up to a constant of the data.
-    by_block : array (b,)
-        Log density of every block given the other blocks, same constant; empty if not computed.
-    """
-
-    mean: np.ndarray
-    covariance: np.ndarray
-    log_evidence: float
+    mean: np.ndarray  # (p,)
+    covariance: np.ndarray  # (p, p)
+    log_evidence: float  # of all rows, up to a constant of the data
+    # (b,) log density of every block given the other blocks, same constant; empty if not computed.
     by_block: np.ndarray
 
     @property
@@ -45,19 +36,9 @@ class Posterior:
 
 
 class BlockSums:
-    """Sums of products of every block of rows.
+    """Sums of products of rows: gram (b, p, p), moment (b, p) and square (b,) of every block.
 
-    Parameters
-    ----------
-    columns : array (m, p)
-    target : array (m,)
-    block : array (m,) of int
-
-    Attributes
-    ----------
-    gram : array (b, p, p)
-    moment : array (b, p)
-    square : array (b,)
+    Of columns (m, p) and target (m,), whose blocks (m,) are numbered from 0.
     """
 
     def __init__(
@@ -104,15 +85,8 @@ class Sums:
 class AddedSums:
     """Sums of products of further columns, by parts of the rows on which they act.
 
-    Parameters
-    ----------
-    cross : array (a, p, k)
-        With the columns that they are added to.
-    inner : array (a, k, k)
-    moment : array (a, k)
-        With the target.
-    block : array (a,) of int
-        Block of each part.
+    `cross` (a, p, k): with the columns that they are added to. `inner` (a, k, k). `moment` (a, k):
+    with the target. `block` (a,) of int: block of each part.
     """
 
     def __init__(
@@ -149,33 +123,20 @@ def sum_by_block(parts: np.ndarray, block: np.ndarray, blocks: int) -> np.ndarra
 
 @dataclass(frozen=True, eq=False)
 class AddedPosterior:
-    """Posterior of parameters added to others.
+    """Posterior of parameters added to others."""
 
-    Parameters
-    ----------
-    mean : array (k,)
-    covariance, precision : array (k, k)
-    log_evidence : float
-        Log evidence with all parameters, as of a `Posterior`.
-    base : callable
-        -> posterior mean (p,) of the other parameters.
-    """
-
-    mean: np.ndarray
+    mean: np.ndarray  # (k,)
+    # covariance, precision (k, k)
     covariance: np.ndarray
     precision: np.ndarray
-    log_evidence: float
-    base: Callable[[], np.ndarray]
+    log_evidence: float  # log evidence with all parameters, as of a `Posterior`
+    base: Callable[[], np.ndarray]  # -> posterior mean (p,) of the other parameters
 
 
 class AddedColumnsPosterior:
     """Posteriors with a few more parameters of unit prior, at the cost of those alone.
 
-    Parameters
-    ----------
-    sums : Sums
-        Sums without them.
-    prior_sd : array (p,)
+    `sums`: sums without them. `prior_sd` (p,).
     """
 
     def __init__(self, sums: Sums, prior_sd: np.ndarray) -> None:
@@ -283,11 +244,7 @@ def log_likelihood_gain(mean: np.ndarray, covariance: np.ndarray) -> float:
 def posterior(sums: Sums, prior_sd: np.ndarray, *, cross_validate: bool = True) -> Posterior:
     """Return the posterior under independent zero-mean priors.
 
-    Parameters
-    ----------
-    sums : Sums
-        Sums of rows with unit noise.
-    prior_sd : array (p,)
+    `sums`: sums of rows with unit noise. `prior_sd` (p,).
     """
     gram, moment = sums.gram.sum(axis=0), sums.moment.sum(axis=0)
     square = float(sums.square.sum())

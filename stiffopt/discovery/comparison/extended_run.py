@@ -18,7 +18,6 @@ from stiffopt.discovery.comparison.extension_change import (
 )
 from stiffopt.discovery.comparison.filtering import derivative
 from stiffopt.discovery.comparison.located_effect import Extension
-from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.nuisance import (
     BODY_VALUES,
     LINK_MOVING_VALUES,
@@ -35,18 +34,13 @@ _EFFECT_PASSES = 2
 _MAX_CACHED_RUNS = 2
 
 
-def simulate_links(run: PreparedRun, robot: RobotModel, extension: Extension) -> PreparedRun:
+def simulate_links(run: PreparedRun, extension: Extension) -> PreparedRun:
     """Return a run whose links vibrate with an extension, without its drive torques.
 
     Contributions to readings are left out too.
 
-    Parameters
-    ----------
-    run : PreparedRun
-        Run with the nominal model and its vibration.
+    `run`: run with the nominal model and its vibration.
 
-    Notes
-    -----
     Where no such motion is found, as in a fit far from the solution, nominal values are applied to
     first order, and effects too where that does not suffice.
     """
@@ -57,7 +51,7 @@ def simulate_links(run: PreparedRun, robot: RobotModel, extension: Extension) ->
     if key not in run.extension_cache:
         while len(run.extension_cache) >= _MAX_CACHED_RUNS:
             run.extension_cache.pop(next(iter(run.extension_cache)))
-        found = run.extension_cache[key] = _simulate_with_fallback(run, robot, moving)
+        found = run.extension_cache[key] = _simulate_with_fallback(run, moving)
         assert found.vibration is not None
         # What follows is linearised anew, about the motion found.
         found.vibration.response.release_steps()
@@ -77,21 +71,19 @@ def _cache_key(extension: Extension) -> tuple[object, ...]:
     return (*extension.calibration.items(), *effects)
 
 
-def _simulate_with_fallback(
-    run: PreparedRun, robot: RobotModel, extension: Extension
-) -> PreparedRun:
-    found = _solve_links(run, robot, extension)
+def _simulate_with_fallback(run: PreparedRun, extension: Extension) -> PreparedRun:
+    found = _solve_links(run, extension)
     if found is not None:
         return found
     values = replace(extension, effects=())
     if extension.effects and not values.empty:
-        found = _solve_links(run, robot, replace(extension, calibration={}))
+        found = _solve_links(run, replace(extension, calibration={}))
         if found is not None:
-            return _extend_to_first_order(found, robot, values)
-    return _extend_to_first_order(run, robot, extension)
+            return _extend_to_first_order(found, values)
+    return _extend_to_first_order(run, extension)
 
 
-def _solve_links(run: PreparedRun, robot: RobotModel, extension: Extension) -> PreparedRun | None:
+def _solve_links(run: PreparedRun, extension: Extension) -> PreparedRun | None:
     """Return the run whose links vibrate with an extension; None where no motion is found.
 
     Springs and damping are those of the new motion; regressors are taken about the previous one,
@@ -100,7 +92,7 @@ def _solve_links(run: PreparedRun, robot: RobotModel, extension: Extension) -> P
     """
     assert run.vibration is not None
     laws, rest = spring_laws(run, extension)
-    springs = run.springs(robot, extended_damping(robot, extension, run.name), laws)
+    springs = run.springs(extended_damping(run, extension), laws)
     bodies = select_calibration(extension, BODY_VALUES)
     sprung = replace(
         extension,
@@ -108,18 +100,18 @@ def _solve_links(run: PreparedRun, robot: RobotModel, extension: Extension) -> P
         effects=tuple(e for e in rest.effects if not is_damping(e)),
     )
     effects = replace(sprung, calibration={})
-    added_inertia = added_inertia_along(run, robot, effects)
-    nominal = relative_compliance(run, robot, replace(sprung, effects=()))
+    added_inertia = added_inertia_along(run, effects)
+    nominal = relative_compliance(run, replace(sprung, effects=()))
     vibration = springs.linearise(
-        run.links, nominal * relative_compliance(run, robot, effects), added_inertia, run.vibration
+        run.links, nominal * relative_compliance(run, effects), added_inertia, run.vibration
     )
-    begin = _slow_link_motion(run, robot, extension, vibration)
+    begin = _slow_link_motion(run, extension, vibration)
     moved = run
     for again in range(_EFFECT_PASSES if effects.effects else 1):
-        weight = extension_change(moved, robot, bodies).link_torque
+        weight = extension_change(moved, bodies).link_torque
 
         def compliance_ratio(links: LinkMotion, moved: PreparedRun = moved) -> np.ndarray:
-            now = relative_compliance(with_link_motion(moved, robot, links), robot, effects)
+            now = relative_compliance(with_link_motion(moved, links), effects)
             return np.asarray(nominal[: len(now)] * now)
 
         def added(
@@ -132,7 +124,7 @@ def _solve_links(run: PreparedRun, robot: RobotModel, extension: Extension) -> P
             )
             torque = weight[:known]
             if effects.effects:
-                change = extension_change(with_link_motion(moved, robot, links), robot, effects)
+                change = extension_change(with_link_motion(moved, links), effects)
                 torque, displaced = torque + change.link_torque, displaced + change.deflection
             if isinstance(added_inertia, np.ndarray):
                 away = links.acceleration - moved.signals.link_acceleration[:known]
@@ -148,9 +140,9 @@ def _solve_links(run: PreparedRun, robot: RobotModel, extension: Extension) -> P
         )
         if links is None:
             return None
-        moved = with_link_motion(moved, robot, links)
+        moved = with_link_motion(moved, links)
         if isinstance(added_inertia, np.ndarray):
-            moved = _with_own_regressor(moved, robot)
+            moved = _with_own_regressor(moved)
     return replace(
         moved,
         vibration=vibration,
@@ -158,28 +150,24 @@ def _solve_links(run: PreparedRun, robot: RobotModel, extension: Extension) -> P
     )
 
 
-def _slow_link_motion(
-    run: PreparedRun, robot: RobotModel, extension: Extension, vibration: Vibration
-) -> LinkMotion:
+def _slow_link_motion(run: PreparedRun, extension: Extension, vibration: Vibration) -> LinkMotion:
     """Return the slow motion of the links with an extension."""
     assert run.vibration is not None
     slow = run.vibration.reference
-    here = with_link_motion(run, robot, slow)
+    here = with_link_motion(run, slow)
     if any(e.effect.family == "inertial" for e in extension.effects):
-        here = _with_own_regressor(here, robot)
-    change = extension_change(here, robot, extension)
+        here = _with_own_regressor(here)
+    change = extension_change(here, extension)
     low_pass = slow_filter(run.signals.dt)
     wound = low_pass(change.link_torque / vibration.carrying_stiffness + change.deflection)
     rate = derivative(wound, run.signals.dt)
     return slow.shifted(-wound, -rate, -derivative(rate, run.signals.dt))
 
 
-def _extend_to_first_order(
-    run: PreparedRun, robot: RobotModel, extension: Extension
-) -> PreparedRun:
+def _extend_to_first_order(run: PreparedRun, extension: Extension) -> PreparedRun:
     """Return the run with an extension to first order."""
     assert run.vibration is not None
-    change = extension_change(run, robot, extension)
+    change = extension_change(run, extension)
     ((torque, deflection),) = run.vibration.respond([(change.link_torque, change.deflection)])
     assert torque is not None
     assert deflection is not None
@@ -187,14 +175,14 @@ def _extend_to_first_order(
     return replace(run, signals=signals, added_deflection=run.added_deflection + deflection)
 
 
-def _with_own_regressor(run: PreparedRun, robot: RobotModel) -> PreparedRun:
+def _with_own_regressor(run: PreparedRun) -> PreparedRun:
     """Return the run with the body regressor of its own link motion."""
     s = run.signals
     arm = s.arm.with_bodies(s.link_position, s.link_velocity, s.link_acceleration)
     return replace(run, signals=replace(s, arm=arm))
 
 
-def with_link_motion(run: PreparedRun, robot: RobotModel, links: LinkMotion) -> PreparedRun:
+def with_link_motion(run: PreparedRun, links: LinkMotion) -> PreparedRun:
     """Return the run, or its first samples, with another link motion."""
     if len(links.position) < len(run.time):
         run = run.head(len(links.position))
@@ -208,39 +196,32 @@ def with_link_motion(run: PreparedRun, robot: RobotModel, links: LinkMotion) -> 
             link_acceleration=links.acceleration,
             transmitted_torque=links.torque,
             spring_torque=links.spring,
-            windup=robot.windup(links.spring),
+            windup=run.robot.windup(links.spring),
             drive_torque=signals.drive_torque - signals.transmitted_torque + links.torque,
         ),
     )
 
 
-def extend_run(run: PreparedRun, robot: RobotModel, *extensions: Extension) -> PreparedRun:
+def extend_run(run: PreparedRun, *extensions: Extension) -> PreparedRun:
     """Return a run whose nominal torques and wind-up include extensions.
 
-    Parameters
-    ----------
-    run : PreparedRun
-        Run with the nominal model.
-    extensions : Extension
-        Each on top of those before it.
+    `run`: run with the nominal model. `extensions`: each on top of those before it.
 
-    Notes
-    -----
     Where links vibrate, they do so with all changes of stiffness and inertia. Otherwise terms are
     evaluated with the extended spring torque, as in the fit; the joints wind up by the exact law
     under it.
     """
     if run.vibration is None:
         for extension in extensions:
-            run = _extend_static_run(run, robot, extension)
+            run = _extend_static_run(run, extension)
         return run
     whole = Extension()
     for extension in extensions:
         whole = whole.plus(extension)
     if whole.empty:
         return run
-    moved = simulate_links(run, robot, whole)
-    change = extension_change(moved, robot, whole)
+    moved = simulate_links(run, whole)
+    change = extension_change(moved, whole)
     drive = moved.signals.drive_torque + run.motion_filter(change.torque)
     rate = derivative(run.low_pass(drive), moved.signals.dt)
     return replace(
@@ -251,50 +232,39 @@ def extend_run(run: PreparedRun, robot: RobotModel, *extensions: Extension) -> P
 
 
 def linearise_run(
-    run: PreparedRun, robot: RobotModel, start: Extension, found: Extension
+    run: PreparedRun, start: Extension, found: Extension
 ) -> tuple[PreparedRun, np.ndarray | float, np.ndarray | float]:
     """Return a run about an extension, for nonlinear springs and changed modes.
 
-    Parameters
-    ----------
-    run : PreparedRun
-        Run with the nominal model.
-    start : Extension
-        Extension that is included in the prediction as a whole.
-    found : Extension
-        Extension of which only link motions are included.
-
-    Returns
-    -------
-    run : PreparedRun
-    torque, deflection : array (K, n) or float
-        Contribution of the found amplitudes by the columns about this run, which its prediction
-        contains already [N m], [rad].
+    `run`: run with the nominal model. `start`: extension that is included in the prediction as a
+    whole. `found`: extension of which only link motions are included. Returns `torque`,
+    `deflection` (K, n): contribution of the found amplitudes by the columns about this run, which
+    its prediction contains already [N m], [rad].
     """
     if start.empty and found.empty:
         return run, 0.0, 0.0
     if run.vibration is None:
-        base = extend_run(run, robot, start)
-        change = extension_change(base, robot, replace(found, calibration={}))
+        base = extend_run(run, start)
+        change = extension_change(base, replace(found, calibration={}))
         if not change.link_torque.any():
             return base, 0.0, 0.0
-        bent = with_link_torque(base, robot, change.link_torque)
-        wound = robot.compliance(bent.signals.spring_torque) * change.link_torque
+        bent = with_link_torque(base, change.link_torque)
+        wound = run.robot.compliance(bent.signals.spring_torque) * change.link_torque
         return bent, change.link_torque, wound
     whole = start.plus(found)
-    moved = simulate_links(run, robot, whole)
+    moved = simulate_links(run, whole)
     laws, rest = spring_laws(moved, whole)
-    softer = relative_compliance(moved, robot, rest)
-    heavier = added_inertia_along(moved, robot, whole)
-    springs = moved.springs(robot, extended_damping(robot, whole, run.name), laws)
+    softer = relative_compliance(moved, rest)
+    heavier = added_inertia_along(moved, whole)
+    springs = moved.springs(extended_damping(run, whole), laws)
     own = springs.linearise(moved.links, softer, heavier, moved.vibration)
     moved = replace(moved, vibration=own, play=springs.play(moved.links))
-    change = extension_change(moved, robot, found)
-    ((torque, deflection),) = moved.respond(robot, [(change.link_torque, change.deflection)])
+    change = extension_change(moved, found)
+    ((torque, deflection),) = moved.respond([(change.link_torque, change.deflection)])
     assert torque is not None
     assert deflection is not None
     if not start.empty:
-        stated = extension_change(moved, robot, start)
+        stated = extension_change(moved, start)
         drive = moved.signals.drive_torque + run.motion_filter(stated.torque)
         moved = replace(
             moved,
@@ -304,11 +274,11 @@ def linearise_run(
     return moved, torque, deflection
 
 
-def _extend_static_run(run: PreparedRun, robot: RobotModel, extension: Extension) -> PreparedRun:
+def _extend_static_run(run: PreparedRun, extension: Extension) -> PreparedRun:
     """Return the run with an extension, links quasi-static."""
-    bent = with_link_torque(run, robot, extension_change(run, robot, extension).link_torque)
-    change = extension_change(bent, robot, extension)
-    wound = with_link_torque(run, robot, change.link_torque).signals
+    bent = with_link_torque(run, extension_change(run, extension).link_torque)
+    change = extension_change(bent, extension)
+    wound = with_link_torque(run, change.link_torque).signals
     drive = wound.drive_torque + change.torque
     return replace(
         run,

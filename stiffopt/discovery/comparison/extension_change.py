@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stiffopt.discovery.comparison.located_effect import Contribution, EstimatedEffect, Extension
-from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.nuisance import (
     BODY_VALUES,
     COMMAND_DELAY,
@@ -56,19 +55,19 @@ class Change:
                 total += own
 
 
-def extension_change(run: PreparedRun, robot: RobotModel, extension: Extension) -> Change:
+def extension_change(run: PreparedRun, extension: Extension) -> Change:
     """Return the contributions of an extension to the channels of a run."""
     change = Change(*(np.zeros_like(run.signals.spring_torque) for _ in range(4)))
     values = {name: value for name, value in extension.calibration.items() if value}
     bodies = {name for name in values if name.kind in BODY_VALUES}
     if bodies:
-        parameters = body_parameter_changes(robot, values)
+        parameters = body_parameter_changes(run.robot, values)
         change.link_torque[:] += run.signals.body_regressor.torque(parameters)
     others = values.keys() - bodies
-    law = robot.recordings.actuator
+    law = run.robot.recordings.actuator
     if COMMAND_DELAY in others and law is not None and law.delay_deviation:
-        change.torque[:] += values[COMMAND_DELAY] * command_rate(run, robot)
-    for own in joint_columns(run, robot, _ALL_TOLERANCES, others.__contains__) if others else ():
+        change.torque[:] += values[COMMAND_DELAY] * command_rate(run)
+    for own in joint_columns(run, _ALL_TOLERANCES, others.__contains__) if others else ():
         getattr(change, own.field)[:, own.name.place] += values[own.name] * own.values
     for each in extension.effects:
         change.add(each.located.contribution(run, each.amplitudes))
@@ -93,20 +92,20 @@ def is_damping(each: EstimatedEffect) -> bool:
     return each.effect.nominal == "joint_damping"
 
 
-def extended_damping(robot: RobotModel, extension: Extension, run: str) -> np.ndarray:
+def extended_damping(run: PreparedRun, extension: Extension) -> np.ndarray:
     """Return the damping of the joints (n,) in a run, extended, at least zero [N m s/rad]."""
-    damping = nominal_damping(robot)
+    damping = nominal_damping(run.robot)
     factors = [
-        extension.calibration.get(ValueName("joint_damping", j), 0.0) for j in range(robot.n)
+        extension.calibration.get(ValueName("joint_damping", j), 0.0) for j in range(run.robot.n)
     ]
-    added = np.zeros(robot.n)
+    added = np.zeros(run.robot.n)
     for each in extension.effects:
-        if is_damping(each) and each.located.joint is not None and each.located.acts_in(run):
+        if is_damping(each) and each.located.joint is not None and each.located.acts_in(run.name):
             added[each.located.joint] += each.amplitudes[0]
     return np.asarray(np.maximum(damping * (1.0 + np.array(factors)) + added, 0.0))
 
 
-def relative_compliance(run: PreparedRun, robot: RobotModel, extension: Extension) -> np.ndarray:
+def relative_compliance(run: PreparedRun, extension: Extension) -> np.ndarray:
     """Return the tangent compliance (K, n) with an extension over the nominal one."""
     effects = tuple(e for e in extension.effects if not is_damping(e))
     if not any(e.effect.yields for e in effects):
@@ -116,22 +115,20 @@ def relative_compliance(run: PreparedRun, robot: RobotModel, extension: Extensio
     step = _SLOPE_STEP * np.array([j.torque_rated for j in run.signals.constants.joints])
     steps = np.broadcast_to(step, run.torque.shape)
     instant = replace(extension, effects=tuple(e for e in effects if not e.effect.lags))
-    softer = 1.0 + _added_compliance(run, robot, instant, steps)
+    softer = 1.0 + _added_compliance(run, instant, steps)
     lagging = tuple(e for e in effects if e.effect.lags)
     if lagging:
         # Alternate the step between samples, which lagging effects do not follow.
         sign = np.where(np.arange(len(steps)) % 2, -1.0, 1.0)
         sign[0] = _FIRST_STEP_SHARE
-        softer += _added_compliance(run, robot, Extension(effects=lagging), sign[:, None] * steps)
+        softer += _added_compliance(run, Extension(effects=lagging), sign[:, None] * steps)
     return softer
 
 
-def _added_compliance(
-    run: PreparedRun, robot: RobotModel, extension: Extension, steps: np.ndarray
-) -> np.ndarray:
+def _added_compliance(run: PreparedRun, extension: Extension, steps: np.ndarray) -> np.ndarray:
     """Return the relative compliance of an extension by steps of the load (K, n)."""
-    loaded = with_link_torque(run, robot, steps)
-    ends = [extension_change(each, robot, extension).deflection for each in (run, loaded)]
+    loaded = with_link_torque(run, steps)
+    ends = [extension_change(each, extension).deflection for each in (run, loaded)]
     nominal = loaded.signals.windup - run.signals.windup
     return np.asarray((ends[1] - ends[0]) / nominal)
 
@@ -172,39 +169,26 @@ def _tabulate_spring(signals: JointSignals, own: Sequence[EstimatedEffect]) -> S
     return SpringLaw(carried[kept], deflection[kept], windup[kept])
 
 
-def added_inertia_along(
-    run: PreparedRun, robot: RobotModel, extension: Extension
-) -> np.ndarray | float:
+def added_inertia_along(run: PreparedRun, extension: Extension) -> np.ndarray | float:
     """Return the inertia (K, n, n) that an extension adds to the links [kg m^2]."""
     effects = tuple(e for e in extension.effects if e.effect.family == "inertial")
     if not effects:
         return 0.0
     every = max(1, round(_INERTIA_INTERVAL / run.signals.dt))
-    added = added_inertia(run, robot, [Extension(effects=effects)], every)
+    added = added_inertia(run, [Extension(effects=effects)], every)
     return np.repeat(added, every, axis=0)[: len(run.time)]
 
 
-def added_inertia(
-    run: PreparedRun, robot: RobotModel, extensions: Sequence[Extension], every: int
-) -> np.ndarray:
+def added_inertia(run: PreparedRun, extensions: Sequence[Extension], every: int) -> np.ndarray:
     """Return the inertia that extensions add to the links, by the bodies' regressor.
 
-    Parameters
-    ----------
-    run : PreparedRun
-        Run with the nominal model.
-    every : int
-        Samples between matrices.
-
-    Returns
-    -------
-    array (K / every, n, n)
-        Added inertia [kg m^2].
+    `run`: run with the nominal model. `every`: samples between matrices. Returns (K / every, n, n)
+    added inertia [kg m^2].
     """
     few = replace(run, signals=run.signals.decimate(every))
     q = few.signals.link_position
     if not extensions:
-        return np.zeros((*q.shape, robot.n))
+        return np.zeros((*q.shape, run.robot.n))
     rest = np.zeros_like(q)
 
     def link_torque(acceleration: np.ndarray) -> np.ndarray:
@@ -215,8 +199,8 @@ def added_inertia(
             arm=few.signals.arm.with_bodies(q, rest, acceleration),
         )
         here = replace(few, signals=signals)
-        return sum((extension_change(here, robot, each).link_torque for each in extensions), rest)
+        return sum((extension_change(here, each).link_torque for each in extensions), rest)
 
     held = link_torque(rest)
-    units = (np.broadcast_to(unit, q.shape) for unit in np.eye(robot.n))
+    units = (np.broadcast_to(unit, q.shape) for unit in np.eye(run.robot.n))
     return np.stack([link_torque(unit) - held for unit in units], axis=2)

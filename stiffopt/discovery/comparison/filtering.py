@@ -28,18 +28,10 @@ _END_DIFFERENCES = np.array([[-25.0, 48.0, -36.0, 16.0, -3.0], [-3.0, -10.0, 18.
 
 @dataclass(frozen=True)
 class ZeroPhaseFilter:
-    """Symmetric FIR low-pass: rows of a fit depend on few neighbouring samples.
+    """Symmetric FIR low-pass: rows of a fit depend on few neighbouring samples."""
 
-    Parameters
-    ----------
-    rate : float
-        Sampling rate [Hz].
-    cutoff : float
-        Cutoff frequency [Hz], below half the rate.
-    """
-
-    rate: float
-    cutoff: float
+    rate: float  # sampling rate [Hz]
+    cutoff: float  # cutoff frequency [Hz], below half the rate
 
     def __call__(self, samples: np.ndarray) -> np.ndarray:
         """Filter along the first axis, with point-symmetric extension at the ends."""
@@ -166,11 +158,7 @@ def resample_uniform(run: RecordedRun) -> tuple[np.ndarray, np.ndarray, np.ndarr
     count = int(np.floor((run.time[-1] - run.time[0]) / step + 1e-6)) + 1
     time = run.time[0] + step * np.arange(count)
     empty = np.full_like(run.position, np.nan)
-    channels = (
-        run.position,
-        empty if run.link_position is None else run.link_position,
-        run.torque,
-    )
+    channels = (run.position, empty if run.link_position is None else run.link_position, run.torque)
     if count == len(run.time) and np.allclose(time, run.time, rtol=0.0, atol=1e-3 * step):
         return (time, *(np.array(c, dtype=float) for c in channels))
     motor, link, torque = channels
@@ -242,22 +230,12 @@ def near_gaps(stamps: np.ndarray, step: float, time: np.ndarray, reach: int) -> 
 
 @dataclass(frozen=True, eq=False)
 class SlowMotion:
-    """Motion and torque of a run on a uniform clock, in a band that weight and friction show in.
+    """Motion and torque of a run on a uniform clock, in a band that weight and friction show in."""
 
-    Parameters
-    ----------
-    time : array (K,)
-        [s]
-    dt : float
-        [s]
-    low_pass : ZeroPhaseFilter
-    position, velocity, acceleration, torque : array (K, n)
-        Filtered; gaps are bridged.
-    """
-
-    time: np.ndarray
-    dt: float
+    time: np.ndarray  # (K,) [s]
+    dt: float  # [s]
     low_pass: ZeroPhaseFilter
+    # position, velocity, acceleration, torque (K, n): filtered; gaps are bridged.
     position: np.ndarray
     velocity: np.ndarray
     acceleration: np.ndarray

@@ -55,12 +55,7 @@ def nominal_bodies(robot: RobotModel) -> np.ndarray:
 
 
 def pseudo_inertia(parameters: np.ndarray) -> np.ndarray:
-    """Return the second moments of mass about the joint's origin (..., 4, 4), mass last.
-
-    Parameters
-    ----------
-    parameters : array (..., 10)
-    """
+    """Return second moments of mass about the joint's origin (..., 4, 4), mass last."""
     out = np.zeros((*parameters.shape[:-1], 4, 4))
     half = 0.5 * parameters[..., _MOMENT_ENTRIES].sum(axis=-1)
     for axis, k in enumerate(_MOMENT_ENTRIES):
@@ -142,20 +137,9 @@ def likeliest_consistent_bodies(
 ) -> np.ndarray:
     """Minimise x' gram x / 2 - moment' x over consistent bodies, other values within limits.
 
-    Parameters
-    ----------
-    gram : array (p, p)
-        Positive definite.
-    moment : array (p,)
-    place : slice
-        Slice of the bodies' parameter changes among the values, body after body.
-    nominal, units : array (n, 10)
-    limits : array (p,)
-        Largest magnitude of the other values.
-
-    Returns
-    -------
-    array (p,)
+    `gram` (p, p): positive definite. `moment` (p,). `place`: slice of the bodies' parameter changes
+    among the values, body after body. `nominal`, `units` (n, 10). `limits` (p,): largest magnitude
+    of the other values.
     """
     others = np.ones(len(moment), dtype=bool)
     others[place] = False
@@ -207,15 +191,8 @@ def _to_local_coordinates(
 ) -> np.ndarray:
     """Return derivatives (p, c) by local coordinates from those by the values.
 
-    Parameters
-    ----------
-    own : array (n, 10, 10)
-        Values of each body per unit of its local coordinates, by rows.
-    size : array (p,)
-        Scale of the other values.
-    place : slice
-        Slice of the bodies' values.
-    rows : array (p, c)
+    `own` (n, 10, 10): values of each body per unit of its local coordinates, by rows. `size` (p,):
+    scale of the other values. `place`: slice of the bodies' values. `rows` (p, c).
     """
     out = size[:, None] * rows
     bodies = rows[place].reshape(len(own), PARAMETERS_PER_BODY, -1)

@@ -25,10 +25,7 @@ _MAX_ROUNDS, _MIN_SIGNIFICANT_GAIN = 2, 3.0
 def estimate_initial_states(comparison: Comparison) -> tuple[PreparedRun, ...]:
     """Return the runs with initial states that reduce the residual, or unchanged.
 
-    Parameters
-    ----------
-    comparison : Comparison
-        Comparison with the nominal model.
+    `comparison`: comparison with the nominal model.
     """
     left = _residual_square(comparison)
     for _ in range(_MAX_ROUNDS):
@@ -36,7 +33,7 @@ def estimate_initial_states(comparison: Comparison) -> tuple[PreparedRun, ...]:
         if all(state is None for state in states):
             break
         runs = [
-            run if state is None else with_initial_state(run, comparison, state)
+            run if state is None else with_initial_state(run, state)
             for run, state in zip(comparison.nominal_runs, states, strict=True)
         ]
         moved = comparison.with_runs(runs)
@@ -75,12 +72,12 @@ def _initial_state_changes(comparison: Comparison) -> list[np.ndarray | None]:
     return states
 
 
-def with_initial_state(run: PreparedRun, comparison: Comparison, state: np.ndarray) -> PreparedRun:
+def with_initial_state(run: PreparedRun, state: np.ndarray) -> PreparedRun:
     """Return the run with links that begin at an added state (2 n,)."""
     assert run.vibration is not None
     state = state if run.initial_state is None else run.initial_state + state
-    springs = run.springs(comparison.robot)
+    springs = run.springs()
     links = springs.solve_from_slow(run.vibration.reference, run.vibration, aside=state)
     if links is None:
         return run
-    return replace(with_link_motion(run, comparison.robot, links), initial_state=state)
+    return replace(with_link_motion(run, links), initial_state=state)

@@ -9,7 +9,6 @@ from typing import Literal
 
 import numpy as np
 
-from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.effect import Effect
@@ -30,24 +29,13 @@ _MAX_LINEAR_RATIO = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Contribution:
-    """Contribution of an effect to the channels of one run, (K, n) each or None.
+    """Contribution of an effect to the channels of one run, (K, n) each or None."""
 
-    Parameters
-    ----------
-    torque : array
-        To the drive torque, in addition to the link torque [N m].
-    link_torque : array
-        To the torque between motor and link [N m].
-    deflection : array
-        To motor minus link angle, in addition to the wind-up under the link torque [rad].
-    reading : array
-        To the readings of motor minus link angle [rad].
-    """
-
-    torque: np.ndarray | None = None
-    link_torque: np.ndarray | None = None
+    torque: np.ndarray | None = None  # to the drive torque, in addition to the link torque [N m]
+    link_torque: np.ndarray | None = None  # to the torque between motor and link [N m]
+    # To motor minus link angle, in addition to the wind-up under the link torque [rad].
     deflection: np.ndarray | None = None
-    reading: np.ndarray | None = None
+    reading: np.ndarray | None = None  # to the readings of motor minus link angle [rad]
 
     @classmethod
     def of_joint(cls, joint: int, like: np.ndarray, **values: np.ndarray) -> Contribution:
@@ -56,13 +44,13 @@ class Contribution:
 
 
 def channel_changes(
-    contributions: Sequence[Contribution], run: PreparedRun, robot: RobotModel
+    contributions: Sequence[Contribution], run: PreparedRun
 ) -> list[tuple[np.ndarray | None, np.ndarray | None]]:
     """Return changes of drive torque and motor minus link angle, (K, n) each or None.
 
     Vibrating links respond to all contributions together.
     """
-    answers = run.respond(robot, [(each.link_torque, each.deflection) for each in contributions])
+    answers = run.respond([(each.link_torque, each.deflection) for each in contributions])
     return [
         (_add_optional(each.torque, torque), _add_optional(each.reading, deflection))
         for each, (torque, deflection) in zip(contributions, answers, strict=True)
@@ -71,26 +59,15 @@ def channel_changes(
 
 @dataclass(frozen=True, kw_only=True)
 class LocatedEffect:
-    """Effect at a joint, link or run, with its shapes.
-
-    Parameters
-    ----------
-    joint : int or None
-        0-based.
-    link : int or None
-        0-based, for effects of a link.
-    run : str or None
-        Name of the run, for effects of one run.
-    calibrated : bool
-        True for a value that every arm has and the nominal model does not state, such as dry
-        friction: fitted in every model, and never compared with effects in its place.
-    """
+    """Effect at a joint, link or run, with its shapes."""
 
     effect: Effect
-    joint: int | None = None
-    link: int | None = None
-    run: str | None = None
+    joint: int | None = None  # 0-based
+    link: int | None = None  # 0-based, for effects of a link
+    run: str | None = None  # name of the run, for effects of one run
     shapes: tuple[float, ...] = ()
+    # True for a value that every arm has and the nominal model does not state, such as dry
+    # friction: fitted in every model, and never compared with effects in its place.
     calibrated: bool = False
 
     @property
@@ -194,28 +171,20 @@ class LocatedEffect:
             place = self.link if self.joint is None else self.joint
             seen = signals if place is None else replace(signals, link=place)
             term = self.effect.term(seen, amplitudes, self.shapes)
-            return Contribution(
-                _as_robot_array(term.drive_torque, like),
-                _as_robot_array(term.link_torque, like),
-                _as_robot_array(term.deflection, like),
-                _as_robot_array(term.reading, like),
-            )
+            parts = (term.drive_torque, term.link_torque, term.deflection, term.reading)
+            return Contribution(*(_as_robot_array(part, like) for part in parts))
         assert self.joint is not None
         term = self.effect.term(run.of_joint(self.joint), amplitudes, self.shapes)
-        drive = _as_joint_column(term.drive_torque, like, self.joint)
-        before = (
-            _as_joint_column(term.previous_torque, like, self.joint - 1) if self.joint else None
-        )
-        return Contribution(
-            _add_optional(drive, before),
-            _as_joint_column(term.link_torque, like, self.joint),
-            _as_joint_column(term.deflection, like, self.joint),
-            _as_joint_column(term.reading, like, self.joint),
-        )
+        parts = (term.drive_torque, term.link_torque, term.deflection, term.reading)
+        drive, link, wound, reading = (_as_joint_column(part, like, self.joint) for part in parts)
+        if self.joint:
+            before = _as_joint_column(term.previous_torque, like, self.joint - 1)
+            drive = _add_optional(drive, before)
+        if wound is not None and run.shows_displacement(self.joint):
+            link = _add_optional(link, signals.arm.displaced_torque(wound, signals.dt))
+        return Contribution(drive, link, wound, reading)
 
-    def unit_changes(
-        self, run: PreparedRun, robot: RobotModel
-    ) -> tuple[list[ChannelChange], list[LinkLoad]]:
+    def unit_changes(self, run: PreparedRun) -> tuple[list[ChannelChange], list[LinkLoad]]:
         """Return changes per unit of each amplitude, and loads on vibrating links."""
         assert self.joint is not None
         if not self.acts_in(run.name):
@@ -231,10 +200,15 @@ class LocatedEffect:
                 for x in (term.drive_torque, term.reading, term.link_torque, term.deflection)
             )
             loaded = link.any()
+            if wound.any() and run.shows_displacement(self.joint):
+                every = np.zeros_like(run.signals.motor_position)
+                every[:, self.joint] = wound
+                moved = run.signals.arm.displaced_torque(every, run.signals.dt)
+                changes += [("torque", k, i, own) for k, own in enumerate(moved.T) if own.any()]
             if run.vibration is None:
                 torque, deflection = torque + link, wound + deflection
                 if loaded:
-                    deflection = deflection + run.compliance(robot, self.joint) * link
+                    deflection = deflection + run.compliance(self.joint) * link
             elif loaded or wound.any():
                 loads.append((i, link, wound))
             added: tuple[tuple[Kind, int, np.ndarray], ...] = (
@@ -247,23 +221,21 @@ class LocatedEffect:
                     changes.append((kind, joint, i, np.broadcast_to(values, run.time.shape)))
         return changes, loads
 
-    def columns(
-        self, run: PreparedRun, robot: RobotModel
-    ) -> list[tuple[np.ndarray | None, np.ndarray | None]]:
+    def columns(self, run: PreparedRun) -> list[tuple[np.ndarray | None, np.ndarray | None]]:
         """Return the changes of torque and deflection per unit of each amplitude."""
         units = np.eye(len(self.effect.amplitudes)).tolist()
-        return channel_changes([self.contribution(run, unit) for unit in units], run, robot)
+        return channel_changes([self.contribution(run, unit) for unit in units], run)
 
 
 def effect_channel_changes(
-    effects: Sequence[LocatedEffect], run: PreparedRun, robot: RobotModel
+    effects: Sequence[LocatedEffect], run: PreparedRun
 ) -> list[list[ChannelChange]]:
     """Return changes of single channels per unit amplitude, for effects of joints.
 
     Several changes of one channel add up. Responses of vibrating links to all effects are computed
     together.
     """
-    both = [each.unit_changes(run, robot) for each in effects]
+    both = [each.unit_changes(run) for each in effects]
     found, vibration = [changes for changes, _ in both], run.vibration
     loaded_links = [(k, *load) for k, (_, loads) in enumerate(both) for load in loads]
     if vibration is None or not loaded_links:
@@ -275,7 +247,7 @@ def effect_channel_changes(
         *(np.stack([np.broadcast_to(x, run.time.shape) for x in each]) for each in (links, wounds)),
     )
     for k, i, torques, deflections in zip(owners, amplitudes, *answers, strict=True):
-        for joint in range(robot.n):
+        for joint in range(run.robot.n):
             found[k].append(("torque", joint, i, torques[:, joint]))
             found[k].append(("deflection", joint, i, deflections[:, joint]))
     return found
@@ -328,18 +300,11 @@ def _as_joint_column(values: object, like: np.ndarray, joint: int) -> np.ndarray
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EstimatedEffect:
-    """Effect at a place, with fitted amplitudes.
-
-    Parameters
-    ----------
-    amplitudes : tuple of float
-        In their own units.
-    step : float
-        Change of the first amplitude from the fit to the estimate from all moving samples.
-    """
+    """Effect at a place, with fitted amplitudes."""
 
     located: LocatedEffect
-    amplitudes: tuple[float, ...]
+    amplitudes: tuple[float, ...]  # in their own units
+    # Change of the first amplitude from the fit to the estimate from all moving samples.
     step: float = 0.0
 
     @property
@@ -361,15 +326,10 @@ class EstimatedEffect:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Extension:
-    """Change of a nominal model.
+    """Change of a nominal model."""
 
-    Parameters
-    ----------
-    calibration : mapping of ValueName to float
-        Changes of nominal values by name: relative, [m],
-        [rad], or of the inertial parameters of a body.
-    """
-
+    # Changes of nominal values by name: relative, [m], [rad], or of the inertial parameters of a
+    # body.
     calibration: Mapping[ValueName, float] = field(default_factory=dict)
     effects: tuple[EstimatedEffect, ...] = ()
 
@@ -386,17 +346,14 @@ class Extension:
 
     def minus(self, other: Extension) -> Extension:
         """Return the difference to another one."""
-        names = {**self.calibration, **other.calibration}
-        taken = (
-            replace(e, amplitudes=tuple(-value for value in e.amplitudes)) for e in other.effects
+        opposite = Extension(
+            calibration={name: -value for name, value in other.calibration.items()},
+            effects=tuple(
+                replace(e, amplitudes=tuple(-value for value in e.amplitudes))
+                for e in other.effects
+            ),
         )
-        return Extension(
-            calibration={
-                name: self.calibration.get(name, 0.0) - other.calibration.get(name, 0.0)
-                for name in names
-            },
-            effects=(*self.effects, *taken),
-        )
+        return self.plus(opposite)
 
     @property
     def fitted(self) -> Extension:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from stiffopt.discovery.comparison.filtering import derivative
 from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.settings import fill_missing
 from stiffopt.discovery.signals import (
@@ -22,28 +23,21 @@ from stiffopt.discovery.signals import (
 )
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
-from stiffopt.robot.batched_kinematics import (
-    body_torque_regressor,
-    frame_positions,
-    tool_jacobians,
-)
+from stiffopt.robot.batched_kinematics import body_torque_regressor, frame_positions, tool_jacobians
 from stiffopt.robot.frames import first_link_of
 
 # Step of a centre of mass for the slopes of inertial parameters [m].
 _CENTRE_STEP = 1e-5
+# Displacement of links for the slopes of their torques [rad].
+_DISPLACEMENT_STEP = 1e-4
 
 
 class RobotModel:
     """Nominal dynamics in the joint order of the recording set.
 
-    Attributes
-    ----------
-    n : int
-        Joints.
-    rotor_inertia, coulomb, viscous : array (n,)
-        Zero where the set states none.
-    torque_cache : dict
-        Recently used torques of single bodies, and harmonics of single joints, along motions.
+    `n`: joints. `rotor_inertia`, `coulomb`, `viscous` (n,): zero where the set states none.
+    `torque_cache`: recently used torques of single bodies, and harmonics of single joints, along
+    motions.
     """
 
     def __init__(self, recordings: RecordingSet) -> None:
@@ -102,10 +96,7 @@ class RobotModel:
     ) -> RobotConstants:
         """Return constants with the ranges of some runs, which also bound unknown torques.
 
-        Parameters
-        ----------
-        measured : array (n,), optional
-            Largest measured drive torque [N m].
+        `measured` (n,): largest measured drive torque [N m].
         """
         base = self.constants
 
@@ -176,7 +167,7 @@ class RobotModel:
 
     def spring_torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return the spring torque of rigid bodies and counterbalances [N m]."""
-        torque = self._bodies.torque(*(self._to_robot_order(x) for x in (q, v, a)))[:, self.order]
+        torque = self._bodies.torque(*self._ordered(q, v, a))[:, self.order]
         for balance in self._counterbalances:
             j = balance.joint
             torque[:, j] -= balance.at(q[:, j])
@@ -191,13 +182,13 @@ class RobotModel:
         self, q: np.ndarray, v: np.ndarray, a: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return torque derivatives by position, velocity, acceleration (K, n, n) each."""
-        slopes = self._bodies.torque_slopes(*(self._to_robot_order(x) for x in (q, v, a)))
+        slopes = self._bodies.torque_slopes(*self._ordered(q, v, a))
         position, velocity, acceleration = (x[:, self.order][..., self.order] for x in slopes)
         return position, velocity, acceleration
 
     def body_torques(self, body: int, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return the spring torques per inertial parameter of one body (K, n, 10)."""
-        motion = (self._to_robot_order(x) for x in (q, v, a))
+        motion = self._ordered(q, v, a)
         torques = body_torque_regressor(self.arm.tree, int(self.order[body]), *motion)
         # Avoid a copy of the largest array of a long run where both orders agree.
         return torques if np.all(self.order == np.arange(self.n)) else torques[:, self.order]
@@ -212,8 +203,7 @@ class RobotModel:
         """Return the spring torques (K, n) of changed inertial parameters (n, 10)."""
         by_body = np.empty_like(change)
         by_body[self.order] = change
-        motion = (self._to_robot_order(x) for x in (q, v, a))
-        return self._bodies.changed_torque(by_body, *motion)[:, self.order]
+        return self._bodies.changed_torque(by_body, *self._ordered(q, v, a))[:, self.order]
 
     def weight(self, q: np.ndarray) -> np.ndarray:
         """Return the gravity torque per gravity along the axes of the base (K, n, 3)."""
@@ -231,7 +221,7 @@ class RobotModel:
         for angle in angles:
             moved = q.copy()
             moved[:, joint] += angle
-            torque = self._bodies.torque(*(self._to_robot_order(x) for x in (moved, v, a))).T
+            torque = self._bodies.torque(*self._ordered(moved, v, a)).T
             for k, order in enumerate((1, 1, 2, 2)):
                 wave = np.cos(order * angle) if k % 2 else np.sin(order * angle)
                 found[k] += 2.0 / count * wave * torque[self.order]
@@ -272,6 +262,9 @@ class RobotModel:
             return np.zeros((self.n, count)).T
         return np.tile(np.asarray(run.temperature, dtype=float) - reference, (count, 1))
 
+    def _ordered(self, *motion: np.ndarray) -> Iterator[np.ndarray]:
+        return map(self._to_robot_order, motion)
+
     def _to_robot_order(self, values: np.ndarray) -> np.ndarray:
         """Return columns (K, n) in the robot's own joint order."""
         full = np.empty_like(values)
@@ -290,14 +283,8 @@ class _TorqueParts:
 
     Body torques of a ten-minute run exceed all its other signals, and most effects use none.
 
-    Parameters
-    ----------
-    motion : tuple of array (K, n)
-        Position, velocity and acceleration of the links.
-    width : int
-        Columns of a part.
-    evaluate : callable
-        (part, *motion) -> its columns.
+    `motion` (K, n): position, velocity and acceleration of the links. `width`: columns of a part.
+    `evaluate`: (part, *motion) -> its columns.
     """
 
     def __init__(
@@ -323,12 +310,7 @@ class _TorqueParts:
 
 
 class BodyRegressor(_TorqueParts):
-    """Joint torques along a motion per inertial parameter (K, n, 10 n), body by body.
-
-    Parameters
-    ----------
-    motion : tuple of array (K, n)
-    """
+    """Joint torques along a motion per inertial parameter (K, n, 10 n), body by body."""
 
     def __init__(self, robot: RobotModel, motion: tuple[np.ndarray, ...]) -> None:
         super().__init__(robot, motion, PARAMETERS_PER_BODY, robot.body_torques)
@@ -352,16 +334,8 @@ class BodyRegressor(_TorqueParts):
 class LazyArmSignals:
     """Tool, weight, body torques and joint zeros along a link motion, evaluated on demand.
 
-    Parameters
-    ----------
-    q, v, a : array (K, n)
-
-    Attributes
-    ----------
-    body_regressor : BodyRegressor
-        Torques per inertial parameter.
-    zero_harmonics : _TorqueParts
-        Harmonics of the torques over the zeros of joints (K, n, 4 n).
+    `body_regressor`: torques per inertial parameter. `zero_harmonics`: harmonics of the torques
+    over the zeros of joints (K, n, 4 n).
     """
 
     def __init__(self, robot: RobotModel, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> None:
@@ -396,6 +370,22 @@ class LazyArmSignals:
     def weight(self) -> np.ndarray:
         """Torques per gravity along the axes of the base (K, n, 3) [N m per m/s^2]."""
         return self._robot.weight(self._motion[0])
+
+    def displaced_torque(self, wound: np.ndarray, dt: float) -> np.ndarray:
+        """Return the change (k, n) of the torques of links displaced by -wound, to first order.
+
+        `wound` (k, n): motor less link angle beyond the nominal one, of the first samples [rad].
+        """
+        rate = derivative(wound, dt)
+        change = (wound, rate, derivative(rate, dt))
+        step = _DISPLACEMENT_STEP / max(float(np.abs(wound).max()), _DISPLACEMENT_STEP)
+        ahead, behind = (
+            self._robot.spring_torque(
+                *(x[: len(wound)] + s * d for x, d in zip(self._motion, change, strict=True))
+            )
+            for s in (-step, step)
+        )
+        return np.asarray((ahead - behind) / (2.0 * step))
 
     def head(self, count: int) -> _FirstSamples:
         """Return the first samples, as views of the evaluation of all."""

@@ -36,26 +36,20 @@ GAIN, DAMPING = "actuator_gain", "actuator_damping"
 NameFilter = Callable[[ValueName], bool]
 
 
-def accept_every_value(_: ValueName) -> bool:
-    """Select all values."""
-    return True
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class NuisanceColumn:
-    """Contribution of one nominal value to the channels.
+    """Contribution of one nominal value to the channels, or to those of one joint."""
 
-    Parameters
-    ----------
-    sd : float
-        Tolerance of the value, one standard deviation.
-    added : Contribution
-        Per unit of the value.
-    """
+    name: ValueName  # of a value of one joint its place is the joint
+    sd: float  # tolerance of the value, one standard deviation
+    field: str  # field of `Contribution`
+    values: np.ndarray  # per unit of the value: (K, n), or (K,) of one joint
 
-    name: ValueName
-    sd: float
-    added: Contribution
+    def contribution(self, like: np.ndarray) -> Contribution:
+        """Return the contribution per unit to all channels; signals are like (K, n) others."""
+        if self.values.ndim > 1:
+            return Contribution(**{self.field: self.values})
+        return Contribution.of_joint(self.name.place, like, **{self.field: self.values})
 
 
 # Tolerances from nominal beyond which a value is outside its tolerance, which is one standard
@@ -67,20 +61,13 @@ _MAX_DEVIATION_OUTSIDE = 0.5
 
 @dataclass(frozen=True)
 class OutsideValue:
-    """A nominal value that the recordings put outside its tolerance.
-
-    Parameters
-    ----------
-    change, sd : float
-        Fitted change from nominal, and its standard deviation: relative, or [m].
-    tolerance : float
-        One standard deviation of the nominal value, as stated.
-    """
+    """A nominal value that the recordings put outside its tolerance."""
 
     name: ValueName
+    # change, sd: fitted change from nominal, and its standard deviation: relative, or [m].
     change: float
     sd: float
-    tolerance: float
+    tolerance: float  # one standard deviation of the nominal value, as stated
 
     @property
     def of_body(self) -> bool:
@@ -93,11 +80,7 @@ def select_outside(
 ) -> tuple[OutsideValue, ...]:
     """Return the values outside their tolerances, the furthest first.
 
-    Parameters
-    ----------
-    names : sequence of ValueName (p,)
-    tolerances, changes, deviations : array (p,)
-        Relative, or [m], [rad].
+    `names` (p,). `tolerances`, `changes`, `deviations` (p,): relative, or [m], [rad].
     """
     known = {field.name for field in fields(Tolerance)}
     found = [
@@ -111,93 +94,52 @@ def select_outside(
 
 
 def nuisance_columns(
-    run: PreparedRun,
-    robot: RobotModel,
-    tolerance: Tolerance,
-    bodies: np.ndarray | None = None,
-    selected: NameFilter = accept_every_value,
+    run: PreparedRun, tolerance: Tolerance, bodies: np.ndarray | None, selected: NameFilter
 ) -> Iterator[NuisanceColumn]:
     """Yield columns of nominal values along a run, in the same order for every run.
 
-    Parameters
-    ----------
-    bodies : array (n, 10), optional
-        Standard deviations of all inertial parameters, in place of mass and centre of mass.
-    selected : callable
-        Selects values by name.
+    `bodies` (n, 10): standard deviations of all inertial parameters, in place of mass and centre of
+    mass. `selected`: selects values by name.
     """
-    signals = run.signals
     if bodies is None:
-        yield from _body_columns(run, robot, tolerance, selected)
+        yield from _body_columns(run, tolerance, selected)
     else:
-        for k, (name, sd) in enumerate(
-            zip(all_body_parameter_names(robot), bodies.ravel(), strict=True)
-        ):
+        names = all_body_parameter_names(run.robot)
+        for k, (name, sd) in enumerate(zip(names, bodies.ravel(), strict=True)):
             if selected(name):
-                torque = signals.body_regressor[..., k]
-                yield NuisanceColumn(name, float(sd), Contribution(link_torque=torque))
-    law = robot.recordings.actuator
+                torque = run.signals.body_regressor[..., k]
+                yield NuisanceColumn(name, float(sd), "link_torque", torque)
+    law = run.robot.recordings.actuator
     if law is not None and law.delay_deviation and selected(COMMAND_DELAY):
-        added = Contribution(command_rate(run, robot))
-        yield NuisanceColumn(COMMAND_DELAY, law.delay_deviation, added)
-    for own in joint_columns(run, robot, tolerance, selected):
-        like, values = signals.spring_torque, {own.field: own.values}
-        yield NuisanceColumn(
-            own.name, own.sd, Contribution.of_joint(own.name.place, like, **values)
-        )
+        rate = command_rate(run)
+        yield NuisanceColumn(COMMAND_DELAY, law.delay_deviation, "torque", rate)
+    yield from joint_columns(run, tolerance, selected)
 
 
-def command_rate(run: PreparedRun, robot: RobotModel) -> np.ndarray:
+def command_rate(run: PreparedRun) -> np.ndarray:
     """Return the drive torque (K, n) per delay of commands [N m/s].
 
     A command that acts later gives less torque by its rate, which is that of the motion.
     """
-    law = robot.recordings.actuator
+    law = run.robot.recordings.actuator
     assert law is not None
     gains = np.where(np.isfinite(law.stiffness), law.stiffness, 0.0)
     return np.asarray(gains * run.signals.motor_velocity)
 
 
-@dataclass(frozen=True, eq=False)
-class JointColumn:
-    """Contribution of one nominal value to one joint.
-
-    Parameters
-    ----------
-    name : ValueName
-        Its place is the joint.
-    sd : float
-        Tolerance of the value, one standard deviation.
-    field : str
-        Field of `Contribution`.
-    values : array (K,)
-        Per unit of the value.
-    """
-
-    name: ValueName
-    sd: float
-    field: str
-    values: np.ndarray
-
-
 def joint_columns(
-    run: PreparedRun,
-    robot: RobotModel,
-    tolerance: Tolerance,
-    selected: NameFilter = accept_every_value,
-) -> Iterator[JointColumn]:
+    run: PreparedRun, tolerance: Tolerance, selected: NameFilter
+) -> Iterator[NuisanceColumn]:
     """Yield the columns of nominal values that act on one joint each, joint by joint."""
     signals = run.signals
-    for j in range(robot.n):
+    for j in range(run.robot.n):
         for kind in _DRIVE_VALUES:
             sd, name = getattr(tolerance, kind), ValueName(kind, j)
-            if (
-                sd
-                and selected(name)
-                and np.any(values := _drive_torque_column(run, robot, kind, j))
-            ):
-                yield JointColumn(name, sd, "torque", values)
-        yield from _servo_columns(run, robot, j, selected)
+            if not sd or not selected(name):
+                continue
+            if np.any(values := _drive_torque_column(run, kind, j)):
+                yield NuisanceColumn(name, sd, "torque", values)
+        yield from _servo_columns(run, j, selected)
         if tolerance.stiffness:
             yield from _spring_columns(run, j, tolerance.stiffness, selected)
         name = ValueName("joint_damping", j)
@@ -206,45 +148,43 @@ def joint_columns(
             nominal = signals.constants.joints[j].joint_damping
             taken = nominal * (signals.motor_velocity[:, j] - signals.link_velocity[:, j])
             relief = -taken / run.vibration.stiffness[:, j]
-            yield JointColumn(name, tolerance.joint_damping, "deflection", relief)
+            yield NuisanceColumn(name, tolerance.joint_damping, "deflection", relief)
         name = ValueName("encoder_zero", j)
         if tolerance.encoder_zero and selected(name):
             values = np.ones(len(signals.time))
-            yield JointColumn(name, tolerance.encoder_zero, "reading", values)
+            yield NuisanceColumn(name, tolerance.encoder_zero, "reading", values)
 
 
-def _servo_columns(
-    run: PreparedRun, robot: RobotModel, j: int, selected: NameFilter
-) -> Iterator[JointColumn]:
+def _servo_columns(run: PreparedRun, j: int, selected: NameFilter) -> Iterator[NuisanceColumn]:
     """Yield gain and damping of the servo of a joint that torques are derived from.
 
     They nearly cancel in motion: an error of either looks like viscous friction many times its
     share of the torque that they leave.
     """
-    law, signals = robot.recordings.actuator, run.signals
+    law, signals = run.robot.recordings.actuator, run.signals
     if law is None or not (law.scaled[j] and law.damping[j] > 0.0):
         return
     damping = law.damping[j] * signals.motor_velocity[:, j]
     for kind, values in ((GAIN, signals.drive_torque[:, j] + damping), (DAMPING, damping)):
         if selected(name := ValueName(kind, j)):
-            yield JointColumn(name, float(law.tolerance[j]), "torque", values)
+            yield NuisanceColumn(name, float(law.tolerance[j]), "torque", values)
 
 
-def _drive_torque_column(run: PreparedRun, robot: RobotModel, kind: str, j: int) -> np.ndarray:
+def _drive_torque_column(run: PreparedRun, kind: str, j: int) -> np.ndarray:
     """Return the drive torque (K,) of one joint per unit of a relative value."""
     signals = run.signals
     if kind == "torque_constant":
         return np.asarray(signals.drive_torque[:, j])
     if kind == "rotor_inertia":
-        return np.asarray(robot.rotor_inertia[j] * signals.motor_acceleration[:, j])
+        return np.asarray(run.robot.rotor_inertia[j] * signals.motor_acceleration[:, j])
     if kind == "viscous":
-        return np.asarray(robot.viscous[j] * signals.motor_velocity[:, j])
-    return np.asarray(robot.coulomb[j] * signals.motor_direction[:, j])
+        return np.asarray(run.robot.viscous[j] * signals.motor_velocity[:, j])
+    return np.asarray(run.robot.coulomb[j] * signals.motor_direction[:, j])
 
 
 def _spring_columns(
     run: PreparedRun, j: int, sd: float, selected: NameFilter
-) -> Iterator[JointColumn]:
+) -> Iterator[NuisanceColumn]:
     signals = run.signals
     elastic = signals.windup[:, j]
     if run.vibration is not None:
@@ -264,14 +204,8 @@ def spring_deflection(
 ) -> np.ndarray:
     """Return the deflection (K, n) by nominal values of springs [rad].
 
-    Parameters
-    ----------
-    values : mapping of ValueName to float
-        Changes, of `SPRING_VALUES`.
-    elastic : array (K, n)
-        Elastic deflection of vibrating links [rad].
-    spring : array (K, n)
-        Torque of the springs [N m].
+    `values`: changes, of `SPRING_VALUES`. `elastic` (K, n): elastic deflection of vibrating links
+    [rad]. `spring` (K, n): torque of the springs [N m].
     """
     found = np.zeros_like(elastic)
     asked = {name for name, value in values.items() if value}
@@ -287,7 +221,7 @@ def _columns_of_spring(
     spring: np.ndarray,
     sd: float,
     selected: NameFilter,
-) -> Iterator[JointColumn]:
+) -> Iterator[NuisanceColumn]:
     """Yield the columns of one spring with its elastic deflection and torque (K,)."""
     j = constants.joint - 1
     own = ValueName("stiffness", j)
@@ -296,13 +230,13 @@ def _columns_of_spring(
     if not asked or not constants.elastic or not np.any(spring):
         return
     if asked[0] == own:
-        yield JointColumn(own, sd, "deflection", elastic)
+        yield NuisanceColumn(own, sd, "deflection", elastic)
     yield from _knee_columns(constants, spring, asked)
 
 
 def _knee_columns(
     constants: JointConstants, spring: np.ndarray, asked: Collection[ValueName]
-) -> Iterator[JointColumn]:
+) -> Iterator[NuisanceColumn]:
     """Yield columns for torque and roundness of a reducer's slope changes."""
     if constants.slopes is None or constants.corners is None:
         return
@@ -315,21 +249,21 @@ def _knee_columns(
         beyond = (size - knee) / width
         if moved in asked:
             values = fall * knee * (side * np.clip(beyond, 0.0, 1.0))
-            yield JointColumn(moved, _RELATIVE_KNEE_SD, "deflection", values)
+            yield NuisanceColumn(moved, _RELATIVE_KNEE_SD, "deflection", values)
         if rounded in asked:
             values = side * fall * width * np.exp(-np.abs(beyond))
-            yield JointColumn(rounded, 1.0, "deflection", values)
+            yield NuisanceColumn(rounded, 1.0, "deflection", values)
 
 
 def _body_columns(
-    run: PreparedRun, robot: RobotModel, tolerance: Tolerance, selected: NameFilter
+    run: PreparedRun, tolerance: Tolerance, selected: NameFilter
 ) -> Iterator[NuisanceColumn]:
     """Yield columns for mass and centre of mass of every body."""
-    for name, change in robot.body_value_slopes.items():
+    for name, change in run.robot.body_value_slopes.items():
         sd = getattr(tolerance, name.kind)
         if sd and selected(name):
             torque = run.signals.body_regressor.torque_of_body(name.place, change)
-            yield NuisanceColumn(name, sd, Contribution(link_torque=torque))
+            yield NuisanceColumn(name, sd, "link_torque", torque)
 
 
 def body_parameter_changes(robot: RobotModel, values: Mapping[ValueName, float]) -> np.ndarray:

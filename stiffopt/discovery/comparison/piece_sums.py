@@ -18,21 +18,11 @@ from stiffopt.discovery.comparison.evidence import AddedSums, Sums, sum_by_block
 
 @dataclass(frozen=True, eq=False)
 class PieceColumns:
-    """Columns on the pieces where they are not zero.
+    """Columns on the pieces where they are not zero."""
 
-    Parameters
-    ----------
-    acted : array (a,) of int
-        Pieces with entries.
-    parts : tuple of array (rows, k)
-        Columns on these.
-    width : int
-        Number of columns k.
-    """
-
-    acted: np.ndarray
-    parts: tuple[np.ndarray, ...]
-    width: int
+    acted: np.ndarray  # (a,) of int, pieces with entries
+    parts: tuple[np.ndarray, ...]  # (rows, k) columns on these
+    width: int  # number of columns k
 
     def times(self, values: np.ndarray) -> PieceColumns:
         """Return one column: the sum of these times values (k,)."""
@@ -46,30 +36,18 @@ class PieceColumns:
 
 @dataclass(frozen=True, eq=False)
 class PieceProducts:
-    """Columns with their products.
-
-    Parameters
-    ----------
-    cross : array (a, p, k)
-        Products with the columns of the nominal values.
-    inner : array (a, k, k)
-    moment : array (a, k)
-        Products with the target.
-    """
+    """Columns with their products."""
 
     columns: PieceColumns
-    cross: np.ndarray
-    inner: np.ndarray
-    moment: np.ndarray
+    cross: np.ndarray  # (a, p, k) products with the columns of the nominal values
+    inner: np.ndarray  # (a, k, k)
+    moment: np.ndarray  # (a, k) products with the target
 
 
 class Pieces:
     """Pieces of the rows of runs.
 
-    Attributes
-    ----------
-    block, channel : array (q,) of int
-        Block and channel of every piece.
+    `block`, `channel` (q,) of int: block and channel of every piece.
     """
 
     def __init__(self, rows: ChannelRows) -> None:
@@ -94,12 +72,8 @@ class Pieces:
     def from_stretches(self, parts: Iterable[tuple[int, np.ndarray]], width: int) -> PieceColumns:
         """Return columns by pieces, as `split` does, from stretches of nonzero rows.
 
-        Parameters
-        ----------
-        parts : iterable of (int, array (rows, k))
-            First row, and the columns from there on; whole pieces, each at most once.
-        width : int
-            Number of columns k.
+        `parts` (rows, k): first row, and the columns from there on; whole pieces, each at most
+        once. `width`: number of columns k.
         """
         found: dict[int, np.ndarray] = {}
         for begin, columns in parts:
@@ -138,12 +112,8 @@ class Pieces:
 class PieceSums:
     """Sums of products of the nominal values' columns, and with further columns.
 
-    Parameters
-    ----------
-    columns : array (p, m)
-        Columns of the nominal values over the stated noise, rows in the order of pieces.
-    target : array (m,)
-        In the order of rows.
+    `columns` (p, m): columns of the nominal values over the stated noise, rows in the order of
+    pieces. `target` (m,): in the order of rows.
     """
 
     def __init__(self, pieces: Pieces, columns: np.ndarray, target: np.ndarray) -> None:
@@ -171,10 +141,7 @@ class PieceSums:
 class WeightedSums:
     """Sums by blocks of nominal values and effects, with one weight per piece.
 
-    Parameters
-    ----------
-    weight : array (q,)
-        Weight of the squares of each piece.
+    `weight` (q,): weight of the squares of each piece.
     """
 
     def __init__(

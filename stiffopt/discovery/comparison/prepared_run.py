@@ -51,12 +51,7 @@ def motor_cutoff(robot: RobotModel, position: np.ndarray, dt: float) -> float:
     filtering one and not the other leaves a residual. Encoder noise limits the cutoff, since
     accelerations multiply it by the square of the frequency.
 
-    Parameters
-    ----------
-    position : array (K, n)
-        Recorded motor positions [rad].
-    dt : float
-        [s]
+    `position` (K, n): recorded motor positions [rad]. `dt` [s].
     """
     # Torque of white encoder noise after two derivatives and a filter [N m/Hz^2.5].
     noise = (2.0 * np.pi) ** 2 * np.sqrt(0.4 * dt) * robot.rotor_inertia * _sample_noise(position)
@@ -88,61 +83,40 @@ def _sample_noise(samples: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PreparedRun:
-    """Run with filtered signals and the nominal prediction.
+    """Run with filtered signals and the nominal prediction."""
 
-    Parameters
-    ----------
-    index : int
-        Index among the compared runs.
-    time : array (K,)
-        Uniform clock [s].
-    signals : RobotSignals
-        Filtered motion and nominal torques.
-    torque, deflection : array (K, n)
-        Measured drive torque, and motor minus link angle; not filtered; nan where missing.
-    torque_count : array (n,)
-        One count of a quantised torque [N m]; 0 where it lies on no grid.
-    torque_used, deflection_used : array (K, n) of bool
-        Samples that a fit uses.
-    moving : array (K, n) of bool
-        True where the joint is faster than `settings.slow`.
-    low_pass : ZeroPhaseFilter
-        Filter of the fit.
-    motion_filter : ZeroPhaseFilter
-        Filter of the motion and of friction torques: the motor acceleration at a jump of friction
-        would otherwise leave a residual.
-    vibration : Vibration or None
-        Linear vibration response of the links; None where they follow quasi-statically.
-    added_deflection : array (K, n) or float
-        Deflection from extensions in addition to the nominal wind-up of the spring torque [rad].
-    play : array (K, n) or float
-        Share of the deflection that is free travel between flanks [rad].
-    initial_state : array (2 n,), optional
-        Initial displacement and velocity of the links relative to their slow motion, where known.
-    at_rest : bool
-        Samples are poses at rest.
-    extension_cache : dict
-        This run with the extensions that were simulated last.
-    """
-
+    robot: RobotModel
     name: str
     role: str
-    index: int
-    time: np.ndarray
-    signals: RobotSignals
+    index: int  # index among the compared runs
+    time: np.ndarray  # (K,) uniform clock [s]
+    signals: RobotSignals  # filtered motion and nominal torques
+    # torque, deflection (K, n): measured drive torque, and motor minus link angle; not filtered;
+    # nan where missing.
     torque: np.ndarray
     deflection: np.ndarray
+    # (n,) one count of a quantised torque [N m]; 0 where it lies on no grid.
     torque_count: np.ndarray
+    # torque_used, deflection_used (K, n) of bool: samples that a fit uses.
     torque_used: np.ndarray
     deflection_used: np.ndarray
-    moving: np.ndarray
-    low_pass: ZeroPhaseFilter
+    moving: np.ndarray  # (K, n) of bool, True where the joint is faster than `settings.slow`
+    low_pass: ZeroPhaseFilter  # filter of the fit
+    # Filter of the motion and of friction torques: the motor acceleration at a jump of friction
+    # would otherwise leave a residual.
     motion_filter: ZeroPhaseFilter
+    # Linear vibration response of the links; None where they follow quasi-statically.
     vibration: Vibration | None = None
+    # (K, n) deflection from extensions in addition to the nominal wind-up of the spring torque
+    # [rad].
     added_deflection: np.ndarray | float = 0.0
+    # (K, n) share of the deflection that is free travel between flanks [rad].
     play: np.ndarray | float = 0.0
+    # (2 n,) initial displacement and velocity of the links relative to their slow motion, where
+    # known.
     initial_state: np.ndarray | None = None
-    at_rest: bool = False
+    at_rest: bool = False  # samples are poses at rest
+    # This run with the extensions that were simulated last.
     extension_cache: dict[tuple[object, ...], PreparedRun] = field(default_factory=dict, init=False)
     _joints: dict[int, JointSignals] = field(default_factory=dict, init=False)
     _compliance: dict[int, np.ndarray] = field(default_factory=dict, init=False)
@@ -165,12 +139,21 @@ class PreparedRun:
             self._joints[index] = self.signals.of_joint(index)
         return self._joints[index]
 
-    def compliance(self, robot: RobotModel, index: int) -> np.ndarray:
+    def compliance(self, index: int) -> np.ndarray:
         """Return the nominal tangent compliance of one joint (0-based) (K,) [rad/(N m)]."""
         if index not in self._compliance:
             torque = self.of_joint(index).spring_torque
-            self._compliance[index] = np.asarray(robot.constants.joints[index].compliance(torque))
+            self._compliance[index] = np.asarray(
+                self.robot.constants.joints[index].compliance(torque)
+            )
         return self._compliance[index]
+
+    def shows_displacement(self, joint: int) -> bool:
+        """Return True where a displaced link shows by its torque alone: no encoder measures it.
+
+        Links that vibrate respond to a displacement themselves.
+        """
+        return self.vibration is None and not self.deflection_used[:, joint].any()
 
     def initial_states(self, band: float | None = None) -> np.ndarray:
         """Return initial states (2 n, m) of likely vibrations up to a band [Hz].
@@ -204,32 +187,25 @@ class PreparedRun:
         )
 
     def springs(
-        self,
-        robot: RobotModel,
-        damping: np.ndarray | None = None,
-        laws: Mapping[int, SpringLaw] | None = None,
+        self, damping: np.ndarray | None = None, laws: Mapping[int, SpringLaw] | None = None
     ) -> Springs:
         """Return the springs of this run, with other damping and laws if given."""
         s = self.signals
-        return Springs(robot, s.motor_position, s.motor_velocity, s.dt, damping, laws)
+        return Springs(self.robot, s.motor_position, s.motor_velocity, s.dt, damping, laws)
 
     def respond(
-        self,
-        robot: RobotModel,
-        loads: Sequence[tuple[np.ndarray | None, np.ndarray | None]],
+        self, loads: Sequence[tuple[np.ndarray | None, np.ndarray | None]]
     ) -> list[tuple[np.ndarray | None, np.ndarray | None]]:
         """Return changes of torque and deflection between motor and link (K, n), or None, by load.
 
-        Parameters
-        ----------
-        loads : sequence of (array (K, n) or None, array (K, n) or None)
-            Added torque on the links [N m], and displacement of the springs' ends [rad].
+        `loads` (K, n): added torque on the links [N m], and displacement of the springs' ends
+        [rad].
         """
         if self.vibration is not None:
             return self.vibration.respond(loads)
         if all(link_torque is None for link_torque, _ in loads):
             return list(loads)
-        compliance = robot.compliance(self.signals.spring_torque)
+        compliance = self.robot.compliance(self.signals.spring_torque)
         found: list[tuple[np.ndarray | None, np.ndarray | None]] = []
         for link_torque, deflection in loads:
             wound = deflection
@@ -251,12 +227,9 @@ def prepare_run(
 ) -> PreparedRun:
     """Filter a run and evaluate the nominal model along it.
 
-    Parameters
-    ----------
-    constants : RobotConstants or None
-        Constants of the training runs; None takes the ranges of this run alone.
-    vibrating : bool
-        Let links vibrate where the nominal model determines how; else they follow quasi-statically.
+    `constants`: constants of the training runs; None takes the ranges of this run alone.
+    `vibrating`: let links vibrate where the nominal model determines how; else they follow
+    quasi-statically.
     """
     if run.at_rest:
         return _prepare_poses(robot, run, index, constants)
@@ -284,36 +257,20 @@ def prepare_run(
             *(np.asfortranarray(getattr(links, part.name)) for part in fields(LinkMotion))
         )
         motor, velocity, acceleration = map(np.asfortranarray, (motor, velocity, acceleration))
-    q, v, a = links.position, links.velocity, links.acceleration
-    windup = robot.windup(links.spring)
     direction = smooth_sign(velocity) if vibration is None else mean_sign(velocity)
     friction = robot.friction(velocity, direction)
     if vibration is not None:
         friction = wide(friction)
     drive = robot.rotor_inertia * acceleration + links.torque + friction
     derived = robot.recordings.signals.commanded
-    signals = RobotSignals(
-        time=time,
-        run=run.name,
-        dt=dt,
-        session_time=time + (run.session_time or 0.0),
-        temperature_rise=robot.temperature_rise(run, len(time)),
-        motor_position=motor,
-        motor_velocity=velocity,
-        motor_acceleration=acceleration,
+    signals = _nominal_signals(
+        robot, run, constants, time, dt, (motor, velocity, acceleration), links
+    )
+    signals = replace(
+        signals,
         motor_direction=direction,
-        link_position=q,
-        link_velocity=v,
-        link_acceleration=a,
-        transmitted_torque=links.torque,
-        spring_torque=links.spring,
-        windup=windup,
         drive_torque=drive,
         drive_torque_rate=derivative(low_pass(drive), dt),
-        arm=LazyArmSignals(robot, q, v, a),
-        last_link=robot.n - 1,
-        link=robot.n - 1,
-        constants=constants or robot.constants,
         asked_torque=np.where(np.isfinite(torque), torque, drive) if derived else None,
     )
     moving = np.abs(velocity) >= settings.slow
@@ -327,6 +284,7 @@ def prepare_run(
     torque_count = np.array([resolution(own) or 0.0 for own in run.torque.T])
     return PreparedRun(
         torque_count=torque_count,
+        robot=robot,
         name=run.name,
         role=run.role,
         index=index,
@@ -343,6 +301,42 @@ def prepare_run(
     )
 
 
+def _nominal_signals(
+    robot: RobotModel,
+    run: RecordedRun,
+    constants: RobotConstants | None,
+    time: np.ndarray,
+    dt: float,
+    motor: tuple[np.ndarray, np.ndarray, np.ndarray],
+    links: LinkMotion,
+) -> RobotSignals:
+    """Return the signals of motors, by derivative, and links, without friction and rotors."""
+    rest = np.zeros_like(motor[0])
+    return RobotSignals(
+        time=time,
+        run=run.name,
+        dt=dt,
+        session_time=time + (run.session_time or 0.0),
+        temperature_rise=robot.temperature_rise(run, len(time)),
+        motor_position=motor[0],
+        motor_velocity=motor[1],
+        motor_acceleration=motor[2],
+        motor_direction=rest,
+        link_position=links.position,
+        link_velocity=links.velocity,
+        link_acceleration=links.acceleration,
+        transmitted_torque=links.torque,
+        spring_torque=links.spring,
+        windup=robot.windup(links.spring),
+        drive_torque=links.torque,
+        drive_torque_rate=rest,
+        arm=LazyArmSignals(robot, links.position, links.velocity, links.acceleration),
+        last_link=robot.n - 1,
+        link=robot.n - 1,
+        constants=constants or robot.constants,
+    )
+
+
 def _prepare_poses(
     robot: RobotModel, run: RecordedRun, index: int, constants: RobotConstants | None
 ) -> PreparedRun:
@@ -353,31 +347,13 @@ def _prepare_poses(
     for _ in range(_WINDUP_ITERATIONS if robot.elastic else 0):
         q = np.asfortranarray(run.position - robot.windup(robot.spring_torque(q, rest, rest)))
     spring = np.asfortranarray(robot.spring_torque(q, rest, rest))
-    signals = RobotSignals(
-        time=run.time,
-        run=run.name,
-        dt=1.0,
-        session_time=np.full(len(run.time), run.session_time or 0.0),
-        temperature_rise=robot.temperature_rise(run, len(run.time)),
-        motor_position=np.asfortranarray(run.position),
-        motor_velocity=rest,
-        motor_acceleration=rest,
-        motor_direction=rest,
-        link_position=q,
-        link_velocity=rest,
-        link_acceleration=rest,
-        transmitted_torque=spring,
-        spring_torque=spring,
-        windup=robot.windup(spring),
-        drive_torque=spring,
-        drive_torque_rate=rest,
-        arm=LazyArmSignals(robot, q, rest, rest),
-        last_link=robot.n - 1,
-        link=robot.n - 1,
-        constants=constants or robot.constants,
-    )
+    motor = (np.asfortranarray(run.position), rest, rest)
+    links = LinkMotion(q, rest, rest, spring, spring)
+    signals = _nominal_signals(robot, run, constants, run.time, 1.0, motor, links)
+    signals = replace(signals, session_time=np.full(len(run.time), run.session_time or 0.0))
     link = np.full(shape, np.nan) if run.link_position is None else run.link_position
     return PreparedRun(
+        robot=robot,
         name=run.name,
         role=run.role,
         index=index,
@@ -395,7 +371,7 @@ def _prepare_poses(
     )
 
 
-def with_link_torque(prepared: PreparedRun, robot: RobotModel, added: np.ndarray) -> PreparedRun:
+def with_link_torque(prepared: PreparedRun, added: np.ndarray) -> PreparedRun:
     """Return the run with a link torque (K, n) added to its nominal spring torque."""
     signals = prepared.signals
     spring = signals.spring_torque + added
@@ -405,7 +381,7 @@ def with_link_torque(prepared: PreparedRun, robot: RobotModel, added: np.ndarray
             signals,
             transmitted_torque=signals.transmitted_torque + added,
             spring_torque=spring,
-            windup=robot.windup(spring),
+            windup=prepared.robot.windup(spring),
             drive_torque=signals.drive_torque + added,
         ),
     )

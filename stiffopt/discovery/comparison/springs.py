@@ -26,20 +26,11 @@ class SpringLaw:
 
     A link that crosses a play carries no torque: deflection over torque jumps there, while torque
     over deflection is continuous.
-
-    Parameters
-    ----------
-    carried : array (m,)
-        Torques, increasing [N m].
-    deflection : array (m,)
-        Deflections under them, increasing [rad].
-    windup : array (m,)
-        Elastic part of the deflections [rad].
     """
 
-    carried: np.ndarray
-    deflection: np.ndarray
-    windup: np.ndarray
+    carried: np.ndarray  # (m,) torques, increasing [N m]
+    deflection: np.ndarray  # (m,) deflections under them, increasing [rad]
+    windup: np.ndarray  # (m,) elastic part of the deflections [rad]
 
     @cached_property
     def max_stiffness(self) -> float:
@@ -119,18 +110,9 @@ ComplianceRatio = Callable[[LinkMotion], np.ndarray]
 class Springs:
     """Springs between motors that move as recorded and links that follow.
 
-    Parameters
-    ----------
-    robot : RobotModel
-        Robot with known stiffness and damping.
-    motor, speed : array (K, n)
-        Position and velocity of the motors [rad], [rad/s].
-    dt : float
-        [s]
-    damping : array (n,), optional
-        Damping of the joints in place of the nominal one [N m s/rad].
-    laws : mapping of int to SpringLaw, optional
-        Springs with play by joint (from 0).
+    `robot`: robot with known stiffness and damping. `motor`, `speed` (K, n): position and velocity
+    of the motors [rad], [rad/s]. `dt` [s]. `damping` (n,): damping of the joints in place of the
+    nominal one [N m s/rad]. `laws`: springs with play by joint (from 0).
     """
 
     def __init__(
@@ -173,14 +155,9 @@ class Springs:
     ) -> Vibration:
         """Return the linear vibration response about a link motion.
 
-        Parameters
-        ----------
-        compliance_ratio : array (K, n)
-            Compliance over the nominal one.
-        added_inertia : array (K, n, n)
-            Added to the nominal inertia [kg m^2].
-        near : Vibration, optional
-            Response of a motion in the same postures, whose body terms are reused.
+        `compliance_ratio` (K, n): compliance over the nominal one. `added_inertia` (K, n, n): added
+        to the nominal inertia [kg m^2]. `near`: response of a motion in the same postures, whose
+        body terms are reused.
         """
         bodies = (
             self.robot.torque_slopes(links.position, links.velocity, links.acceleration)
@@ -227,18 +204,10 @@ class Springs:
     ) -> LinkMotion | None:
         """Return the link motion that begins nearest to a slow one; None if none is found.
 
-        Parameters
-        ----------
-        begin : LinkMotion
-            Slow motion; near its ends the filter pads it.
-        vibration : Vibration
-            Linear response near it.
-        added : callable, optional
-            Loads in addition to the nominal robot.
-        compliance_ratio : callable, optional
-            Change of the springs by these.
-        aside : array (2 n,), optional
-            Known initial displacement and velocity relative to the slow motion [rad], [rad/s].
+        `begin`: slow motion; near its ends the filter pads it. `vibration`: linear response near
+        it. `added`: loads in addition to the nominal robot. `compliance_ratio`: change of the
+        springs by these. `aside` (2 n,): known initial displacement and velocity relative to the
+        slow motion [rad], [rad/s].
         """
         found = self._solve_nearest_start(begin, vibration, added, compliance_ratio)
         if found is None or aside is None:
@@ -295,18 +264,10 @@ class Springs:
     ) -> LinkMotion | None:
         """Return the link motion consistent with springs and motors; None if none is found.
 
-        Parameters
-        ----------
-        links : LinkMotion
-            Initial guess, whose first sample is kept.
-        vibration : Vibration
-            Linear response near that motion.
-        slow : LinkMotion
-            Motion nearby without vibration: steps are exact for it, linear for the difference.
-        added : callable, optional
-            Loads in addition to the nominal robot.
-        compliance_ratio : callable, optional
-            Change of the springs by these.
+        `links`: initial guess, whose first sample is kept. `vibration`: linear response near that
+        motion. `slow`: motion nearby without vibration: steps are exact for it, linear for the
+        difference. `added`: loads in addition to the nominal robot. `compliance_ratio`: change of
+        the springs by these.
         """
         before, growing, changed, vibration = np.inf, 0, 0, vibration.copy()
         end = len(self.motor)
@@ -417,11 +378,7 @@ class Springs:
 
         Residuals are in rad.
 
-        Parameters
-        ----------
-        torque : array (k, n)
-            Added torque on the links at the last call, updated in place [N m].
-        added : callable or None
+        `torque` (k, n): added torque on the links at the last call, updated in place [N m].
         """
         k = len(links.position)
         links = self.with_torques(links.position, links.velocity, links.acceleration, torque)

@@ -9,21 +9,11 @@ _WRITTEN_NAME = re.compile(r"(?P<kind>[A-Za-z].*?) (?P<place>[1-9]\d*)(?: (?P<pa
 
 
 class ValueName(NamedTuple):
-    """Name of a nominal value.
+    """Name of a nominal value."""
 
-    Parameters
-    ----------
-    kind : str
-        Field of `Tolerance`, "body", or a property of a reducer ("T1", "rounding T1").
-    place : int
-        Joint, or joint that carries the body, from 0.
-    part : str
-        Component of a body's value: "x", "mx".
-    """
-
-    kind: str
-    place: int
-    part: str = ""
+    kind: str  # field of `Tolerance`, "body", or a property of a reducer ("T1", "rounding T1")
+    place: int  # joint, or joint that carries the body, from 0
+    part: str = ""  # component of a body's value: "x", "mx"
 
     def __str__(self) -> str:
         """Return the name as it is written in files, with places from 1: "com 2 x"."""
@@ -33,10 +23,7 @@ class ValueName(NamedTuple):
     def read(cls, text: str) -> ValueName:
         """Read a name from a file.
 
-        Raises
-        ------
-        ValueError
-            No such name.
+        Raises `ValueError`: no such name.
         """
         found = _WRITTEN_NAME.fullmatch(text)
         if found is None:

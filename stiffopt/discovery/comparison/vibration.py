@@ -35,23 +35,14 @@ def slow_filter(dt: float) -> ZeroPhaseFilter:
 
 @dataclass(frozen=True, eq=False)
 class LinkMotion:
-    """Motion of the links and torque between motor and link, (K, n) each.
+    """Motion of the links and torque between motor and link, (K, n) each."""
 
-    Parameters
-    ----------
-    position, velocity, acceleration : array
-        [rad], [rad/s], [rad/s^2].
-    torque : array
-        Between motor and link, including the joint damping [N m].
-    spring : array
-        In the spring alone [N m].
-    """
-
+    # position, velocity, acceleration [rad], [rad/s], [rad/s^2].
     position: np.ndarray
     velocity: np.ndarray
     acceleration: np.ndarray
-    torque: np.ndarray
-    spring: np.ndarray
+    torque: np.ndarray  # between motor and link, including the joint damping [N m]
+    spring: np.ndarray  # in the spring alone [N m]
 
     def head(self, count: int) -> LinkMotion:
         """Return the first samples."""
@@ -87,31 +78,16 @@ class LinkMotion:
 
 @dataclass(frozen=True, eq=False)
 class Vibration:
-    """Linear response of the links about a motion.
-
-    Parameters
-    ----------
-    stiffness : array (K, n)
-        Tangent stiffness of the springs along the motion [N m/rad].
-    damping : array (n,)
-        Damping of the joints [N m s/rad].
-    bodies : tuple of array (K, n, n)
-        Torque derivatives of the nominal bodies by position, velocity and acceleration.
-    reference : LinkMotion
-        Motion of the linearisation.
-    compliance_ratio : array (K, n) or float
-        Compliance over the nominal one.
-    added_inertia : array (K, n, n) or float
-        Added to the nominal inertia [kg m^2].
-    """
+    """Linear response of the links about a motion."""
 
     response: ElasticResponse
-    stiffness: np.ndarray
-    damping: np.ndarray
+    stiffness: np.ndarray  # (K, n) tangent stiffness of the springs along the motion [N m/rad]
+    damping: np.ndarray  # (n,) damping of the joints [N m s/rad]
+    # (K, n, n) torque derivatives of the nominal bodies by position, velocity and acceleration.
     bodies: tuple[np.ndarray, np.ndarray, np.ndarray]
-    reference: LinkMotion
-    compliance_ratio: np.ndarray | float
-    added_inertia: np.ndarray | float
+    reference: LinkMotion  # motion of the linearisation
+    compliance_ratio: np.ndarray | float  # (K, n) compliance over the nominal one
+    added_inertia: np.ndarray | float  # (K, n, n) added to the nominal inertia [kg m^2]
 
     def copy(self) -> Vibration:
         """Return a copy whose springs may be changed."""
@@ -181,10 +157,8 @@ class Vibration:
 
         Loads are integrated together. A load of nothing changes nothing: None.
 
-        Parameters
-        ----------
-        loads : sequence of (array (K, n) or None, array (K, n) or None)
-            Added torque on the links [N m], and displacement of the springs' ends [rad].
+        `loads` (K, n): added torque on the links [N m], and displacement of the springs' ends
+        [rad].
         """
         acting = [k for k, load in enumerate(loads) if any(part is not None for part in load)]
         pushed = np.zeros((len(acting), *self.stiffness.shape))
@@ -247,12 +221,7 @@ class Vibration:
 
         Each has the energy of the run's own spring deflection.
 
-        Parameters
-        ----------
-        deflection : array (K, n)
-            Of the springs along the run [rad].
-        band : float
-            Highest mode [Hz].
+        `deflection` (K, n): of the springs along the run [rad]. `band`: highest mode [Hz].
         """
         states = self._mode_states(band)
         n = self.response.n

@@ -18,13 +18,11 @@ from stiffopt.discovery.experiment.motion import (
     prepared_motion,
 )
 from stiffopt.discovery.experiment.separation import Separation
+from stiffopt.discovery.progress import Say
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import SearchResult
-from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import Training
 from stiffopt.result.trajectory import Trajectory
-
-Say = Callable[[str], object]
 
 EXPERIMENT_FILE = "next_experiment.csv"
 _MAX_DURATION = 10.0  # [s], of a designed motion
@@ -40,31 +38,18 @@ _MIN_SEPARATION = 1.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExperimentPlan:
-    """A motion that separates two explanations.
+    """A motion that separates two explanations."""
 
-    Parameters
-    ----------
-    joints : tuple of str (n,)
-    motion : Trajectory
-        Callable `motion(t, order)` [rad], [rad/s], [rad/s^2].
-    first, second : LocatedEffect
-        The explanations.
-    separation : float
-        Predicted on the motion [sigma].
-    reference : float
-        On the training run that separates them best, scaled to the motion's duration [sigma].
-    commands : SentCommands, optional
-        That move the arm so, where it follows commands.
-    """
-
-    joints: tuple[str, ...]
-    motion: Trajectory
+    joints: tuple[str, ...]  # (n,)
+    motion: Trajectory  # callable `motion(t, order)` [rad], [rad/s], [rad/s^2]
+    # first, second: the explanations.
     first: LocatedEffect
     second: LocatedEffect
-    separation: float
+    separation: float  # predicted on the motion [sigma]
+    # On the training run that separates them best, scaled to the motion's duration [sigma].
     reference: float
     reference_run: str
-    commands: SentCommands | None = None
+    commands: SentCommands | None = None  # that move the arm so, where it follows commands
 
     @property
     def sentence(self) -> str:
@@ -110,31 +95,18 @@ def leading_pair(selected: Sequence[Selected]) -> tuple[LocatedEffect, LocatedEf
 def plan_experiment(
     training: Training,
     result: SearchResult,
-    settings: Settings,
     pair: tuple[LocatedEffect, LocatedEffect],
     say: Say = lambda _: None,
 ) -> ExperimentPlan | None:
     """Design the motion that separates two explanations best.
 
-    Parameters
-    ----------
-    result : SearchResult
-        Of these training runs.
-    pair : (LocatedEffect, LocatedEffect)
-        The explanations, such as a finding and its strongest rival.
-    say : callable
-        Called with a sentence at every step.
+    `result`: of these training runs. `pair` (LocatedEffect, LocatedEffect): the explanations, such
+    as a finding and its strongest rival. `say`: called with a sentence at every step. None if no
+    motion beats the training runs, or none separates the two.
 
-    Returns
-    -------
-    ExperimentPlan or None
-        None if no motion beats the training runs, or none separates the two.
-
-    Notes
-    -----
     Fourier series within the limits are rated by `Separation`, which includes all values that a
-    refit could change: random ones first, then variations of the best one (an evolution strategy
-    of one parent and one child, whose step grows with success).
+    refit could change: random ones first, then variations of the best one (an evolution strategy of
+    one parent and one child, whose step grows with success).
     """
     first, second = pair
     say(f"design the motion that separates {first.label} from {second.label}")
@@ -151,8 +123,7 @@ def plan_experiment(
     reference, name = max(known)
 
     def rated(motion: Trajectory) -> float:
-        run = prepared_motion(training, training.constants, motion, settings)
-        return separation.of(run, step=step)
+        return separation.of(prepared_motion(training, motion), step=step)
 
     best, value = _search_motions(training, limits, duration, rated)
     # Less than one standard deviation separates nothing, even if training runs do less.
@@ -171,10 +142,7 @@ def plan_experiment(
 
 
 def _search_motions(
-    training: Training,
-    limits: MotionLimits,
-    duration: float,
-    rated: Callable[[Trajectory], float],
+    training: Training, limits: MotionLimits, duration: float, rated: Callable[[Trajectory], float]
 ) -> tuple[Trajectory | None, float]:
     """Return the best motion found, with its separation."""
     random = np.random.default_rng(1)

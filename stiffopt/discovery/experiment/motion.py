@@ -9,8 +9,6 @@ from scipy.special import ndtr
 
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepared_run import PreparedRun, prepare_run
-from stiffopt.discovery.settings import Settings
-from stiffopt.discovery.signals import RobotConstants
 from stiffopt.discovery.training import Training
 from stiffopt.recording.run import RecordedRun
 from stiffopt.result.trajectory import Trajectory
@@ -32,18 +30,12 @@ _SAMPLE_TIME = 0.01  # [s]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotionLimits:
-    """Limits of a designed motion, (n,) each.
+    """Limits of a designed motion, (n,) each."""
 
-    Parameters
-    ----------
-    lower, upper : array
-        [rad]
-    velocity, acceleration, torque : array
-        Magnitudes [rad/s], [rad/s^2], [N m].
-    """
-
+    # lower, upper [rad]
     lower: np.ndarray
     upper: np.ndarray
+    # velocity, acceleration, torque: magnitudes [rad/s], [rad/s^2], [N m].
     velocity: np.ndarray
     acceleration: np.ndarray
     torque: np.ndarray
@@ -93,17 +85,9 @@ def fourier_motion(
 ) -> Trajectory | None:
     """Return a Fourier series in every joint, from rest to rest, scaled to the limits.
 
-    Parameters
-    ----------
-    duration : float
-        [s]
-    draws : array (n, DRAWS_PER_JOINT)
-        Standard normal draws: of base frequency, stroke and centre, then of the harmonics.
-
-    Returns
-    -------
-    Trajectory or None
-        None if even a small motion about the drawn pose exceeds them.
+    `duration` [s]. `draws` (n, DRAWS_PER_JOINT): standard normal draws: of base frequency, stroke
+    and centre, then of the harmonics. None if even a small motion about the drawn pose exceeds
+    them.
     """
     from scipy.interpolate import CubicSpline
 
@@ -136,9 +120,7 @@ def fourier_motion(
     return None
 
 
-def prepared_motion(
-    training: Training, constants: RobotConstants, motion: Trajectory, settings: Settings
-) -> PreparedRun:
+def prepared_motion(training: Training, motion: Trajectory) -> PreparedRun:
     """Prepare a motion as a run with all channels of the training runs."""
     times = np.arange(0.0, motion.duration, _SAMPLE_TIME)
     position = motion(times)
@@ -169,4 +151,6 @@ def prepared_motion(
         torque=np.where(has_torque, np.zeros_like(position), np.nan),
         faults=(),
     )
-    return prepare_run(training.robot, run, 0, constants, settings, vibrating=False)
+    return prepare_run(
+        training.robot, run, 0, training.constants, training.settings, vibrating=False
+    )

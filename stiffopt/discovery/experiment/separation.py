@@ -9,6 +9,7 @@ import numpy as np
 
 from stiffopt.discovery.comparison.channel_rows import ChannelNoise
 from stiffopt.discovery.comparison.comparison import Comparison, Fit
+from stiffopt.discovery.comparison.design_matrix import DesignMatrix
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.comparison.value_name import ValueName
@@ -26,15 +27,8 @@ class _Explanation:
 class Separation:
     """Predicted separation of two explanations of the same training runs.
 
-    Parameters
-    ----------
-    comparison : Comparison
-        Of the training runs.
-    others : sequence of LocatedEffect
-        Effects common to both explanations.
+    `comparison`: of the training runs. `others`: effects common to both explanations.
 
-    Notes
-    -----
     Both predict the channels of a motion with values fitted to the training runs. Amplitudes of one
     and nominal values are then refitted to the prediction of the other, with the posterior of the
     training runs as prior; the remaining difference is the separation, the lesser of both
@@ -58,10 +52,7 @@ class Separation:
     def of(self, run: PreparedRun, *, step: float | None = None) -> float:
         """Return the separation on a motion [sigma].
 
-        Parameters
-        ----------
-        step : float, optional
-            Sampling time of the recording [s]; default: that of the run.
+        `step`: sampling time of the recording [s]; default: that of the run.
         """
         here = self._compare_along(run, step)
         parts = [self._parameter_columns(here, each) for each in (self.first, self.second)]
@@ -78,14 +69,9 @@ class Separation:
         # More samples of the same motion lower the noise that passes the filter.
         finer = 1.0 if step is None else float(np.sqrt(step / run.signals.dt))
         noise = ChannelNoise(base.noise.torque * finer, base.noise.deflection * finer)
-        signals = replace(run.signals, constants=base.constants)
-        return Comparison(
-            base.robot,
-            [replace(run, signals=signals)],
-            noise,
-            base.tolerance,
-            inflation=base.inflation,
-        )
+        along = replace(run, signals=replace(run.signals, constants=base.constants))
+        columns = DesignMatrix(base.robot, (along,), noise, base.tolerance)
+        return Comparison(columns, inflation=base.inflation)
 
     def _parameter_columns(self, here: Comparison, each: _Explanation) -> np.ndarray:
         names, _ = here.priors

@@ -33,22 +33,12 @@ def left_open_section(
 ) -> LeftOpenSection:
     """Return the section `left_open` of extended.toml.
 
-    Parameters
-    ----------
-    ratio : array (2 n,)
-        Normalised residual of every channel; nan without rows.
-    settings : Settings
-        With the chosen bands.
-    suspects : mapping of str to float
-        Effects that the residual suggests, with log evidence per row.
-    leanings : mapping of str to tuple of float
-        Amplitudes that single effects would have in it.
-    before : LeftOpenSection, optional
-        Section of the starting model, kept for channels without recordings.
-    rate : float, optional
-        Sampling rate of these recordings [Hz].
+    `ratio` (2 n,): normalised residual of every channel; nan without rows. `settings`: with the
+    chosen bands. `suspects`: effects that the residual suggests, with log evidence per row.
+    `leanings`: amplitudes that single effects would have in it. `before`: section of the starting
+    model, kept for channels without recordings. `rate`: sampling rate of these recordings [Hz].
     """
-    spread = np.nan_to_num(ratio) * np.nan_to_num([*noise.torque, *noise.deflection])
+    spread = np.nan_to_num(ratio) * np.nan_to_num(noise.stacked)
     if before is not None:
         spread = np.where(spread > 0.0, spread, [*before.torque, *before.link_position])
     torque, link = np.split(spread, 2)
@@ -86,8 +76,7 @@ def noise_factors(section: LeftOpenSection | None, noise: ChannelNoise) -> np.nd
     if section is None:
         return None
     left = np.array([*section.torque, *section.link_position])
-    known = np.array([*noise.torque, *noise.deflection])
-    return np.where(left > 0.0, np.maximum(1.0, np.nan_to_num(left / known)), np.nan)
+    return np.where(left > 0.0, np.maximum(1.0, np.nan_to_num(left / noise.stacked)), np.nan)
 
 
 def adopt_bands(settings: Settings, section: LeftOpenSection | None) -> Settings:
@@ -107,17 +96,9 @@ def describe_assumptions(
 ) -> list[str]:
     """Return sentences about the assumptions of a diagnosis from an extended model.
 
-    Parameters
-    ----------
-    section : LeftOpenSection or None
-        Section of the model.
-    least : array (2 n,) or None
-        Factors on the noise; None if it is not raised.
-    asked : Settings
-        Settings before the model's bands were adopted.
-    tolerance : Tolerance
-        Tolerances that the set states.
-    prismatic : array (n,) of bool
+    `section`: section of the model. `least` (2 n,): factors on the noise; None if it is not raised.
+    `asked`: settings before the model's bands were adopted. `tolerance`: tolerances that the set
+    states. `prismatic` (n,) of bool.
     """
     found = []
     if silent := ", ".join(missing_tolerances(tolerance)):
@@ -125,7 +106,7 @@ def describe_assumptions(
         near = "narrow defaults about values of the model are used"
         found.append(f"Tolerances not given, {near if least is None else kept}: {silent}.")
     if least is not None:
-        raised = np.where(least > 1.0, least * [*noise.torque, *noise.deflection], np.nan)
+        raised = np.where(least > 1.0, least * noise.stacked, np.nan)
         for name, values, unit in zip(
             ("torques", "link positions"), np.split(raised, 2), ("N m", "rad"), strict=True
         ):

@@ -96,16 +96,9 @@ def require_same_robot(
 ) -> None:
     """Raise `InputFileError` if an extended model is of another robot.
 
-    Parameters
-    ----------
-    section : MadeForSection or None
-        None if the file has none; joints are then compared by name.
-    source : str
-        Path of the file, for messages.
-    joints : sequence of str
-        Joints of the model.
-    place : sequence of int
-        Index of each joint of the model among those of the robot.
+    `section`: None if the file has none; joints are then compared by name. `source`: path of the
+    file, for messages. `joints`: joints of the model. `place`: index of each joint of the model
+    among those of the robot.
     """
     same_names = set(joints) <= set(robot.joint_names)
     if section is None:
@@ -159,53 +152,25 @@ VALUE_TOLERANCE = 1e-6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExtendedModel:
-    """A nominal model with findings.
+    """A nominal model with findings."""
 
-    Parameters
-    ----------
-    source : str
-        Path of the file, for messages.
-    name : str
-        Name of the recording set.
-    joints : tuple of str (n,)
-    robot : MadeForSection or None
-        Robot that it was made for; None if not stated.
-    nominal : NominalSection
-        Stated values of the nominal robot.
-    chains : tuple of Chain or None (n,), or None
-        Nominal drivetrains; None for those of the robot.
-    scales : dict of str to tuple of float (n,)
-        torque_rated, torque_max [N m], fastest [rad/s].
-    parameters : tuple of dict of str to float
-        Reported values of every effect.
-    deviations : tuple of dict of str to float
-        Their standard deviations, if stated.
-    left_open : LeftOpenSection or None
-        Residual in its own recordings; None if not stated.
-    closed_loop : ClosedLoopSection or None
-        Simulation from commands; None without commands.
-    """
-
-    source: str
-    name: str
-    joints: tuple[str, ...]
-    robot: MadeForSection | None
-    nominal: NominalSection
-    chains: tuple[Chain | None, ...] | None
-    scales: dict[str, tuple[float, ...]]
+    source: str  # path of the file, for messages
+    name: str  # name of the recording set
+    joints: tuple[str, ...]  # (n,)
+    robot: MadeForSection | None  # robot that it was made for; None if not stated
+    nominal: NominalSection  # stated values of the nominal robot
+    chains: tuple[Chain | None, ...] | None  # (n,) nominal drivetrains; None for those of the robot
+    scales: dict[str, tuple[float, ...]]  # (n,) torque_rated, torque_max [N m], fastest [rad/s]
     extension: Extension
-    parameters: tuple[dict[str, float], ...]
-    deviations: tuple[dict[str, float], ...] = ()
-    left_open: LeftOpenSection | None = None
-    closed_loop: ClosedLoopSection | None = None
+    parameters: tuple[dict[str, float], ...]  # reported values of every effect
+    deviations: tuple[dict[str, float], ...] = ()  # their standard deviations, if stated
+    left_open: LeftOpenSection | None = None  # residual in its own recordings; None if not stated
+    closed_loop: ClosedLoopSection | None = None  # simulation from commands; None without commands
 
     def applied_to(self, recordings: RecordingSet) -> RecordingSet:
         """Return the set with this model's nominal values.
 
-        Raises
-        ------
-        InputFileError
-            The joints differ.
+        Raises `InputFileError`: the joints differ.
         """
         if recordings.joints != self.joints:
             raise InputFileError(
@@ -240,16 +205,9 @@ class ExtendedModel:
 def load_extended(path: str | os.PathLike[str], effects: Sequence[Effect] = ()) -> ExtendedModel:
     """Read an extended.toml.
 
-    Parameters
-    ----------
-    path : path
-    effects : sequence of Effect
-        Additional to the catalogue.
+    `effects`: additional to the catalogue.
 
-    Raises
-    ------
-    InputFileError
-        The file is invalid.
+    Raises `InputFileError`: the file is invalid.
     """
     check_result(Path(path).parent, Path(path).name, edited=True)
     document = read_document(path, ExtendedFile, "extended")

@@ -41,52 +41,26 @@ _STIFFNESS_FACTORS = ("factor", "k1_factor")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlannerModel:
-    """A robot with the findings of an extended model.
-
-    Parameters
-    ----------
-    changes : tuple of str
-        Changes, a sentence each.
-    left_out : tuple of str
-        Findings without influence on planning, with their place.
-    not_in_robot : tuple of EstimatedEffect
-        The same findings.
-    stiffness_deviation : array (n,)
-        Relative standard deviation of each joint's stiffness; NaN if not stated.
-    payload_deviation : float
-        Standard deviation of the identified payload over the payload of the robot; NaN if not
-        stated or without payload.
-    """
+    """A robot with the findings of an extended model."""
 
     robot: Robot
-    changes: tuple[str, ...]
-    left_out: tuple[str, ...]
-    not_in_robot: tuple[EstimatedEffect, ...]
+    changes: tuple[str, ...]  # changes, a sentence each
+    left_out: tuple[str, ...]  # findings without influence on planning, with their place
+    not_in_robot: tuple[EstimatedEffect, ...]  # the same findings
+    # (n,) relative standard deviation of each joint's stiffness; NaN if not stated.
     stiffness_deviation: np.ndarray
+    # Standard deviation of the identified payload over the payload of the robot; NaN if not stated
+    # or without payload.
     payload_deviation: float
 
 
 def planner_model(robot: Robot, model: ExtendedModel) -> PlannerModel:
     """Return a robot with the findings of an extended model.
 
-    Parameters
-    ----------
-    robot : Robot
-        With its payload.
-    model : ExtendedModel
-        From recordings of the same arm.
+    `robot`: with its payload. `model`: from recordings of the same arm.
 
-    Returns
-    -------
-    PlannerModel
+    Raises `InputFileError`: the model was made for another robot.
 
-    Raises
-    ------
-    InputFileError
-        The model was made for another robot.
-
-    Notes
-    -----
     Values of findings are added to the robot's; calibrations of friction and rotor inertia scale
     them, and changes of re-identified bodies are added. Calibrations of masses, centres and
     stiffness within the tolerances of the nominal model are ignored.
@@ -224,12 +198,7 @@ def _match_joints(robot: Robot, model: ExtendedModel) -> tuple[int, ...]:
 def joint_constants(model: ExtendedModel, joint: int, own: Chain | None) -> JointConstants:
     """Return the constants of a joint that the terms of an extended model were fitted with.
 
-    Parameters
-    ----------
-    joint : int
-        From 0.
-    own : Chain or None
-        Drivetrain of the robot's file, used if the model states none.
+    `joint`: from 0. `own`: drivetrain of the robot's file, used if the model states none.
     """
     nominal = model.nominal
 
@@ -256,25 +225,13 @@ Progress = Callable[[Any], object]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ClosedLoop:
-    """Motions planned with the nominal and the extended robot, and their assessment.
+    """Motions planned with the nominal and the extended robot, and their assessment."""
 
-    Parameters
-    ----------
-    problem : TrajectoryProblem
-        Problem with the extended robot.
-    nominal : Solution
-        Planned with the nominal robot.
-    carried_over : Assessment or None
-        The nominal motion on the extended robot.
-    solution : Solution
-        Planned with the extended robot; its notes describe the change.
-    """
-
-    problem: TrajectoryProblem
+    problem: TrajectoryProblem  # problem with the extended robot
     planner: PlannerModel
-    nominal: Solution
-    carried_over: Assessment | None
-    solution: Solution
+    nominal: Solution  # planned with the nominal robot
+    carried_over: Assessment | None  # the nominal motion on the extended robot
+    solution: Solution  # planned with the extended robot; its notes describe the change
 
 
 def read_model(model: Path, effects: Path | None = None) -> ExtendedModel:
@@ -287,19 +244,11 @@ def solve_extended(
 ) -> ClosedLoop:
     """Solve a problem with the nominal robot, then with the extended one.
 
-    Parameters
-    ----------
-    problem : TrajectoryProblem
-        Problem with the nominal robot.
-    progress : callable, optional
-        Called with a `SolveProgress` in every iteration of both solves.
+    `problem`: problem with the nominal robot. `progress`: called with a `SolveProgress` in every
+    iteration of both solves.
 
-    Raises
-    ------
-    ProblemError
-        The problem is infeasible for the nominal or the extended robot.
-    InputFileError
-        The model is of another robot.
+    Raises `ProblemError`: the problem is infeasible for the nominal or the extended robot;
+    `InputFileError`: the model is of another robot.
     """
     planner = planner_model(problem.robot, model)
     changed = extended_problem(problem, planner)
@@ -309,11 +258,7 @@ def solve_extended(
         carried = assess(changed, nominal.trajectory)
     solution = solve(changed, progress=progress, throw=False)
     loop = ClosedLoop(
-        problem=changed,
-        planner=planner,
-        nominal=nominal,
-        carried_over=carried,
-        solution=solution,
+        problem=changed, planner=planner, nominal=nominal, carried_over=carried, solution=solution
     )
     notes = (*solution.notes, *_describe_changes(planner, model), *_compare_motions(loop))
     return replace(loop, solution=replace(solution, notes=notes))

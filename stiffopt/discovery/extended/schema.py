@@ -131,8 +131,7 @@ class LeftOpenSection(Section):
         Doc("Standard deviation of each torque, as unfiltered noise; 0 without recordings."),
     ]
     link_position: Annotated[
-        tuple[Annotated[JointPosition, NOT_NEGATIVE], ...],
-        Doc("Likewise of each link encoder."),
+        tuple[Annotated[JointPosition, NOT_NEGATIVE], ...], Doc("Likewise of each link encoder.")
     ]
     suspects: Annotated[
         dict[str, Ratio],
@@ -186,6 +185,12 @@ class ClosedLoopSection(Section):
     deviations: Annotated[
         dict[str, tuple[Ratio, ...]], Doc("One standard deviation of each; 0 if not fitted.")
     ]
+    expected: Annotated[
+        dict[str, tuple[Ratio, ...]], Doc("The parameters before the fit, in SI.")
+    ] = Field(default_factory=dict)
+    expected_deviations: Annotated[
+        dict[str, tuple[Ratio, ...]], Doc("One standard deviation of each; 0 if not fitted.")
+    ] = Field(default_factory=dict)
     ratios: Annotated[
         dict[str, tuple[Ratio, ...]],
         Doc("Parameters over the gain in SI, of joints whose torque has no scale; else nan."),

@@ -26,21 +26,12 @@ _JOINT_VALUES = (
 
 @dataclass(frozen=True)
 class ValueChange:
-    """A value of the nominal robot and its corrected value.
+    """A value of the nominal robot and its corrected value."""
 
-    Parameters
-    ----------
-    joint : int
-        From 1; of a body, the joint that carries it.
-    name : str
-        Of the joint.
-    old, new : float
-        In `unit`.
-    """
-
-    joint: int
-    name: str
+    joint: int  # from 1; of a body, the joint that carries it
+    name: str  # of the joint
     quantity: str
+    # old, new: in `unit`.
     old: float
     new: float
     unit: str
@@ -49,10 +40,8 @@ class ValueChange:
 def value_changes(nominal: Robot, found: Robot) -> list[ValueChange]:
     """Return the values in which two robots with the same joints differ, joint by joint.
 
-    Parameters
-    ----------
-    nominal, found : Robot
-        Friction and rotor inertia at the joint's output; bodies include all that is fixed to them.
+    `nominal`, `found`: friction and rotor inertia at the joint's output; bodies include all that is
+    fixed to them.
     """
     changes = []
     for j, name in enumerate(nominal.joint_names):

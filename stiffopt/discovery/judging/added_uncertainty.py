@@ -17,28 +17,19 @@ from stiffopt.discovery.comparison.prepared_run import prepare_run
 from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.uncertainty import Estimate, estimate_parameters
-from stiffopt.discovery.thresholds import (
-    FINDING_DEVIATIONS,
-)
+from stiffopt.discovery.thresholds import FINDING_DEVIATIONS
 from stiffopt.discovery.training import Training
 
 Found = tuple[tuple[Selected, ...], Estimate]
 
 
 def drop_insignificant(
-    selected: Sequence[Selected],
-    estimated: Callable[[Sequence[Selected]], Found],
+    selected: Sequence[Selected], estimated: Callable[[Sequence[Selected]], Found]
 ) -> Found:
     """Estimate findings, and drop insignificant ones one after another.
 
-    Parameters
-    ----------
-    selected : sequence of Selected
-    estimated : callable
-        -> supported findings among the given ones, and their estimate.
+    `estimated` -> supported findings among the given ones, and their estimate.
 
-    Notes
-    -----
     Calibrated values are kept: they exist without doubt. A change between two states needs an
     amplitude that is determined by itself.
     """
@@ -66,14 +57,8 @@ def _excess_deviations(selected: Selected, parameters: Estimate, index: int) -> 
 def add_scale_deviation(parameters: Estimate, selected: Sequence[Selected]) -> Estimate:
     """Add the uncertainty of torque constants to the amplitudes.
 
-    Parameters
-    ----------
-    parameters : Estimate
-    selected : sequence of Selected
-        The same effects; the torque constant is that of the channel that each changes most.
+    `selected`: the same effects; the torque constant is that of the channel that each changes most.
 
-    Notes
-    -----
     Recorded torques are currents times torque constants with tolerances. All amplitudes of an
     effect share one scale, so that the uncertainty of their ratios does not change.
     """
@@ -116,13 +101,7 @@ def add_band_deviation(
     an extended model it is reduced by the difference expected by chance, whose variance is the
     difference of the variances (Hausman 1978). Otherwise variances are too small for that.
 
-    Parameters
-    ----------
-    comparison : Comparison
-        With the noise estimated beside the effects.
-    other : Comparison or None
-        In half the band.
-    parameters : Estimate
+    `comparison`: with the noise estimated beside the effects. `other`: in half the band.
     """
     if other is None or not parameters.effects:
         return parameters
@@ -144,11 +123,8 @@ def add_band_deviation(
 def excess_difference(away: np.ndarray, less: np.ndarray, more: np.ndarray) -> np.ndarray:
     """Return the difference of two estimates beyond chance (k,).
 
-    Parameters
-    ----------
-    away : array (k,)
-    less, more : array (k,)
-        Variances of the estimate from fewer data, and of that from all data.
+    `away` (k,). `less`, `more` (k,): variances of the estimate from fewer data, and of that from
+    all data.
     """
     return np.asarray(np.sqrt(np.maximum(away**2 - np.maximum(less - more, 0.0), 0.0)))
 

@@ -40,8 +40,8 @@ class _JointChannel:
     """
 
     residual: np.ndarray
-    extension_cache: np.ndarray
-    motion_filter: dict[str, np.ndarray]
+    swung: np.ndarray
+    followed: dict[str, np.ndarray]
 
     @property
     def usual(self) -> float:
@@ -54,20 +54,11 @@ class _JointChannel:
         return float(np.sqrt(np.mean(self.residual**2))) / max(self.usual, 1e-12)
 
 
-def find_bursts(training: Training, extensions: Sequence[Extension]) -> Unexplained | None:
-    """Find the joint with the strongest torque bursts that the model does not predict.
+def find_bursts(training: Training, found: Extension) -> Unexplained | None:
+    """Find the joint with the strongest torque bursts that the extended model does not predict.
 
-    Parameters
-    ----------
-    training : Training
-    extensions : sequence of Extension
-        Extensions of the nominal model.
-
-    Returns
-    -------
-    Unexplained or None
-        None without bursts, and without elastic joints. `ratio` is the normalised residual of the
-        samples with bursts, `gain` their share of the residual's excess.
+    None without bursts, and without elastic joints. `ratio` is the normalised residual of the
+    samples with bursts, `gain` their share of the residual's excess.
     """
     parts: list[list[_JointChannel]] = [[] for _ in range(training.robot.n)]
     noise = training.noise.channels.torque
@@ -77,7 +68,7 @@ def find_bursts(training: Training, extensions: Sequence[Extension]) -> Unexplai
     for recorded, run in zip(training.recorded, training.runs, strict=True):
         if run.vibration is None:
             return None
-        predicted = extend_run(run, training.robot, *extensions)
+        predicted = extend_run(run, *training.before, found)
         drive = predicted.signals.drive_torque
         kept_noise = noise * run.motion_filter.noise_gain
         left = (run.motion_filter(bridge_gaps(run.torque)) - drive) / kept_noise
@@ -98,8 +89,7 @@ def find_bursts(training: Training, extensions: Sequence[Extension]) -> Unexplai
     if ratios[worst] < BURSTING_RATIO:
         return None
     held = {
-        name: _burst_share(channels[worst], size)
-        for name, size in channels[worst].motion_filter.items()
+        name: _burst_share(channels[worst], size) for name, size in channels[worst].followed.items()
     }
     name = max(held, key=lambda each: held[each][0])
     if held[name][1] < BURST_RATIO or _link_share(channels[worst], name) > _MAX_LINK_SHARE:
@@ -133,10 +123,10 @@ def _link_residual_torque(predicted: PreparedRun) -> np.ndarray:
 
 def _link_share(channel: _JointChannel, name: str) -> float:
     """Return the share of the bursts' square that the deflection residual explains."""
-    there = _select_largest(channel.motion_filter[name])
+    there = _select_largest(channel.followed[name])
     left = channel.residual[there]
     # The noise of both sensors is independent: bursts of a drive are not correlated.
-    return float(left @ channel.extension_cache[there] / max(left @ left, 1e-12))
+    return float(left @ channel.swung[there] / max(left @ left, 1e-12))
 
 
 def _fit_initial_vibration(
@@ -160,11 +150,11 @@ def _fit_initial_vibration(
 
 
 def _concatenate_channels(parts: Sequence[_JointChannel]) -> _JointChannel:
-    names = parts[0].motion_filter
+    names = parts[0].followed
     return _JointChannel(
         np.concatenate([p.residual for p in parts]),
-        np.concatenate([p.extension_cache for p in parts]),
-        {name: np.concatenate([p.motion_filter[name] for p in parts]) for name in names},
+        np.concatenate([p.swung for p in parts]),
+        {name: np.concatenate([p.followed[name] for p in parts]) for name in names},
     )
 
 

@@ -16,25 +16,14 @@ from stiffopt.discovery.thresholds import NAMED_EVIDENCE
 
 @dataclass(frozen=True)
 class DetectionLimit:
-    """Least value of a parameter that would have been found.
-
-    Parameters
-    ----------
-    effect : Effect
-    joint : int or None
-        1-based.
-    parameter, unit : str
-    value : float
-    relative : float or None
-        Value over the nominal value that it changes, if there is one.
-    """
+    """Least value of a parameter that would have been found."""
 
     effect: Effect
-    joint: int | None
+    joint: int | None  # 1-based
     parameter: str
     value: float
     unit: str
-    relative: float | None = None
+    relative: float | None = None  # value over the nominal value that it changes, if there is one
 
     def __str__(self) -> str:
         place = f" on joint {self.joint}" if self.joint else ""
@@ -51,16 +40,9 @@ def detection_limits(
 ) -> tuple[DetectionLimit, ...]:
     """Return the limits of every effect with a single amplitude, at every place.
 
-    Parameters
-    ----------
-    scorer : Scorer
-        Beside the findings.
-    catalogue : sequence of Effect
-    seen : sequence of LocatedEffect
-        Effects found by the search, including dropped findings, which get no limit.
+    `scorer`: beside the findings. `seen`: effects found by the search, including dropped findings,
+    which get no limit.
 
-    Notes
-    -----
     The log evidence of an effect of amplitude a is a^2/(2 sd^2) less the price of its prior and
     shapes; sd is its standard deviation with nominal values profiled out.
     """

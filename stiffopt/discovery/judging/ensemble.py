@@ -52,24 +52,15 @@ def recurrence(
 ) -> tuple[np.ndarray, tuple[Selected, ...]]:
     """Return the share (e,) of members that name each finding again, and findings with mean odds.
 
-    Parameters
-    ----------
-    comparison : Comparison
-        With the noise estimated beside the findings.
-    selected : sequence of Selected
-        Findings with their rivals.
-    half_band : Comparison or None
-        The same runs in half the band.
-    free_bodies : bool
-        True where no tolerance of masses is stated, so that members free them.
+    `comparison`: with the noise estimated beside the findings. `selected`: findings with their
+    rivals. `half_band`: the same runs in half the band. `free_bodies`: True where no tolerance of
+    masses is stated, so that members free them.
 
-    Notes
-    -----
     A member names a finding again if the evidence for it, beside the other findings, reaches half
     of the one required of all data in proportion to its rows, and its main amplitude keeps its
-    sign. A rival that gains on it takes its probability, not that of the two together: one of
-    them is there. Members in which an effect does not act are not counted for it. A drift between
-    runs is named only if it is named again without each single run: one odd run is no drift.
+    sign. A rival that gains on it takes its probability, not that of the two together: one of them
+    is there. Members in which an effect does not act are not counted for it. A drift between runs
+    is named only if it is named again without each single run: one odd run is no drift.
     """
     signs = np.sign(comparison.fit([each.located for each in selected]).amplitudes())
     own = _Member(comparison, selected, signs)
@@ -146,30 +137,19 @@ def _other_members(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Judgement:
-    """Judgement of a member on the findings.
+    """Judgement of a member on the findings."""
 
-    Parameters
-    ----------
-    again, acts : array (e,) of bool
-        Findings that are named again, and that act in its rows.
-    leads : sequence of array (1 + r,)
-        Log evidence for each finding, and the leads of its rivals over it in its place.
-    """
-
+    # again, acts (e,) of bool: findings that are named again, and that act in its rows.
     again: np.ndarray
     acts: np.ndarray
+    # (1 + r,) log evidence for each finding, and the leads of its rivals over it in its place.
     leads: Sequence[np.ndarray]
 
 
 class _Member:
     """Columns of the findings and of their rivals in one comparison.
 
-    Parameters
-    ----------
-    comparison : Comparison
-    selected : sequence of Selected
-    signs : array (p,)
-        Of the amplitudes as found.
+    `signs` (p,): of the amplitudes as found.
     """
 
     def __init__(
@@ -185,10 +165,7 @@ class _Member:
     def judge(self, kept: np.ndarray | None = None) -> _Judgement:
         """Return which findings are named again, and the leads of their rivals.
 
-        Parameters
-        ----------
-        kept : array (m,) of bool, optional
-            Rows that are fitted; default all.
+        `kept` (m,) of bool: rows that are fitted; default all.
         """
         if kept is None:
             kept = np.ones(len(self._target), dtype=bool)
@@ -241,13 +218,9 @@ class _Member:
 def odds_in_member(selected: Selected, leads: np.ndarray, ranked: np.ndarray) -> np.ndarray:
     """Return probabilities (1 + r,) of a finding and of its rivals in a member.
 
-    Parameters
-    ----------
-    selected : Selected
-        With the odds of the ranking.
-    leads, ranked : array (1 + r,)
-        Log evidence for the finding and leads of the rivals, in the member and in the comparison
-        of the ranking. Leads grow with the evidence, and count beyond that.
+    `selected`: with the odds of the ranking. `leads`, `ranked` (1 + r,): log evidence for the
+    finding and leads of the rivals, in the member and in the comparison of the ranking. Leads grow
+    with the evidence, and count beyond that.
     """
     kept = np.clip(leads[0] / max(ranked[0], 1.0), 0.0, 1.0)
     gains = (leads[1:] - kept * ranked[1:]) / tempering_width(leads[0])

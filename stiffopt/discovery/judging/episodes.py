@@ -16,8 +16,7 @@ from scipy.spatial import cKDTree
 
 from stiffopt.discovery.comparison.channel_rows import ChannelNoise
 from stiffopt.discovery.comparison.comparison import Comparison, Fit
-from stiffopt.discovery.comparison.prepared_run import PreparedRun
-from stiffopt.discovery.prediction import Prediction, Predictor, used_samples
+from stiffopt.discovery.prediction import Prediction, Predictor, residuals
 from stiffopt.discovery.signals import RobotConstants, RobotSignals
 from stiffopt.recording.channel import DEVIATION_PER_MAD
 from stiffopt.recording.run import RecordedRun
@@ -44,32 +43,20 @@ _MAX_TRACK_RATE = 100.0
 
 @dataclass(frozen=True, kw_only=True)
 class Episode:
-    """A contact interval.
-
-    Parameters
-    ----------
-    run, role : str
-    begin, end : float
-        Times of the run [s].
-    joints : tuple of int
-        Joints with changed torques, from 1.
-    sizes : tuple of float
-        Largest torque [N m] or force [N] at each of them.
-    stays : bool
-        True if it lasts until the end of a held-out run and depends on the position like a load;
-        then it is not excluded.
-    nrmse_with, nrmse_without : float or None
-        Normalised residual of the held-out run with and without all its intervals; None in
-        training.
-    """
+    """A contact interval."""
 
     run: str
     role: str
+    # begin, end: times of the run [s].
     begin: float
     end: float
-    joints: tuple[int, ...]
-    sizes: tuple[float, ...]
+    joints: tuple[int, ...]  # joints with changed torques, from 1
+    sizes: tuple[float, ...]  # largest torque [N m] or force [N] at each of them
+    # True if it lasts until the end of a held-out run and depends on the position like a load; then
+    # it is not excluded.
     stays: bool = False
+    # nrmse_with, nrmse_without: normalised residual of the held-out run with and without all its
+    # intervals; None in training.
     nrmse_with: float | None = None
     nrmse_without: float | None = None
 
@@ -80,30 +67,17 @@ class Episode:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ResidualTrack:
-    """Residuals and states along one run.
-
-    Parameters
-    ----------
-    run, role : str
-    time : array (K,)
-        [s]
-    left : array (K, 2 n)
-        Residuals of torques, then of motor less link angles, over the noise; nan if not compared.
-    unit : array (2 n,)
-        Torque at the link per unit of these [N m].
-    velocity : array (K, n)
-        [rad/s]
-    state : array (K, n, 3)
-        Angle, velocity and load of each joint over the recorded ranges.
-    """
+    """Residuals and states along one run."""
 
     run: str
     role: str
-    time: np.ndarray
+    time: np.ndarray  # (K,) [s]
+    # (K, 2 n) residuals of torques, then of motor less link angles, over the noise; nan if not
+    # compared.
     left: np.ndarray
-    unit: np.ndarray
-    velocity: np.ndarray
-    state: np.ndarray
+    unit: np.ndarray  # (2 n,) torque at the link per unit of these [N m]
+    velocity: np.ndarray  # (K, n) [rad/s]
+    state: np.ndarray  # (K, n, 3) angle, velocity and load of each joint over the recorded ranges
 
     @property
     def usual(self) -> np.ndarray:
@@ -130,19 +104,13 @@ def training_tracks(comparison: Comparison, fit: Fit) -> list[ResidualTrack]:
     """Return the residual tracks of a fit to the training runs."""
     if comparison.runs[0].at_rest:
         return []  # poses have no intervals
-    rows, n = comparison.rows, comparison.robot.n
-
-    def place(run: PreparedRun) -> np.ndarray:
-        return np.arange(len(run.time))
-
-    number = rows.sample_signal(lambda run: np.full(len(run.time), comparison.runs.index(run)))
-    places = rows.sample_signal(place)
+    rows = comparison.rows
     tracks = []
     for index, run in enumerate(comparison.runs):
-        own = number == index
+        own = rows.run == index
         grid = np.arange(0, len(run.time), run.low_pass.step)
-        left = np.full((len(grid), 2 * n), np.nan)
-        left[places[own] // run.low_pass.step, rows.channel[own]] = fit.residual[own]
+        left = np.full((len(grid), 2 * rows.n), np.nan)
+        left[rows.sample[own] // run.low_pass.step, rows.channel[own]] = fit.residual[own]
         gain = run.low_pass.noise_gain
         tracks.append(
             _build_track(
@@ -156,21 +124,17 @@ def held_out_track(
     run: RecordedRun, predictor: Predictor, after: Prediction, noise: ChannelNoise
 ) -> ResidualTrack:
     """Return the residual track of a predicted run."""
-    places = np.searchsorted(run.stamps, run.time)
-    columns = []
-    for kind, joint, used in used_samples(run, predictor.velocity):
-        own = np.full(len(run.time), np.nan)
-        scale = noise.torque if kind == "torque" else noise.deflection
-        if used is not None and np.isfinite(scale[joint]):
-            measured = getattr(run, kind)[used, joint]
-            own[used] = (measured - getattr(after, kind)[places[used], joint]) / scale[joint]
-        columns.append(own)
+    left = np.full((len(run.time), 2 * run.n), np.nan)
+    for kind, joint, used, (own,) in residuals(run, predictor.velocity, after):
+        of_link = kind == "link_position"
+        scale = (noise.deflection if of_link else noise.torque)[joint]
+        if np.isfinite(scale):
+            left[used, of_link * run.n + joint] = own / scale
     every = max(1, round(1.0 / (_MAX_TRACK_RATE * run.step)))
     time = run.time[::every]
     signals = predictor.nominal.signals
     nearest = np.clip(np.searchsorted(signals.time, time), 0, len(signals.time) - 1)
-    left = np.column_stack(columns)[::every]
-    return _build_track(run.name, run.role, time, left, noise, 1.0, signals, nearest)
+    return _build_track(run.name, run.role, time, left[::every], noise, 1.0, signals, nearest)
 
 
 def _build_track(
@@ -210,15 +174,9 @@ def find_episodes(
 ) -> tuple[Episode, ...]:
     """Find contact intervals in runs.
 
-    Parameters
-    ----------
-    tracks : sequence of Track
-        Runs to search in.
-    others : sequence of Track
-        Further runs without contacts, whose states count as undisturbed.
+    `tracks`: runs to search in. `others`: further runs without contacts, whose states count as
+    undisturbed.
 
-    Notes
-    -----
     A channel with any strong residual that is no contact is not used.
     """
     strengths = [track.strength() for track in tracks]

@@ -24,17 +24,11 @@ Kind = Literal["unstated", "nominal", "usual", "finding"]
 
 @dataclass(frozen=True, kw_only=True)
 class ExtensionPart:
-    """Part of an extension.
+    """Part of an extension."""
 
-    Parameters
-    ----------
-    kind : str
-        "unstated": values that the nominal model does not state; "nominal": stated values fitted
-        within tolerance or re-identified, with findings of masses; "usual": offsets, which every
-        robot has; "finding".
-    effects : tuple of LocatedEffect
-    """
-
+    # "unstated": values that the nominal model does not state; "nominal": stated values fitted
+    # within tolerance or re-identified, with findings of masses; "usual": offsets, which every
+    # robot has; "finding".
     kind: Kind
     effects: tuple[LocatedEffect, ...] = ()
 
@@ -44,39 +38,25 @@ class ExtensionPart:
             extension = replace(extension, calibration={})
         keys = {located.key for located in self.effects}
         return replace(
-            extension,
-            effects=tuple(e for e in extension.effects if e.located.key not in keys),
+            extension, effects=tuple(e for e in extension.effects if e.located.key not in keys)
         )
 
 
 @dataclass(frozen=True, kw_only=True)
 class MismatchShare:
-    """Share of the mismatch that a part explains.
+    """Share of the mismatch that a part explains."""
 
-    Parameters
-    ----------
-    part : Part or None
-        None for the open share.
-    measured : str
-        "torque" or "link_position".
-    share : float
-        Of the excess squares beside the nominal model in held-out runs; negative if it increases
-        them.
-    """
-
-    part: ExtensionPart | None
-    measured: str
+    part: ExtensionPart | None  # None for the open share
+    measured: str  # "torque" or "link_position"
+    # Of the excess squares beside the nominal model in held-out runs; negative if it increases
+    # them.
     share: float
 
 
 def split_extension(extension: Extension, unstated: Sequence[str]) -> tuple[ExtensionPart, ...]:
     """Split an extension: findings by effect, unstated values by family.
 
-    Parameters
-    ----------
-    extension : Extension
-    unstated : sequence of str
-        Nominal values that the set does not state.
+    `unstated`: nominal values that the set does not state.
     """
     by_name: dict[tuple[Kind, object], list[LocatedEffect]] = {}
     if any(extension.calibration.values()):
@@ -97,12 +77,7 @@ def split_extension(extension: Extension, unstated: Sequence[str]) -> tuple[Exte
 
 
 class MismatchShares:
-    """Sums over held-out runs from which shares are calculated.
-
-    Parameters
-    ----------
-    parts : sequence of Part
-    """
+    """Sums over held-out runs from which shares are calculated."""
 
     def __init__(self, parts: Sequence[ExtensionPart]) -> None:
         self._parts = tuple(parts)
@@ -111,20 +86,17 @@ class MismatchShares:
         self._sums: dict[str, tuple[np.ndarray, int]] = {}
 
     def add(
-        self,
-        predictor: Predictor,
-        start: tuple[Extension, ...],
-        found: Extension,
-        proof: RunProof,
+        self, predictor: Predictor, start: Sequence[Extension], found: Extension, proof: RunProof
     ) -> None:
         """Add a run, predicted with the whole extension and without each part."""
-        each = [(*start, part.left_out_of(found)) for part in self._parts]
-        without = list(predictor.predict_each(each))
+        without = list(
+            predictor.predict_each([(*start, part.left_out_of(found)) for part in self._parts])
+        )
         run = predictor.run
         judged = {(each.kind, each.joint): each for each in proof.channels}
         sums, none = dict(self._sums), np.zeros((len(self._parts) + 1, len(self._parts) + 1))
         for kind, joint, used in used_samples(run, predictor.velocity):
-            if used is None or (kind, joint) not in judged:
+            if (kind, joint) not in judged:
                 continue
             channel = judged[kind, joint]
             places = np.searchsorted(run.stamps, run.time)[used]

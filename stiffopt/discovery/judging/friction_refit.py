@@ -13,13 +13,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from stiffopt.discovery.comparison.channel_rows import part_numbers
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension
 from stiffopt.discovery.prediction import Predictor, used_samples
 from stiffopt.discovery.search.cross_validation import FoldPredictions, folds_per_run
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.uncertainty import Estimate, estimate_parameters
-from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import Training
 
 # Least relative decrease of a joint's squares in stretches left out.
@@ -29,23 +29,11 @@ _STEP_PRIOR = 1e3
 
 
 def refit_friction(
-    training: Training,
-    settings: Settings,
-    start: Sequence[Extension],
-    comparison: Comparison,
-    selected: Sequence[Selected],
+    training: Training, comparison: Comparison, selected: Sequence[Selected]
 ) -> tuple[tuple[Selected, ...], Estimate]:
     """Refit friction of findings to all moving samples, and drop findings that these contradict.
 
-    Parameters
-    ----------
-    training : Training
-    settings : Settings
-    start : sequence of Extension
-        Extension of the starting model.
-    comparison : Comparison
-        With the noise estimated beside the effects.
-    selected : sequence of Selected
+    `comparison`: with the noise estimated beside the effects.
     """
     while True:
         located = tuple(s.located for s in selected)
@@ -53,7 +41,7 @@ def refit_friction(
         names = _refittable_names(parameters)
         if not names:
             return tuple(selected), parameters
-        rows = _MovingSamples(training, settings, start, parameters, names)
+        rows = _MovingSamples(training, parameters, names)
         kept = [
             each
             for each, found in zip(selected, parameters.effects, strict=True)
@@ -119,12 +107,7 @@ class _MovingSamples:
     """Torque residuals of moving samples, and their change by a unit step of each value."""
 
     def __init__(
-        self,
-        training: Training,
-        settings: Settings,
-        start: Sequence[Extension],
-        parameters: Estimate,
-        names: Sequence[EffectIdentity],
+        self, training: Training, parameters: Estimate, names: Sequence[EffectIdentity]
     ) -> None:
         found = Extension(calibration=parameters.calibration(), effects=parameters.effects)
         parts = folds_per_run(len(training.recorded))
@@ -132,15 +115,14 @@ class _MovingSamples:
             [] for _ in range(training.robot.n)
         ]
         for number, run in enumerate(training.recorded):
-            predictor = Predictor(training.robot, run, training.constants, settings)
+            predictor = Predictor(training, run)
             each = [found, *(_increase_amplitudes(found, name, training) for name in names)]
             places = np.searchsorted(run.stamps, run.time)
-            predicted = predictor.predict_each([(*start, extension) for extension in each])
+            predicted = predictor.predict_each([(*training.before, more) for more in each])
             now, *raised = (prediction.torque[places] for prediction in predicted)
-            share = (run.time - run.time[0]) / float(run.time[-1] - run.time[0])
-            fold = number * parts + np.minimum((share * parts).astype(int), parts - 1)
+            fold = number * parts + part_numbers(run.time, parts)
             for kind, joint, used in used_samples(run, predictor.velocity):
-                if kind != "torque" or used is None:
+                if kind != "torque":
                     continue
                 left = run.torque[used, joint] - now[used, joint]
                 columns = np.column_stack([torque[used, joint] for torque in raised])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,12 +20,10 @@ from stiffopt.discovery.judging.episodes import (
 from stiffopt.discovery.judging.explained_shares import ExtensionPart, MismatchShares
 from stiffopt.discovery.judging.noise_ceiling import BlackBox, NoiseCeiling
 from stiffopt.discovery.prediction import Predictor, RunProof, compare_predictions, nrmse
-from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.progress import Say
 from stiffopt.discovery.training import Training
 from stiffopt.recording.decimation import decimate_run
 from stiffopt.recording.recording_set import RecordingSet
-
-Say = Callable[[str], object]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,52 +32,28 @@ class _PredictedRun:
 
     file: str
     proof: RunProof
-    velocity: np.ndarray
     episodes: tuple[Episode, ...]
 
 
 class HeldOutRuns:
     """Proof of an extended model on held-out runs, as far as these were read.
 
-    Parameters
-    ----------
-    training : Training
-    settings : Settings
-    start : tuple of Extension
-        Extension of the starting model.
-    found : Extension
-    parts : sequence of Part
-        Parts of the findings whose explained shares are calculated.
-    every : int
-        Number of averaged samples, as of the training runs.
-    known : sequence of Track
-        Residual tracks of the training runs.
+    `parts`: parts of the findings whose explained shares are calculated. `every`: number of
+    averaged samples, as of the training runs. `known`: residual tracks of the training runs.
 
-    Attributes
-    ----------
-    proofs : list of RunProof
-        Without the contact intervals.
-    episodes : list of Episode
-        Contact intervals.
-    velocities : list of array (K, n)
-        Of the joints in these runs.
-    shares : Shares
-    left, unusable : list of str
-        Files of runs that were not predicted: not yet read, and without a joint's position.
+    `proofs`: without the contact intervals. `episodes`: contact intervals. `left`, `unusable`:
+    files of runs that were not predicted: not yet read, and without a joint's position.
     """
 
     def __init__(
         self,
         training: Training,
-        settings: Settings,
-        start: tuple[Extension, ...],
         found: Extension,
         parts: Sequence[ExtensionPart],
         every: int = 1,
         known: Sequence[ResidualTrack] = (),
     ) -> None:
-        self._training, self._settings = training, settings
-        self._start, self._found, self._every = start, found, every
+        self._training, self._found, self._every = training, found, every
         self._box: BlackBox | None = None
         self._known = tuple(known)
         self._files: list[str] = []
@@ -91,11 +65,6 @@ class HeldOutRuns:
     def proofs(self) -> list[RunProof]:
         """Proofs, one per run."""
         return [each.proof for each in self._opened]
-
-    @property
-    def velocities(self) -> list[np.ndarray]:
-        """Joint velocities, one array per run."""
-        return [each.velocity for each in self._opened]
 
     @property
     def episodes(self) -> list[Episode]:
@@ -116,52 +85,44 @@ class HeldOutRuns:
     def fit_noise_ceiling(self, say: Say) -> None:
         """Fit the black box of the noise ceiling to the training runs."""
         say("fit the noise ceiling to the residual")
-        extensions = (*self._start, self._found)
-        self._box = BlackBox(self._training, self._settings, extensions, say)
+        self._box = BlackBox(self._training, self._found, say)
 
     def predict_all(self, recordings: RecordingSet, say: Say, *, hurried: bool = False) -> None:
         """Read and predict one run after another; results stay consistent after Ctrl-C.
 
         After an earlier Ctrl-C this step is still done, as the proof: it is short beside a search.
         """
-        training, settings = self._training, self._settings
-        extensions = (*self._start, self._found)
+        training = self._training
         entries = recordings.with_role("test", "extrapolate")
         self._files = [entry.file for entry in entries]
         if hurried:
             say("stopped: held-out runs are still predicted; Ctrl-C again skips that")
-        vibrating = _choose_vibrating_links(training, settings, extensions)
+        vibrating = _choose_vibrating_links(training, self._found)
         for entry in entries:
             say(f"predict {entry.file}")
             run = decimate_run(recordings.open(entry), self._every)
             if not run.usable:
                 self.unusable.append(entry.file)
                 continue
-            predictor = Predictor(
-                training.robot, run, training.constants, settings, vibrating=vibrating
+            predictor = Predictor(training, run, vibrating=vibrating)
+            before, after = predictor.predict_each(
+                [training.before, (*training.before, self._found)]
             )
-            before, after = predictor.predict_each([self._start, extensions])
+            compared = (predictor.velocity, before, after, training.noise)
             track = held_out_track(run, predictor, after, training.noise.channels)
             touched = () if run.at_rest else find_episodes([track], self._known)
-            proof = compare_predictions(run, predictor.velocity, before, after, training.noise)
+            proof = compare_predictions(run, *compared)
             if touched:
                 touched = mark_lasting_loads(touched, track, training.robot, predictor.nominal)
                 whole = proof.nrmse_after
                 # Passing contacts are excluded from the proof; a lasting load is not.
-                apart = mask_episodes(run, touched)
-                less = compare_predictions(
-                    apart, predictor.velocity, before, after, training.noise
-                ).nrmse_after
+                less = compare_predictions(mask_episodes(run, touched), *compared).nrmse_after
                 predictor.run = run = mask_episodes(run, [e for e in touched if not e.stays])
-                proof = compare_predictions(run, predictor.velocity, before, after, training.noise)
+                proof = compare_predictions(run, *compared)
                 touched = tuple(replace(e, nrmse_with=whole, nrmse_without=less) for e in touched)
-            self._opened.append(
-                _PredictedRun(
-                    file=entry.file, proof=proof, velocity=predictor.velocity, episodes=touched
-                )
-            )
+            self._opened.append(_PredictedRun(file=entry.file, proof=proof, episodes=touched))
             say(f"calculate explained shares of {entry.file}")
-            self.shares.add(predictor, self._start, self._found, proof)
+            self.shares.add(predictor, training.before, self._found, proof)
             if self._box is not None:
                 self._box.add(predictor, before, after)
 
@@ -185,15 +146,14 @@ class HeldOutRuns:
         return None if self._box is None else self._box.found()
 
 
-def _choose_vibrating_links(
-    training: Training, settings: Settings, extensions: tuple[Extension, ...]
-) -> bool:
+def _choose_vibrating_links(training: Training, found: Extension) -> bool:
     """Choose predictions with or without vibration by the better prediction of training runs.
 
     Without findings the choice of the fit is kept.
     """
     if not training.robot.vibrates:
         return False
+    extensions = (*training.before, found)
     if not any(extension.effects for extension in extensions):
         return training.runs[0].vibration is not None
     left = {}
@@ -201,14 +161,8 @@ def _choose_vibrating_links(
         proofs = []
         for run, prepared in zip(training.recorded, training.runs, strict=True):
             # With vibration the motion is that of the fit.
-            predictor = Predictor(
-                training.robot,
-                run,
-                training.constants,
-                settings,
-                prepared if vibrating else None,
-                vibrating=vibrating,
-            )
+            own = prepared if vibrating else None
+            predictor = Predictor(training, run, own, vibrating=vibrating)
             after = predictor.predict(*extensions)
             proofs.append(
                 compare_predictions(run, predictor.velocity, after, after, training.noise)
@@ -231,14 +185,7 @@ def mark_lasting_loads(
 ) -> tuple[Episode, ...]:
     """Mark the contact intervals that last until the end of a run and act like a load.
 
-    Parameters
-    ----------
-    episodes : sequence of Episode
-    track : Track
-        Residuals of the run.
-    robot : RobotModel
-    prepared : PreparedRun
-        The run with its motion.
+    `track`: residuals of the run. `prepared`: the run with its motion.
     """
     return tuple(
         replace(each, stays=True) if _is_load(each, track, robot, prepared) else each
@@ -273,14 +220,8 @@ def _is_load(
     # In N m, so that a joint with little noise does not dominate.
     torque = (left * track.unit[: robot.n])[known]
     offsets = np.broadcast_to(np.eye(robot.n), (len(rows), robot.n, robot.n))[known]
-    share = [
-        _residual_squares(torque, columns) / float(torque @ torque)
-        for columns in (load[known], offsets)
-    ]
+    share = []
+    for columns in (load[known], offsets):
+        rest = torque - columns @ np.linalg.lstsq(columns, torque)[0]
+        share.append(float(rest @ rest) / float(torque @ torque))
     return share[0] < 1.0 - _MIN_LOAD_SHARE and share[0] < _MAX_OFFSET_RATIO * share[1]
-
-
-def _residual_squares(values: np.ndarray, columns: np.ndarray) -> float:
-    """Return the squared residual of a least-squares fit of columns."""
-    rest = values - columns @ np.linalg.lstsq(columns, values)[0]
-    return float(rest @ rest)

@@ -31,15 +31,8 @@ def build_left_open(
 ) -> LeftOpenSection:
     """Return the section of extended.toml about the residual of the training runs.
 
-    Parameters
-    ----------
-    training : Training
-    whole : Extension
-        The whole extension of the model.
-    catalogue : sequence of Effect
-        Possible suspects; empty to skip their search.
-    before : LeftOpenSection, optional
-        Section of the starting model.
+    `whole`: the whole extension of the model. `catalogue`: possible suspects; empty to skip their
+    search. `before`: section of the starting model.
     """
     own = replace(training, start=whole.fitted, tolerance=ZERO_TOLERANCE, suspects={}).comparison()
     ratio = own.inflation * own.channel_ratio(own.target)

@@ -23,17 +23,10 @@ _MAX_CUTOFF_RATIO = 1.25
 
 @dataclass(frozen=True, kw_only=True)
 class ModeShift:
-    """An elastic mode at the middle of the first training run.
+    """An elastic mode at the middle of the first training run."""
 
-    Parameters
-    ----------
-    joint : int
-        From 1: the joint whose spring has most of its energy.
-    nominal, found, sd : float
-        Nominal and identified frequency, and its standard deviation [Hz].
-    """
-
-    joint: int
+    joint: int  # from 1: the joint whose spring has most of its energy
+    # nominal, found, sd: nominal and identified frequency, and its standard deviation [Hz].
     nominal: float
     found: float
     sd: float
@@ -54,14 +47,8 @@ class ModeShift:
 def mode_shifts(comparison: Comparison, fit: Fit) -> tuple[ModeShift, ...]:
     """Return the modes within the band of a fit, lowest first; none without elastic joints.
 
-    Parameters
-    ----------
-    comparison : Comparison
-        Linearised about the findings.
-    fit : Fit
+    `comparison`: linearised about the findings.
 
-    Notes
-    -----
     The relative standard deviation is half that of the springs, weighted by their shares in the
     energy of the mode.
     """

@@ -8,15 +8,15 @@ Recht 2007), whose ridge fit approximates a Gaussian process; length and ridge b
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from stiffopt.discovery.comparison.channel_rows import part_numbers
 from stiffopt.discovery.comparison.located_effect import Extension
-from stiffopt.discovery.prediction import Prediction, Predictor, used_samples
-from stiffopt.discovery.progress import RoundProgress, throttle_progress
-from stiffopt.discovery.settings import SIGN_SPEED, Settings
+from stiffopt.discovery.prediction import Prediction, Predictor, residuals
+from stiffopt.discovery.progress import RoundProgress, Say, throttle_progress
+from stiffopt.discovery.settings import SIGN_SPEED
 from stiffopt.discovery.training import Training
 
 # Number of cosines; kernel lengths over the spread of the signals, and ridges, that are tried.
@@ -27,27 +27,17 @@ _RIDGE_FACTORS = (1e-3, 1e-2, 1e-1, 1.0)
 
 @dataclass(frozen=True, eq=False)
 class SmoothFunction:
-    """A smooth function of signals.
+    """A smooth function of signals."""
 
-    Parameters
-    ----------
-    middle, spread : array (s,)
-        Mean and standard deviation of the signals.
-    waves : array (s, f)
-    phases, weights : array (f,)
-    limit : float
-        Largest training value, which clips the result.
-    held_out_share : float
-        Share of the squares that it removes in stretches left out.
-    """
-
+    # middle, spread (s,): mean and standard deviation of the signals.
     middle: np.ndarray
     spread: np.ndarray
-    waves: np.ndarray
+    waves: np.ndarray  # (s, f)
+    # phases, weights (f,)
     phases: np.ndarray
     weights: np.ndarray
-    limit: float
-    held_out_share: float
+    limit: float  # largest training value, which clips the result
+    held_out_share: float  # share of the squares that it removes in stretches left out
 
     def __call__(self, signals: np.ndarray) -> np.ndarray:
         """Return values (m,) at signals (m, s)."""
@@ -61,12 +51,7 @@ def fit_smooth_function(
 ) -> SmoothFunction | None:
     """Fit the function that predicts stretches left out best; None if none predicts anything.
 
-    Parameters
-    ----------
-    signals : array (m, s)
-    values : array (m,)
-    stretch : array (m,) of int
-        Number of the stretch of each sample.
+    `signals` (m, s). `values` (m,). `stretch` (m,) of int: number of the stretch of each sample.
     """
     middle, spread = signals.mean(axis=0), signals.std(axis=0)
     spread = np.where(spread > 1e-12, spread, 1.0)
@@ -120,74 +105,39 @@ _CURVE_QUANTILES = (0.02, 0.98)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Dependence:
-    """Mean dependence of a residual on one signal.
-
-    Parameters
-    ----------
-    channel : str
-    signal : str
-        Such as "q_1".
-    at, mean : array (k,)
-        Values of the signal [SI], and mean residual [N m].
-    """
+    """Mean dependence of a residual on one signal."""
 
     channel: str
-    signal: str
+    signal: str  # such as "q_1"
+    # at, mean (k,): values of the signal [SI], and mean residual [N m].
     at: np.ndarray
     mean: np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NoiseCeiling:
-    """Explained share of the best attainable fit on held-out runs.
+    """Explained share of the best attainable fit on held-out runs."""
 
-    Parameters
-    ----------
-    explained : float
-        Explained over attainable share, mean over the torques.
-    channels : dict of str to (float, float)
-        Root mean square residual of each torque with the extended model, and with the black box.
-    depends : tuple of Dependence
-        Of the torque that the black box improves most, the strongest signal first; empty if it
-        improves none.
-    """
-
-    explained: float
+    explained: float  # explained over attainable share, mean over the torques
+    # Root mean square residual of each torque with the extended model, and with the black box.
     channels: dict[str, tuple[float, float]]
+    # Of the torque that the black box improves most, the strongest signal first; empty if it
+    # improves none.
     depends: tuple[Dependence, ...]
 
 
 class BlackBox:
-    """Black boxes of all torques, fitted to training runs.
+    """Black boxes of all torques, fitted to what an extension leaves of the training runs."""
 
-    Parameters
-    ----------
-    training : Training
-    settings : Settings
-    extensions : sequence of Extension
-        Extensions of the extended model.
-    say : callable
-        Called with a sentence every few seconds.
-    """
-
-    def __init__(
-        self,
-        training: Training,
-        settings: Settings,
-        extensions: Sequence[Extension],
-        say: Callable[[str], object] = lambda _: None,
-    ) -> None:
+    def __init__(self, training: Training, found: Extension, say: Say = lambda _: None) -> None:
         n = training.robot.n
         samples = _ResidualSamples(n)
         tell = throttle_progress(say)
         for number, run in enumerate(training.recorded):
             tell(f"calculate the residual of {run.file}")
-            predictor = Predictor(training.robot, run, training.constants, settings)
-            share = (run.time - run.time[0]) / float(run.time[-1] - run.time[0])
-            stretch = np.minimum((share * _STRETCHES_PER_RUN).astype(int), _STRETCHES_PER_RUN - 1)
-            samples.add(
-                predictor, predictor.predict(*extensions), number * _STRETCHES_PER_RUN + stretch
-            )
+            predictor = Predictor(training, run)
+            stretch = part_numbers(run.time, _STRETCHES_PER_RUN) + number * _STRETCHES_PER_RUN
+            samples.add(predictor, predictor.predict(*training.before, found), stretch)
         self._motion_signals = [samples.signals(j) for j in range(n)]
         self._boxes: list[SmoothFunction | None] = []
         pace = RoundProgress(n)
@@ -198,17 +148,13 @@ class BlackBox:
 
     def add(self, predictor: Predictor, before: Prediction, after: Prediction) -> None:
         """Add a held-out run."""
-        run = predictor.run
         signals = _motion_signals(predictor)
-        places = np.searchsorted(run.stamps, run.time)
-        for kind, joint, used in used_samples(run, predictor.velocity):
-            if kind != "torque" or used is None:
+        compared = residuals(predictor.run, predictor.velocity, before, after)
+        for kind, joint, used, (first, left) in compared:
+            if kind != "torque":
                 continue
-            measured = run.torque[used, joint]
-            left = measured - after.torque[places[used], joint]
             box = self._boxes[joint]
             beside = left if box is None else left - box(_input_columns(signals[used]))
-            first = measured - before.torque[places[used], joint]
             self._squares[joint] += (first @ first, left @ left, beside @ beside, len(left))
 
     def found(self) -> NoiseCeiling | None:
@@ -274,14 +220,10 @@ class _ResidualSamples:
         ]
 
     def add(self, predictor: Predictor, after: Prediction, stretch: np.ndarray) -> None:
-        run = predictor.run
         signals = _motion_signals(predictor)
-        places = np.searchsorted(run.stamps, run.time)
-        for kind, joint, used in used_samples(run, predictor.velocity):
-            if kind == "torque" and used is not None:
-                left = run.torque[used, joint] - after.torque[places[used], joint]
-                own = np.flatnonzero(used)
-                self._parts[joint].append((signals, own, left, stretch[used]))
+        for kind, joint, used, (left,) in residuals(predictor.run, predictor.velocity, after):
+            if kind == "torque":
+                self._parts[joint].append((signals, np.flatnonzero(used), left, stretch[used]))
 
     def signals(self, joint: int) -> np.ndarray:
         """Return signals (m, s) at the samples of a joint."""

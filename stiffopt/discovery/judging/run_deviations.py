@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stiffopt.discovery.comparison.located_effect import Extension
-from stiffopt.discovery.prediction import RunProof, used_samples
+from stiffopt.discovery.prediction import RunProof, residuals
 from stiffopt.discovery.settings import MIN_MOVING_SPEED
 from stiffopt.discovery.signals import RobotConstants, smooth_sign
 
@@ -28,45 +28,26 @@ _COLLINEAR_SHARE = 0.9
 
 @dataclass(frozen=True, kw_only=True)
 class NotCarriedOver:
-    """A value that differs between a run and the training runs.
-
-    Parameters
-    ----------
-    run, channel : str
-    kind : str
-        "constant", "dry friction", "viscous friction", or "friction drift" if friction was found to
-        differ from run to run.
-    value : float
-        Difference to training [SI]; of a drift in its standard deviations.
-    share : float
-        Explained share of the squared residual of the channel.
-    """
+    """A value that differs between a run and the training runs."""
 
     run: str
     channel: str
+    # "constant", "dry friction", "viscous friction", or "friction drift" if friction was found to
+    # differ from run to run.
     kind: str
-    value: float
-    share: float
+    value: float  # difference to training [SI]; of a drift in its standard deviations
+    share: float  # explained share of the squared residual of the channel
 
 
 @dataclass(frozen=True, kw_only=True)
 class Drift:
-    """Standard deviation of a joint's friction between runs.
+    """Standard deviation of a joint's friction between runs."""
 
-    Parameters
-    ----------
-    joint : int
-        From 0.
-    dry, viscous : float
-        [N m], [N m s/rad]
-    rms : float
-        Root mean square error of predictions over the held-out runs from it [N m].
-    """
-
-    joint: int
+    joint: int  # from 0
+    # dry, viscous [N m], [N m s/rad]
     dry: float
     viscous: float
-    rms: float = 0.0
+    rms: float = 0.0  # root mean square error of predictions over the held-out runs from it [N m]
 
     def torque(self, speed: np.ndarray) -> np.ndarray:
         """Return the torque of one standard deviation [N m]."""
@@ -74,17 +55,11 @@ class Drift:
 
 
 def find_friction_drift(
-    found: Extension, constants: RobotConstants, velocities: Sequence[np.ndarray]
+    found: Extension, constants: RobotConstants, proofs: Sequence[RunProof]
 ) -> tuple[Drift, ...]:
     """Return friction that differs from run to run; the latest finding per joint.
 
-    Parameters
-    ----------
-    found : Extension
-        Including the extension of the starting model.
-    constants : RobotConstants
-    velocities : sequence of array (K, n)
-        Of the joints in held-out runs [rad/s].
+    `found`: including the extension of the starting model. `proofs`: of held-out runs.
     """
     every: dict[int, Drift] = {}
     for each in found.effects:
@@ -99,39 +74,26 @@ def find_friction_drift(
         own = Drift(joint=located.joint, dry=values["dFc_spread"], viscous=values["dFv_spread"])
         if own.dry == 0.0 and own.viscous == 0.0:
             continue
-        parts = [own.torque(v[:, own.joint]) for v in velocities]
+        parts = [own.torque(proof.velocity[:, own.joint]) for proof in proofs]
         torque = np.concatenate(parts) if parts else np.zeros(1)
         every[own.joint] = replace(own, rms=float(np.sqrt(np.nanmean(torque**2))))
     return tuple(every.values())
 
 
 def find_run_deviations(
-    proofs: Sequence[RunProof], velocities: Sequence[np.ndarray], drift: Sequence[Drift] = ()
+    proofs: Sequence[RunProof], drift: Sequence[Drift] = ()
 ) -> tuple[NotCarriedOver, ...]:
-    """Find single values that explain most of the residual of a channel in a run.
-
-    Parameters
-    ----------
-    proofs : sequence of RunProof
-    velocities : sequence of array (K, n)
-        Of the joints in each of these runs [rad/s].
-    drift : sequence of Drift
-    """
+    """Find single values that explain most of the residual of a channel in a run."""
     found = []
     of_joint = {each.joint: each for each in drift}
-    for proof, velocity in zip(proofs, velocities, strict=True):
-        run = proof.run
-        places = np.searchsorted(run.stamps, run.time)
+    for proof in proofs:
+        run, velocity = proof.run, proof.velocity
         noise = {channel.name: channel.noise for channel in proof.channels}
-        for kind, joint, used in used_samples(run, velocity):
+        for kind, joint, used, (left,) in residuals(run, velocity, proof.after):
             name = f"{kind}_{joint + 1}"
-            if used is None or name not in noise:
+            if name not in noise or len(left) < _MIN_SAMPLES:
                 continue
-            left = getattr(run, kind)[used, joint] - getattr(proof.after, kind)[places[used], joint]
-            if (
-                len(left) < _MIN_SAMPLES
-                or np.sqrt(np.mean(left**2)) < _MIN_NOISE_RATIO * noise[name]
-            ):
+            if np.sqrt(np.mean(left**2)) < _MIN_NOISE_RATIO * noise[name]:
                 continue
             own = of_joint.get(joint) if kind == "torque" else None
             best = _best_single_value(left, velocity[used, joint], kind == "torque", own)
@@ -154,7 +116,9 @@ def _best_single_value(
         if known.any():
             # Known drift is no deviation; another friction or a constant is.
             friction = {
-                k: v for k, v in friction.items() if _shared_squares(v, known) < _COLLINEAR_SHARE
+                kind: shape
+                for kind, shape in friction.items()
+                if (shape @ known) ** 2 < _COLLINEAR_SHARE * (shape @ shape) * (known @ known)
             }
             friction["friction drift"] = known
         shapes |= friction
@@ -167,8 +131,3 @@ def _best_single_value(
         if share >= _MIN_EXPLAINED_SHARE and np.bincount(part, fall).min() > 0.0:
             found.append((share, value, kind))
     return max(found, default=None)
-
-
-def _shared_squares(shape: np.ndarray, known: np.ndarray) -> float:
-    """Return the squared correlation of two shapes."""
-    return float((shape @ known) ** 2 / ((shape @ shape) * (known @ known)))

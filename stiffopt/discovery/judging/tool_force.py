@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.discovery.search.search import SearchResult
 
@@ -25,20 +24,11 @@ _SIZE_PERCENTILE = 95.0
 
 @dataclass(frozen=True, kw_only=True)
 class ToolForce:
-    """Forces at the tool that explain a residual.
+    """Forces at the tool that explain a residual."""
 
-    Parameters
-    ----------
-    explained : float
-        Share of the squared residual of the torques.
-    size : float
-        Force exceeded in a twentieth of the time [N].
-    steadiness : float
-        Length of the mean force in the base frame over the root mean square, 0 to 1.
-    """
-
-    explained: float
-    size: float
+    explained: float  # share of the squared residual of the torques
+    size: float  # force exceeded in a twentieth of the time [N]
+    # Length of the mean force in the base frame over the root mean square, 0 to 1.
     steadiness: float
 
 
@@ -57,14 +47,10 @@ def _fit_tool_force(result: SearchResult, residual: np.ndarray) -> ToolForce | N
     """Fit a force at every instant; None where too little of the residual is explained by it."""
     comparison = result.comparison
     rows, n = comparison.rows, comparison.robot.n
-    number = rows.sample_signal(
-        lambda run: np.full(len(run.time), comparison.runs.index(run))
-    ).astype(int)
-    place = rows.sample_signal(_number_samples).astype(int)
     forces, before, after, spare = [], 0.0, 0.0, 0
     for index, run in enumerate(comparison.runs):
-        own = (number == index) & (rows.channel < n)
-        instants, at = np.unique(place[own], return_inverse=True)
+        own = (rows.run == index) & (rows.channel < n)
+        instants, at = np.unique(rows.sample[own], return_inverse=True)
         left = np.zeros((len(instants), n))
         seen = np.zeros(left.shape, dtype=bool)
         left[at, rows.channel[own]] = residual[own]
@@ -90,7 +76,3 @@ def _fit_tool_force(result: SearchResult, residual: np.ndarray) -> ToolForce | N
         size=float(np.percentile(np.linalg.norm(every, axis=1), _SIZE_PERCENTILE)),
         steadiness=float(np.linalg.norm(every.mean(axis=0))) / max(rms, 1e-12),
     )
-
-
-def _number_samples(run: PreparedRun) -> np.ndarray:
-    return np.arange(len(run.time))

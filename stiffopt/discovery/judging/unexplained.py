@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from scipy.interpolate import BSpline
 
+from stiffopt.discovery.channel import channel_name
 from stiffopt.discovery.comparison.channel_rows import noise_above_cutoff
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.judging.modes import matches_mode
+from stiffopt.discovery.judging.splines import inner_knots, predict_blocks, splines_at
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import SearchResult
 from stiffopt.discovery.search.tournament import EQUAL_RESIDUALS
@@ -30,9 +31,9 @@ from stiffopt.discovery.thresholds import (
 if TYPE_CHECKING:
     from stiffopt.discovery.judging.tool_force import ToolForce
 
-# Spline regression of a residual: knots, maximum number of signals, least relative decrease by one
+# Spline regression of a residual: inner knots, maximum number of signals, least decrease by one
 # more.
-_KNOT_COUNT = 8
+_KNOT_COUNT = 6
 _MAX_REGRESSORS = 3
 # Number of phases of waves in memory at a time.
 _MAX_PHASES = 2**17
@@ -43,40 +44,22 @@ _DOMINANT_RUN_RATIO = 5.0
 
 @dataclass(frozen=True)
 class Unexplained:
-    """Residual beyond the catalogue.
+    """Residual beyond the catalogue."""
 
-    Parameters
-    ----------
-    channels : tuple of str
-        "torque_3", "link_position_3"; the worst first.
-    regressors : tuple of str
-        Signals that the residual of the worst channel depends on: "q_5", "sign(qd_3)", "time".
-    period : float or None
-        Of a residual that is periodic in time, independent of the motion [s].
-    gain : float
-        Share of the residual's excess that a spline model of these explains in blocks left out.
-    ratio : float
-        Normalised residual of the worst channel.
-    left : float
-        Root mean square in that channel over that of the nominal model.
-    brief : bool
-        True for bursts above the filter's band: `ratio` is that of the bursts, `gain` their share.
-    alone : tuple of (str, float) or None
-        Training run with nearly all of the nominal residual in the worst channel, and the ratio to
-        any other run.
-    tool_force : ToolForce or None
-        Forces at the tool that explain it.
-    """
-
-    channels: tuple[str, ...]
+    channels: tuple[str, ...]  # "torque_3", "link_position_3"; the worst first
+    # Signals that the residual of the worst channel depends on: "q_5", "sign(qd_3)", "time".
     regressors: tuple[str, ...]
-    period: float | None
+    period: float | None  # of a residual that is periodic in time, independent of the motion [s]
+    # Share of the residual's excess that a spline model of these explains in blocks left out.
     gain: float
-    ratio: float
-    left: float = 1.0
+    ratio: float  # normalised residual of the worst channel
+    left: float = 1.0  # root mean square in that channel over that of the nominal model
+    # True for bursts above the filter's band: `ratio` is that of the bursts, `gain` their share.
     brief: bool = False
+    # Training run with nearly all of the nominal residual in the worst channel, and the ratio to
+    # any other run.
     alone: tuple[str, float] | None = None
-    tool_force: ToolForce | None = None
+    tool_force: ToolForce | None = None  # forces at the tool that explain it
 
 
 ChannelOutcome = Literal["named", "nothing", "outside"]
@@ -84,26 +67,17 @@ ChannelOutcome = Literal["named", "nothing", "outside"]
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelVerdict:
-    """Verdict on one channel, whatever is found in others.
+    """Verdict on one channel, whatever is found in others."""
 
-    Parameters
-    ----------
-    channel : str
-        Such as "torque_3".
-    verdict : str
-        "named": findings explain its residual; "nothing": nominal values within tolerance do;
-        "outside": a residual remains that findings do not explain.
-    before, after : float
-        Residual over noise with nominal values within tolerance, and with the findings.
-    acted_on : bool
-        A finding contributes to the channel.
-    """
-
-    channel: str
+    channel: str  # such as "torque_3"
+    # "named": findings explain its residual; "nothing": nominal values within tolerance do;
+    # "outside": a residual remains that findings do not explain.
     verdict: ChannelOutcome
+    # before, after: residual over noise with nominal values within tolerance, and with the
+    # findings.
     before: float
     after: float
-    acted_on: bool
+    acted_on: bool  # a finding contributes to the channel
 
 
 def judge_channels(
@@ -111,12 +85,7 @@ def judge_channels(
 ) -> tuple[ChannelVerdict, ...]:
     """Return the verdict on every recorded channel.
 
-    Parameters
-    ----------
-    result : SearchResult
-    findings : sequence of LocatedEffect
-    unexplained : Unexplained or None
-        Of all channels, beside the findings.
+    `unexplained`: of all channels, beside the findings.
     """
     comparison, n = result.comparison, result.comparison.robot.n
     acted = _mark_affected_channels(comparison, findings)
@@ -166,15 +135,7 @@ def _mark_affected_channels(
 def assess_findings(result: SearchResult) -> tuple[tuple[Selected, ...], Unexplained | None]:
     """Select findings that explain their channels, and describe the unexplained residual.
 
-    Parameters
-    ----------
-    result : SearchResult
-
-    Returns
-    -------
-    findings : tuple of Selected
-    unexplained : Unexplained or None
-        None without a significant residual.
+    Returns `unexplained`: None without a significant residual.
     """
     after = np.nan_to_num(result.after, nan=0.0)
     before = np.nan_to_num(result.calibrated, nan=0.0)
@@ -236,26 +197,17 @@ def _noise_excess(result: SearchResult) -> float:
     """Return the noise of the worst channel above the cutoff over the stated noise; at least 1."""
     comparison = result.comparison
     worst = int(np.nanargmax(result.after))
-    stated = np.concatenate([comparison.noise.torque, comparison.noise.deflection])
-    held = noise_above_cutoff(comparison.nominal_runs)
-    return float(np.nanmax([1.0, held[worst] / stated[worst]]))
-
-
-def channel_name(channel: int, joints: int) -> str:
-    """Return the name of a channel, such as "torque_3"."""
-    kind = "torque" if channel < joints else "link_position"
-    return f"{kind}_{channel % joints + 1}"
+    held = noise_above_cutoff(comparison.nominal_runs) / comparison.noise.stacked
+    return float(np.nanmax([1.0, held[worst]]))
 
 
 def _find_dominant_run(comparison: Comparison, rows: np.ndarray) -> tuple[str, float] | None:
     """Return the run with by far the largest nominal residual in these rows, and the ratio."""
-    number = comparison.rows.sample_signal(lambda run: np.full(len(run.time), float(run.index)))[
-        rows
-    ]
+    number, target = comparison.rows.run[rows], comparison.target[rows]
     left = {
-        run.name: float(np.sqrt(np.mean(comparison.target[rows][number == run.index] ** 2)))
-        for run in comparison.runs
-        if (number == run.index).any()
+        run.name: float(np.sqrt(np.mean(target[number == k] ** 2)))
+        for k, run in enumerate(comparison.runs)
+        if (number == k).any()
     }
     if len(left) < 2:
         return None
@@ -316,13 +268,7 @@ def _spline_bases(
 
 
 def _spline_basis(values: np.ndarray) -> np.ndarray:
-    """Return cubic B-splines over the range of values, with knots at quantiles."""
-    inner = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _KNOT_COUNT - 2)))
-    if len(inner) < 2 or not inner[-1] > inner[0]:
-        return np.ones((len(values), 1))
-    knots = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
-    inside = np.clip(values, inner[0], np.nextafter(inner[-1], inner[0]))
-    return np.asarray(BSpline.design_matrix(inside, knots, 3).toarray())
+    return splines_at(inner_knots(values, _KNOT_COUNT), values)
 
 
 def _select_regressors(
@@ -338,7 +284,7 @@ def _select_regressors(
             if name in chosen:
                 continue
             columns = np.hstack([bases[c] for c in (*chosen, name)])
-            tries[name] = _predict_blocks(columns, residual, block)
+            tries[name] = predict_blocks(columns, residual, block, ridge=1.0)
         squares = {name: float(np.sum((residual - fit) ** 2)) for name, fit in tries.items()}
         now = min(squares.values())
         # Of collinear signals the first, whatever the rounding.
@@ -348,19 +294,6 @@ def _select_regressors(
         chosen.append(best)
         prediction, left = tries[best], now
     return tuple(chosen), prediction
-
-
-def _predict_blocks(columns: np.ndarray, target: np.ndarray, block: np.ndarray) -> np.ndarray:
-    """Predict every block by a ridge fit to the others."""
-    out = np.zeros_like(target)
-    ridge = np.eye(columns.shape[1])
-    gram, moment = columns.T @ columns, columns.T @ target
-    for b in np.unique(block):
-        own = block == b
-        part = columns[own]
-        rest = np.linalg.solve(gram - part.T @ part + ridge, moment - part.T @ target[own])
-        out[own] = part @ rest
-    return out
 
 
 def _wave_power(residual: np.ndarray, time: np.ndarray, frequencies: np.ndarray) -> np.ndarray:

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import softmax
 
+from stiffopt.discovery.channel import channel_name
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, LocatedEffect
-from stiffopt.discovery.judging.unexplained import assess_findings, channel_name
+from stiffopt.discovery.judging.unexplained import assess_findings
 from stiffopt.discovery.law_search.fit_law import FittedLaw
 from stiffopt.discovery.law_search.free_function import residual_tables
 from stiffopt.discovery.law_search.open_channel import OpenChannel
@@ -43,57 +44,30 @@ MAX_LAWS, _MAX_REFUSED = 3, 2
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FoundLaw:
-    """A law that holds.
-
-    Parameters
-    ----------
-    law : Law
-    located : LocatedEffect
-        The law as an effect at its joint.
-    channel : str
-        Such as "torque_3".
-    explained, attainable : float
-        Share of the channel's excess that the law, and the best free function of signals, explain
-        in parts of the training runs left out.
-    tried : int
-        Number of laws among which it was the best.
-    evidence : float
-        Log evidence, less the price of its parameters and of the laws tried.
-    """
+    """A law that holds."""
 
     law: Law
-    located: LocatedEffect
-    channel: str
+    located: LocatedEffect  # the law as an effect at its joint
+    channel: str  # such as "torque_3"
+    # explained, attainable: share of the channel's excess that the law, and the best free function
+    # of signals, explain in parts of the training runs left out.
     explained: float
     attainable: float
-    tried: int
-    evidence: float
+    tried: int  # number of laws among which it was the best
+    evidence: float  # log evidence, less the price of its parameters and of the laws tried
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RefusedChannel:
-    """Channel in which no law holds.
+    """Channel in which no law holds."""
 
-    Parameters
-    ----------
-    channel : str
-        Such as "torque_3".
-    reason : str
-        Why the best law does not hold.
-    attainable : float
-        Share of the excess that the best free function of signals, or that law, explains in parts
-        of the training runs left out: what any law of recorded signals could.
-    signals : tuple of str
-        Signals of that function, in words.
-    tables : tuple of ResidualTable
-        That function, where it is worth keeping.
-    """
-
-    channel: str
-    reason: str
+    channel: str  # such as "torque_3"
+    reason: str  # why the best law does not hold
+    # Share of the excess that the best free function of signals, or that law, explains in parts of
+    # the training runs left out: what any law of recorded signals could.
     attainable: float
-    signals: tuple[str, ...]
-    tables: tuple[ResidualTable, ...]
+    signals: tuple[str, ...]  # signals of that function, in words
+    tables: tuple[ResidualTable, ...]  # that function, where it is worth keeping
 
 
 def located_tables(refused: RefusedChannel) -> list[EstimatedEffect]:
@@ -108,17 +82,9 @@ def located_tables(refused: RefusedChannel) -> list[EstimatedEffect]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LawSearch:
-    """Result of a search for laws.
+    """Result of a search for laws."""
 
-    Parameters
-    ----------
-    result : SearchResult
-        With the laws among its effects; the given one where none holds.
-    laws : tuple of FoundLaw
-    refused : tuple of RefusedChannel
-    """
-
-    result: SearchResult
+    result: SearchResult  # with the laws among its effects; the given one where none holds
     laws: tuple[FoundLaw, ...] = ()
     refused: tuple[RefusedChannel, ...] = ()
 
@@ -126,15 +92,8 @@ class LawSearch:
 def find_laws(result: SearchResult, say: Callable[[str], object]) -> LawSearch:
     """Search the residual that the catalogue leaves for laws.
 
-    Parameters
-    ----------
-    result : SearchResult
-        Of the catalogue, by training runs.
-    say : callable
-        Called with a sentence at every step.
+    `result`: of the catalogue, by training runs. `say`: called with a sentence at every step.
 
-    Notes
-    -----
     It runs only where a channel holds more than noise beside the catalogue, in more than one run
     and within the band of the fit. A finding that a law makes superfluous is dropped.
     """
@@ -191,7 +150,7 @@ def _describe_refusal(outcome: ChannelLaw, joints: int) -> RefusedChannel:
     sources = [
         source
         for term in outcome.free
-        for source in (*(factor.source for factor in term.carrier.factors), term.source)
+        for source in (*(factor.source for factor in term.carrier), term.source)
     ]
     return RefusedChannel(
         channel=channel_name(outcome.channel.channel, joints),

@@ -18,21 +18,12 @@ _STEP_DAMPING = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class FittedLaw:
-    """A law with fitted shapes and amplitudes.
-
-    Parameters
-    ----------
-    law : Law
-    fit : Fitted
-    tried : int
-        Number of laws among which it was the best.
-    evidence : float
-        Log evidence over no law, less the price of its parameters and of the laws tried.
-    """
+    """A law with fitted shapes and amplitudes."""
 
     law: Law
     fit: Fitted
-    tried: int
+    tried: int  # number of laws among which it was the best
+    # Log evidence over no law, less the price of its parameters and of the laws tried.
     evidence: float
 
     @property
@@ -44,17 +35,9 @@ class FittedLaw:
 def log_evidence(channel: OpenChannel, left: float, parameters: int, tried: int) -> float:
     """Return the log evidence of a fit over none, by the Bayesian information criterion.
 
-    Parameters
-    ----------
-    channel : OpenChannel
-    left : float
-        Squares of the rows that the fit leaves.
-    parameters : int
-    tried : int
-        Number of laws of which it is the best: each had a chance to fit.
+    `left`: squares of the rows that the fit leaves. `tried`: number of laws of which it is the
+    best: each had a chance to fit.
 
-    Notes
-    -----
     The noise is unknown, and at least the stated one: squares within it are no evidence.
     """
     m = len(channel.target)
@@ -75,8 +58,7 @@ def fit_shapes(channel: OpenChannel, law: Law, tried: int) -> FittedLaw:
     best = as_fitted(channel, law, channel.fit(channel.law_columns(law)), tried)
     if not law.shapes:
         return best
-    bounds = [b for factor in law.factors for b in factor.bounds]
-    size = np.array([high - low for low, high in bounds])
+    size = np.array([high - low for low, high in law.bounds])
     for _ in range(_MAX_STEPS):
         step = _gauss_newton_step(channel, best, size)
         found = None
@@ -110,15 +92,10 @@ def _gauss_newton_step(channel: OpenChannel, best: FittedLaw, size: np.ndarray) 
 def score_starts(channel: OpenChannel, laws: Sequence[Law]) -> list[Fitted]:
     """Return the fits of laws with their present shapes, computed together."""
     counts = [law.amplitude_count for law in laws]
-    values: list[list[np.ndarray]] = []
-    for run in channel.comparison.runs:
-        values.append(
-            [
-                np.broadcast_to(column, run.time.shape)
-                for law in laws
-                for column in law.columns(run.signals)
-            ]
-        )
+    values = [
+        [np.broadcast_to(v, run.time.shape) for law in laws for v in law.columns(run.signals)]
+        for run in channel.comparison.runs
+    ]
     columns = channel.columns(values)
     edges = np.cumsum([0, *counts])
     return [

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.interpolate import BSpline
 
+from stiffopt.discovery.judging.splines import inner_knots, predict_blocks, splines_at
 from stiffopt.discovery.law_search.open_channel import OpenChannel
 from stiffopt.discovery.laws.law import Factor
 from stiffopt.discovery.laws.sources import LawSource
@@ -16,45 +16,26 @@ from stiffopt.discovery.laws.table import ResidualTable
 
 # Pairs of signals whose products are tried as splines times a signal.
 _MAX_PRODUCTS = 4
-# Inner knots of a spline, its degree, and its ridge over the mean square of its columns.
-_KNOT_COUNT, _SPLINE_DEGREE, _RELATIVE_RIDGE = 7, 3, 1e-3
+# Inner knots of a spline, and its ridge over the mean square of its columns.
+_KNOT_COUNT, _RELATIVE_RIDGE = 7, 1e-3
 # Points of a table of such a function.
 _TABLE_POINTS = 25
 # Maximum number of splines in a sum, and the least share of the left squares that one more removes.
 _MAX_TERMS, _MIN_RELATIVE_GAIN = 3, 0.03
 
 
-@dataclass(frozen=True, eq=False)
-class Carrier:
-    """Factor of a free function of a signal.
-
-    Parameters
-    ----------
-    factors : tuple of Factor
-        Without shapes; none for 1.
-    """
-
-    factors: tuple[Factor, ...]
+# Factor of a free function of a signal, without shapes; none for 1.
+Carrier = tuple[Factor, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class FreeTerm:
-    """A spline of one signal times a carrier.
-
-    Parameters
-    ----------
-    carrier : Carrier
-    source : LawSource
-    columns : array (m, k)
-        Projected rows.
-    left : float
-        Squares that it leaves in blocks left out, alone.
-    """
+    """A spline of one signal times a carrier."""
 
     carrier: Carrier
     source: LawSource
-    columns: np.ndarray
-    left: float
+    columns: np.ndarray  # (m, k) projected rows
+    left: float  # squares that it leaves in blocks left out, alone
 
 
 def carriers(channel: OpenChannel) -> list[Carrier]:
@@ -62,16 +43,16 @@ def carriers(channel: OpenChannel) -> list[Carrier]:
     j = channel.joint
     load = Factor(LawSource("load", j), "linear")
     if channel.kind == "deflection":
-        return [Carrier(()), Carrier((load,)), Carrier((Factor(LawSource("windup", j), "linear"),))]
+        return [(), (load,), (Factor(LawSource("windup", j), "linear"),)]
     sign = Factor(LawSource("direction", j), "linear")
     return [
-        Carrier(()),
-        Carrier((sign,)),
-        Carrier((Factor(LawSource("speed", j), "linear"),)),
-        Carrier((Factor(LawSource("friction", j), "linear"),)),
-        Carrier((load,)),
-        Carrier((sign, Factor(LawSource("load", j), "magnitude"))),
-        Carrier((Factor(LawSource("acceleration", j), "linear"),)),
+        (),
+        (sign,),
+        (Factor(LawSource("speed", j), "linear"),),
+        (Factor(LawSource("friction", j), "linear"),),
+        (load,),
+        (sign, Factor(LawSource("load", j), "magnitude")),
+        (Factor(LawSource("acceleration", j), "linear"),),
     ]
 
 
@@ -110,30 +91,24 @@ def screen(
 ) -> list[FreeTerm]:
     """Return free functions of every signal times every carrier, the best first.
 
-    Parameters
-    ----------
-    channel : OpenChannel
-    base : sequence of Factor
-        Factors that take the place of the carriers.
-    sources : sequence of LawSource
-        Default: all that vary.
+    `base`: factors that take the place of the carriers. `sources`: default: all that vary.
     """
     found = []
-    every = [Carrier(tuple(base))] if base else carriers(channel)
+    every = [tuple(base)] if base else carriers(channel)
     runs = channel.comparison.runs
     for source in sources or channel.sources:
         if any(factor.source == source for factor in base):
             continue
         inner = _inner_knots(channel, source)
-        splines = [_splines_at(inner, np.asarray(source.value(run.signals))) for run in runs]
+        splines = [splines_at(inner, np.asarray(source.value(run.signals))) for run in runs]
         # Splines sum to one: a carrier alone is among the functions.
         for carrier in every:
-            if any(factor.source == source and not factor.shapes for factor in carrier.factors):
+            if any(factor.source == source and not factor.shapes for factor in carrier):
                 continue
             values = []
             for run, own in zip(runs, splines, strict=True):
                 times: np.ndarray | float = 1.0
-                for factor in carrier.factors:
+                for factor in carrier:
                     times = times * factor.values(run.signals)[0]
                 values.append(list((own * np.reshape(times, (-1, 1))).T))
             columns = channel.columns(values)
@@ -144,16 +119,7 @@ def screen(
 def _inner_knots(channel: OpenChannel, source: LawSource) -> np.ndarray:
     """Return knots at quantiles of a signal over all runs."""
     values = [np.asarray(source.value(run.signals)) for run in channel.comparison.runs]
-    return np.unique(np.quantile(np.concatenate(values), np.linspace(0.0, 1.0, _KNOT_COUNT)))
-
-
-def _splines_at(inner: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return cubic B-splines (K, k) at values of a signal."""
-    if len(inner) < 2 or not inner[-1] > inner[0]:
-        return np.ones((len(values), 1))
-    knots = np.concatenate([[inner[0]] * _SPLINE_DEGREE, inner, [inner[-1]] * _SPLINE_DEGREE])
-    inside = np.clip(values, inner[0], np.nextafter(inner[-1], inner[0]))
-    return np.asarray(BSpline.design_matrix(inside, knots, _SPLINE_DEGREE).toarray())
+    return inner_knots(np.concatenate(values), _KNOT_COUNT)
 
 
 def residual_tables(channel: OpenChannel, terms: Sequence[FreeTerm]) -> tuple[ResidualTable, ...]:
@@ -162,7 +128,7 @@ def residual_tables(channel: OpenChannel, terms: Sequence[FreeTerm]) -> tuple[Re
         return ()
     columns = np.hstack([term.columns for term in terms])
     scale = np.sqrt(np.mean(columns**2, axis=0)) + 1e-12
-    ridge = _RELATIVE_RIDGE * len(columns) * np.eye(columns.shape[1]) / columns.shape[1]
+    ridge = _ridge(columns) * np.eye(columns.shape[1])
     scaled = columns / scale
     weights = np.linalg.solve(scaled.T @ scaled + ridge, scaled.T @ channel.target) / scale
     tables = []
@@ -174,10 +140,10 @@ def residual_tables(channel: OpenChannel, terms: Sequence[FreeTerm]) -> tuple[Re
             ResidualTable(
                 joint=channel.joint,
                 place="drive_torque" if channel.kind == "torque" else "deflection",
-                carrier=term.carrier.factors,
+                carrier=term.carrier,
                 source=term.source,
                 at=tuple(at.tolist()),
-                values=tuple((_splines_at(inner, at) @ own).tolist()),
+                values=tuple((splines_at(inner, at) @ own).tolist()),
             )
         )
     return tuple(tables)
@@ -186,19 +152,14 @@ def residual_tables(channel: OpenChannel, terms: Sequence[FreeTerm]) -> tuple[Re
 def predict(channel: OpenChannel, columns: np.ndarray) -> np.ndarray:
     """Return the squares (b,) left in every block by a ridge fit to the others."""
     scale = np.sqrt(np.mean(columns**2, axis=0)) + 1e-12
-    columns = columns / scale
-    ridge = _RELATIVE_RIDGE * len(columns) * np.eye(columns.shape[1]) / columns.shape[1]
-    gram, moment = columns.T @ columns, columns.T @ channel.target
-    blocks = int(channel.block.max()) + 1
-    left = np.empty(blocks)
-    for b in range(blocks):
-        own = channel.block == b
-        part = columns[own]
-        values = np.linalg.solve(
-            gram - part.T @ part + ridge, moment - part.T @ channel.target[own]
-        )
-        left[b] = float(np.sum((channel.target[own] - part @ values) ** 2))
-    return left
+    predicted = predict_blocks(columns / scale, channel.target, channel.block, _ridge(columns))
+    squares = (channel.target - predicted) ** 2
+    return np.array([np.sum(squares[channel.block == b]) for b in np.unique(channel.block)])
+
+
+def _ridge(columns: np.ndarray) -> float:
+    count, width = columns.shape
+    return float(_RELATIVE_RIDGE * count / width)
 
 
 def best_sum(channel: OpenChannel, terms: Sequence[FreeTerm]) -> tuple[list[FreeTerm], float]:

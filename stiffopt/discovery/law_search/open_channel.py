@@ -27,46 +27,22 @@ _RELATIVE_RIDGE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """Linear fit of columns to the rows.
+    """Linear fit of columns to the rows."""
 
-    Parameters
-    ----------
-    amplitudes : array (k,)
-    covariance : array (k, k)
-        For rows of unit noise.
-    removed : float
-        Squares that the fit removes.
-    left : array (b,)
-        Squares of every block, predicted by a fit to the other blocks.
-    by_block : array (b, k)
-        Amplitudes of the fits to all blocks but one.
-    """
-
-    amplitudes: np.ndarray
-    covariance: np.ndarray
-    removed: float
-    left: np.ndarray
-    by_block: np.ndarray
+    amplitudes: np.ndarray  # (k,)
+    covariance: np.ndarray  # (k, k) for rows of unit noise
+    removed: float  # squares that the fit removes
+    left: np.ndarray  # (b,) squares of every block, predicted by a fit to the other blocks
+    by_block: np.ndarray  # (b, k) amplitudes of the fits to all blocks but one
 
 
 class OpenChannel:
     """Rows of one channel beside a fitted model.
 
-    Parameters
-    ----------
-    comparison : Comparison
-    effects : sequence of LocatedEffect
-        Named so far.
-    channel : int
-        Torques of joint 1 to n, then deflections.
+    `effects`: named so far. `channel`: torques of joint 1 to n, then deflections.
 
-    Attributes
-    ----------
-    rows : array (m,) of int
-        Rows of the channel.
-    target : array (m,)
-        Residual over the stated noise: white with unit variance where only noise is left.
-    block : array (m,) of int
+    `rows` (m,) of int: rows of the channel. `target` (m,): residual over the stated noise: white
+    with unit variance where only noise is left. `block` (m,) of int.
     """
 
     def __init__(

@@ -12,7 +12,6 @@ from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.law_search.fit_law import FittedLaw, as_fitted, fit_shapes, score_starts
 from stiffopt.discovery.law_search.free_function import (
-    Carrier,
     FreeTerm,
     best_sum,
     carriers,
@@ -43,35 +42,17 @@ _MAX_NEAR = 6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ChannelLaw:
-    """Outcome of the search in one channel.
-
-    Parameters
-    ----------
-    channel : OpenChannel
-    best : FittedLaw or None
-        The law; None where none holds.
-    near : tuple of FittedLaw
-        The likeliest other laws.
-    explained : float
-        Share of the excess that the best law explains in blocks left out, also if it does not hold.
-    attainable : float
-        Share that the best free function of the signals explains there.
-    free : tuple of FreeTerm
-        That function.
-    free_share : float
-        Share that it explains itself.
-    refusal : str
-        Why no law holds; "" where one does.
-    """
+    """Outcome of the search in one channel."""
 
     channel: OpenChannel
-    best: FittedLaw | None
-    near: tuple[FittedLaw, ...]
+    best: FittedLaw | None  # the law; None where none holds
+    near: tuple[FittedLaw, ...]  # the likeliest other laws
+    # Share of the excess that the best law explains in blocks left out, also if it does not hold.
     explained: float
-    attainable: float
-    free: tuple[FreeTerm, ...]
-    free_share: float
-    refusal: str
+    attainable: float  # share that the best free function of the signals explains there
+    free: tuple[FreeTerm, ...]  # that function
+    free_share: float  # share that it explains itself
+    refusal: str  # why no law holds; "" where one does
 
 
 def search_channel(channel: OpenChannel) -> ChannelLaw:
@@ -113,7 +94,7 @@ def _is_short_of(channel: OpenChannel, found: Sequence[FittedLaw], left: float) 
 def _fit_unscreened(channel: OpenChannel) -> list[FittedLaw]:
     """Return fitted laws that no spline suggests: carriers alone, with memory, periodic."""
     j = channel.joint
-    laws = [Law(j, _place_of(channel), carrier.factors) for carrier in carriers(channel)]
+    laws = [Law(j, _place_of(channel), carrier) for carrier in carriers(channel)]
     for source in channel.sources:
         if source.joint in (j, None):
             every = _laws_of(channel, (), source)
@@ -126,14 +107,15 @@ def _fit_pairs(channel: OpenChannel, terms: Sequence[FreeTerm]) -> list[FittedLa
     if not terms:
         return []
     most = channel.square - terms[0].left
-    taken: Counter[Carrier] = Counter()
+    # Of one carrier by identity: products of a signal with others stand each for itself.
+    taken: Counter[int] = Counter()
     laws: list[Law] = []
     for term in terms:
         if channel.square - term.left < _MIN_PAIR_SHARE * most:
             break
-        taken[term.carrier] += 1
-        if taken[term.carrier] <= _PAIRS_PER_CARRIER:
-            laws += _laws_of(channel, term.carrier.factors, term.source)
+        taken[id(term.carrier)] += 1
+        if taken[id(term.carrier)] <= _PAIRS_PER_CARRIER:
+            laws += _laws_of(channel, term.carrier, term.source)
     return _fit_best(channel, laws)
 
 

@@ -35,22 +35,12 @@ _PLACE_WORDS = {
 
 @dataclass(frozen=True)
 class Factor:
-    """One factor of a law.
-
-    Parameters
-    ----------
-    source : LawSource
-    form : str
-        Key of `FORMS`.
-    shapes : tuple of float
-    bounds : tuple of (float, float)
-        Of the shapes.
-    """
+    """One factor of a law."""
 
     source: LawSource
-    form: str
+    form: str  # key of `FORMS`
     shapes: tuple[float, ...] = ()
-    bounds: tuple[tuple[float, float], ...] = ()
+    bounds: tuple[tuple[float, float], ...] = ()  # of the shapes
 
     @property
     def own(self) -> Form:
@@ -86,25 +76,22 @@ class Factor:
 
 @dataclass(frozen=True)
 class Law:
-    """A law without its amplitudes.
+    """A law without its amplitudes."""
 
-    Parameters
-    ----------
-    joint : int
-        From 0.
-    place : {"drive_torque", "link_torque", "deflection"}
-    factors : tuple of Factor
-        At most three, at most one of them with several formulas; none for a constant.
-    """
-
-    joint: int
+    joint: int  # from 0
     place: Place
+    # At most three, at most one of them with several formulas; none for a constant.
     factors: tuple[Factor, ...]
 
     @property
     def shapes(self) -> tuple[float, ...]:
         """Shapes of all factors."""
         return tuple(value for factor in self.factors for value in factor.shapes)
+
+    @property
+    def bounds(self) -> tuple[tuple[float, float], ...]:
+        """Bounds of all shapes."""
+        return tuple(own for factor in self.factors for own in factor.bounds)
 
     @property
     def of_robot(self) -> bool:
@@ -144,10 +131,7 @@ class Law:
         Every kind of signal is as likely as any other, and as likely to be the joint's own as to be
         of all others together: that is what brevity is worth.
 
-        Parameters
-        ----------
-        joints : int
-            Number of joints of the robot.
+        `joints`: number of joints of the robot.
         """
         signals = {factor.source for factor in self.factors}
         foreign = [each for each in signals if each.joint not in (None, self.joint)]
@@ -319,11 +303,7 @@ def resembled(law: Law) -> str:
 def law_effect(law: Law, amplitudes: Sequence[float]) -> Effect:
     """Return a law as an effect of its joint.
 
-    Parameters
-    ----------
-    law : Law
-    amplitudes : sequence of float
-        Fitted ones: the largest is the typical size.
+    `amplitudes`: fitted ones: the largest is the typical size.
     """
     size = max(float(np.max(np.abs(amplitudes))), 1e-12)
     like = resembled(law)
@@ -356,11 +336,7 @@ def law_effect(law: Law, amplitudes: Sequence[float]) -> Effect:
         shapes=tuple(
             Shape(name=name, unit=unit, starts=(value,), lower=low, upper=high)
             for name, unit, value, (low, high) in zip(
-                law.shape_names,
-                law.shape_units,
-                law.shapes,
-                [b for f in law.factors for b in f.bounds],
-                strict=True,
+                law.shape_names, law.shape_units, law.shapes, law.bounds, strict=True
             )
         ),
         separate=describe_test(law),

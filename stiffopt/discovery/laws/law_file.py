@@ -56,11 +56,7 @@ LAW_{number} = Effect(
 def law_file_text(name: str, laws: Sequence[WrittenLaw]) -> str:
     """Return the content of a file of effects.
 
-    Parameters
-    ----------
-    name : str
-        Recording set.
-    laws : sequence of (name, Law, amplitudes, reported values)
+    `name`: recording set. `laws` (name, Law, amplitudes, reported values).
     """
     formulas = " ".join(each for _, law, _, _ in laws for each in law.formulas(code=True))
     used = sorted(set(re.findall(rf"\b({'|'.join(OPERATOR_NAMES)})\(", formulas)))

@@ -29,19 +29,11 @@ _ROBOT_VALUES = {"direction": "coulomb", "speed": "viscous", "acceleration": "ro
 
 @dataclass(frozen=True)
 class _LawTorque:
-    """Torque of a law along a planned motion [N m].
-
-    Parameters
-    ----------
-    law : Law
-    amplitudes : tuple of float
-    place : tuple of int
-        The robot's index of every joint of the law's model.
-    """
+    """Torque of a law along a planned motion [N m]."""
 
     law: Law
     amplitudes: tuple[float, ...]
-    place: tuple[int, ...]
+    place: tuple[int, ...]  # the robot's index of every joint of the law's model
 
     def __call__(self, state: MotionState) -> Quantity:
         found: list[Quantity] = [1.0]
@@ -60,15 +52,8 @@ def law_change(
 ) -> RobotChange:
     """Return a robot with a law, or the reason why none can be planned with.
 
-    Parameters
-    ----------
-    robot : Robot
-    law : Law
-    amplitudes : sequence of float
-    place : sequence of int
-        The robot's index of every joint of the law's model.
-    label : str
-        Name of the law and its place.
+    `place`: the robot's index of every joint of the law's model. `label`: name of the law and its
+    place.
     """
     reason = _why_not_planned(law)
     if reason:

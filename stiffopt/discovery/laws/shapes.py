@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -13,24 +13,14 @@ ShapeUnit = Literal["signal", "per signal", "s", "Hz", ""]
 
 @dataclass(frozen=True, kw_only=True)
 class SignalRange:
-    """Range of a signal in the recordings.
-
-    Parameters
-    ----------
-    low, high : float
-    duration : float
-        Of the longest recording [s], or the whole range of a clock.
-    rate : float
-        Rate up to which recordings resolve a motion [Hz].
-    peaks : tuple of float
-        Likeliest frequencies of the residual over a clock [Hz], or orders over an angle beyond
-        those of the grid [1/rad].
-    """
+    """Range of a signal in the recordings."""
 
     low: float
     high: float
-    duration: float
-    rate: float
+    duration: float  # of the longest recording [s], or the whole range of a clock
+    rate: float  # rate up to which recordings resolve a motion [Hz]
+    # Likeliest frequencies of the residual over a clock [Hz], or orders over an angle beyond those
+    # of the grid [1/rad].
     peaks: tuple[float, ...] = ()
 
     @property
@@ -48,24 +38,14 @@ class SignalRange:
         return tuple(self.low + share * (self.high - self.low) for share in shares)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class FormShape:
-    """Shape of a form.
-
-    Parameters
-    ----------
-    name : str
-    unit : str
-        "signal" and "per signal" stand for the unit of the signal.
-    starts : callable
-        Range of the signal -> initial values.
-    bounds : callable
-        Range of the signal -> lowest and highest value.
-    """
+    """Shape of a form."""
 
     name: str
-    unit: ShapeUnit
-    starts: Callable[[SignalRange], Sequence[float]]
+    unit: ShapeUnit  # "signal" and "per signal" stand for the unit of the signal
+    starts: Callable[[SignalRange], Sequence[float]]  # range of the signal -> initial values
+    # Range of the signal -> lowest and highest value.
     bounds: Callable[[SignalRange], tuple[float, float]]
 
     def unit_of(self, signal: str) -> str:
@@ -77,30 +57,41 @@ class FormShape:
         return self.unit
 
 
-def scale(*shares: float, least: float = 0.02, most: float = 5.0) -> dict[str, Any]:
-    """Return starts and bounds of a scale as shares of the largest magnitude."""
-    return {
-        "starts": lambda r: tuple(share * r.size for share in shares),
-        "bounds": lambda r: (least * r.size, most * r.size),
-    }
+def scale(name: str, *shares: float, least: float = 0.02, most: float = 5.0) -> FormShape:
+    """Return a scale, with starts and bounds as shares of the largest magnitude."""
+    return FormShape(
+        name,
+        "signal",
+        lambda r: tuple(share * r.size for share in shares),
+        lambda r: (least * r.size, most * r.size),
+    )
 
 
-def width(*shares: float, least: float = 0.01, most: float = 1.5) -> dict[str, Any]:
-    """Return starts and bounds of a width as shares of the span."""
-    return {
-        "starts": lambda r: tuple(share * r.span for share in shares),
-        "bounds": lambda r: (least * r.span, most * r.span),
-    }
+def width(name: str, *shares: float, least: float = 0.01, most: float = 1.5) -> FormShape:
+    """Return a width, with starts and bounds as shares of the span."""
+    return FormShape(
+        name,
+        "signal",
+        lambda r: tuple(share * r.span for share in shares),
+        lambda r: (least * r.span, most * r.span),
+    )
 
 
-def centre(*shares: float, beyond: float = 0.1) -> dict[str, Any]:
-    """Return starts and bounds of a place, as far beyond the range as a share of it."""
-    return {"starts": lambda r: r.at(*shares), "bounds": lambda r: r.at(-beyond, 1.0 + beyond)}
+def centre(name: str, *shares: float, beyond: float = 0.1) -> FormShape:
+    """Return a place, as far beyond the range as a share of it."""
+
+    def bounds(r: SignalRange) -> tuple[float, float]:
+        low, high = r.at(-beyond, 1.0 + beyond)
+        return low, high
+
+    return FormShape(name, "signal", lambda r: r.at(*shares), bounds)
 
 
-def fixed(starts: Sequence[float], low: float, high: float) -> dict[str, Any]:
-    """Return starts and bounds whatever the range."""
-    return {"starts": lambda r: tuple(starts), "bounds": lambda r: (low, high)}
+def fixed(
+    name: str, unit: ShapeUnit, starts: Sequence[float], low: float, high: float
+) -> FormShape:
+    """Return a shape with starts and bounds whatever the range."""
+    return FormShape(name, unit, lambda r: tuple(starts), lambda r: (low, high))
 
 
 # Orders of an angle up to the first value are tried in steps that the range tells apart, with any
@@ -143,24 +134,14 @@ def _mode_frequencies(low: float, high: float) -> tuple[float, ...]:
     return tuple(np.geomspace(low, high, count))
 
 
-SCALE_SHAPE = FormShape(name="s", unit="signal", **scale(0.1, 0.3, 1.0))
-PLACE_SHAPE = FormShape(name="c", unit="signal", **centre(0.15, 0.35, 0.5, 0.65, 0.85))
-ORDER_SHAPE = FormShape(name="k", unit="per signal", starts=_orders, bounds=_order_bounds)
-FREQUENCY_SHAPE = FormShape(name="f", unit="Hz", starts=lambda r: r.peaks, bounds=_frequency_bounds)
+SCALE_SHAPE = scale("s", 0.1, 0.3, 1.0)
+PLACE_SHAPE = centre("c", 0.15, 0.35, 0.5, 0.65, 0.85)
+ORDER_SHAPE = FormShape("k", "per signal", _orders, _order_bounds)
+FREQUENCY_SHAPE = FormShape("f", "Hz", lambda r: r.peaks, _frequency_bounds)
 MODE_SHAPES = (
-    FormShape(
-        name="f",
-        unit="Hz",
-        starts=lambda r: _mode_frequencies(*_mode_bounds(r)),
-        bounds=lambda r: _mode_bounds(r),
-    ),
-    FormShape(name="z", unit="", **fixed((0.03, 0.2), 0.002, 1.5)),
+    FormShape("f", "Hz", lambda r: _mode_frequencies(*_mode_bounds(r)), _mode_bounds),
+    fixed("z", "", (0.03, 0.2), 0.002, 1.5),
 )
-LAG_SHAPE = FormShape(name="T", unit="s", **fixed((0.05, 0.2, 1.0), 0.01, 10.0))
-PLAY_SHAPE = FormShape(
-    name="r",
-    unit="signal",
-    starts=lambda r: (0.01 * r.span, 0.05 * r.span),
-    bounds=lambda r: (1e-3 * r.span, 0.5 * r.span),
-)
-HINGE_POWER_SHAPE = FormShape(name="n", unit="", **fixed((1.5, 3.0), 1.0, 5.0))
+LAG_SHAPE = fixed("T", "s", (0.05, 0.2, 1.0), 0.01, 10.0)
+PLAY_SHAPE = width("r", 0.01, 0.05, least=1e-3, most=0.5)
+HINGE_POWER_SHAPE = fixed("n", "", (1.5, 3.0), 1.0, 5.0)

@@ -11,31 +11,19 @@ from stiffopt.discovery.signals import JointSignals, RobotSignals
 from stiffopt.symbolic import Quantity
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class SourceKind:
-    """Kind of signal.
+    """Kind of signal."""
 
-    Parameters
-    ----------
-    attribute : str
-        Field of `RobotSignals`, or an expression in `signals` for the robot as a whole.
-    symbol, unit, words : str
-        For equations, values and sentences; "{}" is the joint.
-    forms : tuple of str
-        Names of the forms that a law may take in it.
-    per_joint : bool
-        False for a signal of the robot as a whole.
-    of_own_joint : bool
-        True where only laws of that joint may depend on it.
-    """
-
+    # Field of `RobotSignals`, or an expression in `signals` for the robot as a whole.
     attribute: str
+    # symbol, unit, words: for equations, values and sentences; "{}" is the joint.
     symbol: str
     unit: str
     words: str
-    forms: tuple[str, ...]
-    per_joint: bool = True
-    of_own_joint: bool = False
+    forms: tuple[str, ...]  # names of the forms that a law may take in it
+    per_joint: bool = True  # False for a signal of the robot as a whole
+    of_own_joint: bool = False  # True where only laws of that joint may depend on it
 
 
 _PLACE_FORMS = (
@@ -60,130 +48,94 @@ _SIGNED_FORMS = (
 )
 SOURCE_KINDS = {
     "position": SourceKind(
-        attribute="motor_position",
-        symbol="q_{}",
-        unit="rad",
-        words="position of joint {}",
-        forms=(*_PLACE_FORMS, "harmonic", "stop", "play"),
+        "motor_position",
+        "q_{}",
+        "rad",
+        "position of joint {}",
+        (*_PLACE_FORMS, "harmonic", "stop", "play"),
     ),
     "speed": SourceKind(
-        attribute="motor_velocity",
-        symbol="w_{}",
-        unit="rad/s",
-        words="speed of joint {}",
-        forms=(*_SIGNED_FORMS, "lag", "slip", "sprung"),
+        "motor_velocity",
+        "w_{}",
+        "rad/s",
+        "speed of joint {}",
+        (*_SIGNED_FORMS, "lag", "slip", "sprung"),
     ),
     "direction": SourceKind(
-        attribute="motor_direction",
-        symbol="sg(w_{})",
-        unit="",
-        words="direction of motion of joint {}",
-        forms=("linear",),
+        "motor_direction", "sg(w_{})", "", "direction of motion of joint {}", ("linear",)
     ),
     "acceleration": SourceKind(
-        attribute="motor_acceleration",
-        symbol="a_{}",
-        unit="rad/s^2",
-        words="acceleration of joint {}",
-        forms=("linear", "magnitude", "saturating", "sprung", "mode", "loose"),
+        "motor_acceleration",
+        "a_{}",
+        "rad/s^2",
+        "acceleration of joint {}",
+        ("linear", "magnitude", "saturating", "sprung", "mode", "loose"),
     ),
     "load": SourceKind(
-        attribute="spring_torque",
-        symbol="T_{}",
-        unit="N m",
-        words="load of joint {}",
-        forms=(
-            *_SIGNED_FORMS,
-            *("hinge_above", "hinge_below", "lag", "stop", "sprung", "mode", "loose"),
-        ),
+        "spring_torque",
+        "T_{}",
+        "N m",
+        "load of joint {}",
+        (*_SIGNED_FORMS, *("hinge_above", "hinge_below", "lag", "stop", "sprung", "mode", "loose")),
     ),
     "windup": SourceKind(
-        attribute="windup",
-        symbol="D_{}",
-        unit="rad",
-        words="nominal wind-up of joint {}",
-        forms=("linear",),
-        of_own_joint=True,
+        "windup", "D_{}", "rad", "nominal wind-up of joint {}", ("linear",), of_own_joint=True
     ),
     "friction": SourceKind(
-        attribute="nominal_friction",
-        symbol="F_{}",
-        unit="N m",
-        words="nominal friction of joint {}",
-        forms=("linear",),
+        "nominal_friction",
+        "F_{}",
+        "N m",
+        "nominal friction of joint {}",
+        ("linear",),
         of_own_joint=True,
     ),
-    "drive": SourceKind(
-        attribute="drive_torque",
-        symbol="u_{}",
-        unit="N m",
-        words="drive torque of joint {}",
-        forms=("linear",),
-    ),
+    "drive": SourceKind("drive_torque", "u_{}", "N m", "drive torque of joint {}", ("linear",)),
     "temperature": SourceKind(
-        attribute="temperature_rise",
-        symbol="dT_{}",
-        unit="K",
-        words="temperature of joint {}",
-        forms=("linear", "decay", "hinge_above"),
+        "temperature_rise",
+        "dT_{}",
+        "K",
+        "temperature of joint {}",
+        ("linear", "decay", "hinge_above"),
     ),
     "session_time": SourceKind(
-        attribute="session_time",
-        symbol="t_on",
-        unit="s",
-        words="time since power-on",
-        forms=("linear", "decay", "approach", "wave"),
+        "session_time",
+        "t_on",
+        "s",
+        "time since power-on",
+        ("linear", "decay", "approach", "wave"),
         per_joint=False,
     ),
     "run_time": SourceKind(
-        attribute="time",
-        symbol="t",
-        unit="s",
-        words="time since the begin of the motion",
-        forms=("linear", "decay", "approach"),
+        "time",
+        "t",
+        "s",
+        "time since the begin of the motion",
+        ("linear", "decay", "approach"),
         per_joint=False,
     ),
     "height": SourceKind(
-        attribute="tool_position[:, 2]",
-        symbol="z",
-        unit="m",
-        words="height of the tool",
-        forms=(*_PLACE_FORMS, "magnitude"),
+        "tool_position[:, 2]",
+        "z",
+        "m",
+        "height of the tool",
+        (*_PLACE_FORMS, "magnitude"),
         per_joint=False,
     ),
     "tool_x": SourceKind(
-        attribute="tool_position[:, 0]",
-        symbol="x",
-        unit="m",
-        words="place of the tool along x",
-        forms=_PLACE_FORMS,
-        per_joint=False,
+        "tool_position[:, 0]", "x", "m", "place of the tool along x", _PLACE_FORMS, per_joint=False
     ),
     "tool_y": SourceKind(
-        attribute="tool_position[:, 1]",
-        symbol="y",
-        unit="m",
-        words="place of the tool along y",
-        forms=_PLACE_FORMS,
-        per_joint=False,
+        "tool_position[:, 1]", "y", "m", "place of the tool along y", _PLACE_FORMS, per_joint=False
     ),
 }
 
 
 @dataclass(frozen=True)
 class LawSource:
-    """A signal.
+    """A signal."""
 
-    Parameters
-    ----------
-    kind : str
-        Key of `SOURCE_KINDS`.
-    joint : int or None
-        From 0; None for a signal of the robot as a whole.
-    """
-
-    kind: str
-    joint: int | None = None
+    kind: str  # key of `SOURCE_KINDS`
+    joint: int | None = None  # from 0; None for a signal of the robot as a whole
 
     @property
     def own(self) -> SourceKind:

@@ -22,28 +22,14 @@ TABLE_NAME = "residual"
 
 @dataclass(frozen=True)
 class ResidualTable:
-    """Table of one signal times factors without shapes; constant beyond its ends.
+    """Table of one signal times factors without shapes; constant beyond its ends."""
 
-    Parameters
-    ----------
-    joint : int
-        From 0.
-    place : {"drive_torque", "deflection"}
-    carrier : tuple of Factor
-        None for 1.
-    source : LawSource
-    at : tuple of float
-        Values of the signal, rising.
-    values : tuple of float
-        Residual per unit of the carrier [N m] or [rad].
-    """
-
-    joint: int
-    place: Place
-    carrier: tuple[Factor, ...]
+    joint: int  # from 0
+    place: Place  # {"drive_torque", "deflection"}
+    carrier: tuple[Factor, ...]  # None for 1
     source: LawSource
-    at: tuple[float, ...]
-    values: tuple[float, ...]
+    at: tuple[float, ...]  # values of the signal, rising
+    values: tuple[float, ...]  # residual per unit of the carrier [N m] or [rad]
 
     def value(self, signals: RobotSignals) -> np.ndarray:
         """Return the residual (K,) along a motion."""

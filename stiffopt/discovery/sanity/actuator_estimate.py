@@ -61,40 +61,22 @@ class _JointRows:
 
 @dataclass(frozen=True, eq=False)
 class ActuatorGuess:
-    """Law of an actuator by regression, to begin a simulation with.
+    """Law of an actuator by regression, to begin a simulation with."""
 
-    Parameters
-    ----------
-    law : ActuatorLaw
-        Complete.
-    evidence : float
-        Log likelihood ratio of the delay to none.
-    drives : array (3, n)
-        Rotor inertia, viscous and dry friction; nan where the gain is stated.
-    """
-
-    law: ActuatorLaw
-    evidence: float
+    law: ActuatorLaw  # complete
+    evidence: float  # log likelihood ratio of the delay to none
+    # (3, n) rotor inertia, viscous and dry friction; nan where the gain is stated.
     drives: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
 class ResolvedActuator:
-    """Recording set whose actuators are known as well as its training runs tell them.
-
-    Parameters
-    ----------
-    runs : list of RecordedRun
-        With torques by the law, nan where it gives them no scale.
-    notes : tuple of str
-        What was estimated, one sentence each.
-    parameters : Parameters, optional
-        Of the simulation that told gains and delay; None where all were stated.
-    """
+    """Recording set whose actuators are known as well as its training runs tell them."""
 
     recordings: RecordingSet
-    runs: list[RecordedRun]
-    notes: tuple[str, ...]
+    runs: list[RecordedRun]  # with torques by the law, nan where it gives them no scale
+    notes: tuple[str, ...]  # what was estimated, one sentence each
+    # Of the simulation that told gains and delay; None where all were stated.
     parameters: Parameters | None = None
 
 

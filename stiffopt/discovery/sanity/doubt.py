@@ -9,30 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from stiffopt.errors import InputFileError, format_factor
+from stiffopt.errors import InputFileError
 from stiffopt.recording.recording_set import RecordingSet
 
 
 @dataclass(frozen=True, kw_only=True)
 class Doubt:
-    """A contradiction between recordings and their description.
+    """A contradiction between recordings and their description."""
 
-    Parameters
-    ----------
-    kind : str
-        "position unit", "torque gain", "joint order", "gravity", ...
-    joints : tuple of int
-        From 1; empty for the set as a whole.
-    evidence : str
-        The evidence, in a sentence.
-    line : str
-        Corrected line of recordings.toml; "" if no line corrects it.
-    """
-
-    kind: str
-    joints: tuple[int, ...] = ()
-    evidence: str
-    line: str = ""
+    kind: str  # "position unit", "torque gain", "joint order", "gravity" and others
+    joints: tuple[int, ...] = ()  # from 1; empty for the set as a whole
+    evidence: str  # the evidence, in a sentence
+    line: str = ""  # corrected line of recordings.toml; "" if no line corrects it
 
     def __str__(self) -> str:
         ending = f" If so, write {self.line}." if self.line else ""
@@ -46,10 +34,7 @@ class Doubt:
 class DoubtfulRecordings(InputFileError):
     """Recordings that contradict their description and are not diagnosed.
 
-    Parameters
-    ----------
-    path : Path
-        Of recordings.toml.
+    `path`: of recordings.toml.
     """
 
     def __init__(self, path: Path, doubts: Sequence[Doubt]) -> None:
@@ -135,14 +120,12 @@ def limit_to_runs(names: Sequence[str], evidence: str) -> str:
 
 def format_shares(before: np.ndarray, after: np.ndarray, joints: Sequence[int]) -> str:
     """Format the residual shares of each joint's torque before and after a correction."""
-    parts = [
-        f"{_format_share(after[j])} in place of {_format_share(before[j])} at joint {j + 1}"
+    parts = ", ".join(
+        f"{_format_share(after[j])} at joint {j + 1} (as described {_format_share(before[j])})"
         for j in joints
-    ]
-    return f"the residual of the nominal model is then {', '.join(parts)} of the torque's variance"
+    )
+    return f"of the torque's variance the residual of the nominal model is then {parts}"
 
 
 def _format_share(value: float) -> str:
-    if value >= 2.0:
-        return f"{format_factor(value) if value >= 10.0 else f'{value:.2g} times'} all"
-    return f"{100.0 * value:.0f} %" if value >= 0.1 else f"{100.0 * value:.2g} %"
+    return f"{float(f'{100.0 * value:.2g}'):,g} %"

@@ -33,10 +33,7 @@ def describe_explanation(
 ) -> Iterator[Doubt]:
     """Yield the doubts of an explanation: gravity, delay, or units, orders, signs and gains.
 
-    Parameters
-    ----------
-    search : Explanations
-        With residual shares of the stated reading.
+    `search`: with residual shares of the stated reading.
     """
     shares = format_shares(search.strict, explanation.left, explanation.joints)
     joints = tuple(j + 1 for j in explanation.joints)

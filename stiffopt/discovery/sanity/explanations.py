@@ -53,37 +53,24 @@ _ZERO_REACH, _CONVENTION_TOLERANCE = np.pi / 6.0, 0.03
 # Residual share of coupled drives over that of a sum of positions from which the sum is told.
 _EQUIVALENT_RATIO = 2.0
 _DERIVATIVE_NAMES = ("velocity", "acceleration")
+# Difference of residual shares within which two descriptions fit alike.
+_EQUAL_SHARES = 0.05
 # Largest tilt of the base that is left to a diagnosis [rad].
 _MAX_SMALL_TILT = np.pi / 6.0
 
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """Another description of the files with its residual shares.
+    """Another description of the files with its residual shares."""
 
-    Parameters
-    ----------
-    left : array (n,)
-        Residual shares; nan if the motion cannot decide.
-    joints : tuple of int
-        Joints that it explains, from 0.
-    score : float
-        Sum of the log ratios of residual shares.
-    gains : array (n,) or None
-        Recorded over true torque.
-    gravity : array (3,) or None
-        Unit vector in the base frame; 0 if the torques contain no weight.
-    delay : float or None
-        Delay of the torque [s].
-    """
-
-    left: np.ndarray
-    joints: tuple[int, ...]
-    score: float
+    left: np.ndarray  # (n,) residual shares; nan if the motion cannot decide
+    joints: tuple[int, ...]  # joints that it explains, from 0
+    score: float  # sum of the log ratios of residual shares
     reading: Reading
-    gains: np.ndarray | None = None
+    gains: np.ndarray | None = None  # (n,) recorded over true torque
+    # (3,) unit vector in the base frame; 0 if the torques contain no weight.
     gravity: np.ndarray | None = None
-    delay: float | None = None
+    delay: float | None = None  # delay of the torque [s]
 
     @property
     def price(self) -> float:
@@ -114,13 +101,17 @@ class Explanations:
 
         Not for currents, which such additions could turn into torques.
         """
-        shares = self.strict.copy()
+        return self._shares_with_additions(self.motion, self.strict)
+
+    def _shares_with_additions(self, motion: Motion, strict: np.ndarray) -> np.ndarray:
+        """Return the shares of a motion where those without additions (n,) fail."""
+        shares = strict.copy()
         if self.robot.recordings.signals.currents:
             return shares
         for j in np.flatnonzero(shares > _MIN_FAILURE_SHARE).tolist():
             torque = self.samples.torque[:, j]
-            additions = allowed_additions(self.robot, self.motion, j)
-            shares[j] = self.torque_fit.residual_share(self.motion, torque, j, additions)
+            additions = allowed_additions(self.robot, motion, j)
+            shares[j] = self.torque_fit.residual_share(motion, torque, j, additions)
         return shares
 
     @cached_property
@@ -207,8 +198,9 @@ class Explanations:
         for j in range(self.n):
             if not before[j] > _MIN_FAILURE_SHARE:
                 continue
+            current = j in self.robot.recordings.signals.current_joints
             usual = (-1.0, 1e3, 1e-3, -1e3, -1e-3, 1.0 / ratio[j], -1.0 / ratio[j])
-            gain, share = self.torque_fit.gain(motion, torque[:, j], j, usual)
+            gain, share = self.torque_fit.gain(motion, torque[:, j], j, None if current else usual)
             if not _USUAL_GAIN_RANGE[0] < gain < _USUAL_GAIN_RANGE[1] and _is_explained(
                 before[j], share
             ):
@@ -318,21 +310,22 @@ class Explanations:
         if not np.abs(pulls).max() > 0.0:
             return None
         direction = self._fit_gravity_direction(moving, pulls)
-        if direction is None:
-            return self._explain_without_weight(moving)
+        if direction is None:  # no weight at all: a controller may add its compensation later
+            direction = np.zeros(3)
         spring = moving + pulls @ (9.81 * direction)
-        left = self._residual_shares(replace(motion, spring=spring), self.samples.torque)
-        # A spring at one joint may look similar, but not at all joints that carry weight.
-        if not np.all((left <= self.left + 0.05) | np.isnan(left)):
-            return None
-        return self._accept_explanation(left, self.own, gravity=direction, against=self.strict)
+        return self._accept_weight(replace(motion, spring=spring), direction)
 
-    def _explain_without_weight(self, moving: np.ndarray) -> Explanation | None:
-        """Explain by torques without weight, if a controller adds gravity compensation later."""
-        left = self._residual_shares(replace(self.motion, spring=moving), self.samples.torque)
-        if not np.all((left <= self.left + 0.05) | np.isnan(left)):
+    def _accept_weight(self, motion: Motion, gravity: np.ndarray) -> Explanation | None:
+        """Return the explanation by another weight unless the stated one fits a joint better.
+
+        A spring at one joint may look similar, but not at all joints that carry weight. A joint may
+        have one beside another direction of gravity; in place of all weight it stands for it.
+        """
+        left = self._residual_shares(motion, self.samples.torque)
+        own = self._shares_with_additions(motion, left) if gravity.any() else left
+        if not np.all((own <= self.left + _EQUAL_SHARES) | np.isnan(own)):
             return None
-        return self._accept_explanation(left, self.own, gravity=np.zeros(3), against=self.strict)
+        return self._accept_explanation(left, self.own, gravity=gravity, against=self.strict)
 
     def _fit_gravity_direction(self, moving: np.ndarray, pulls: np.ndarray) -> np.ndarray | None:
         """Return the unit vector of gravity that fits the torques best, rounded to a near axis."""

@@ -10,12 +10,7 @@ import numpy as np
 
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.sanity.command_doubts import doubt_commands
-from stiffopt.discovery.sanity.doubt import (
-    Doubt,
-    DoubtfulRecordings,
-    format_joints,
-    limit_to_runs,
-)
+from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings, format_joints, limit_to_runs
 from stiffopt.discovery.sanity.explanation_doubts import describe_explanation, doubt_degrees
 from stiffopt.discovery.sanity.explanations import Explanation, Explanations
 from stiffopt.discovery.sanity.interpretations import Samples, sample_runs
@@ -50,10 +45,7 @@ def judge_plausibility(
     Two states of a robot are judged one by one, since they need not fit each other: their
     difference is the question.
 
-    Raises
-    ------
-    DoubtfulRecordings
-        A state with doubts, unless the diagnosis goes on despite them.
+    Raises `DoubtfulRecordings`: a state with doubts, unless the diagnosis goes on despite them.
     """
     gates = [SanityGate(*state) for state in split_states(recordings, runs)]
     doubts: list[Doubt] = []
@@ -69,13 +61,8 @@ def judge_plausibility(
 class SanityGate:
     """Doubts and remarks about a recording set, from its training runs.
 
-    Parameters
-    ----------
-    runs : sequence of RecordedRun
-        Training runs: no other run is read before the findings are fixed.
+    `runs`: training runs: no other run is read before the findings are fixed.
 
-    Notes
-    -----
     Even an inaccurate nominal model identifies a unit or a column order. Another reading of the
     files (degrees, swapped joints and columns, signs, any gain, another gravity, a delay) raises a
     doubt only if it explains the torques many times better than the stated one with any possible
@@ -333,24 +320,16 @@ _RANGE_MARGIN, _MIN_SHARED_INSTANTS = 0.05, 30
 
 @dataclass(frozen=True, eq=False)
 class OddRun:
-    """A run that does not fit the others, with residual shares.
-
-    Parameters
-    ----------
-    search : Explanations
-        Of this run alone.
-    left, others : array (n,)
-        Residual shares in this run, and the largest in any other.
-    outside_range : bool
-        True if it fits within the range of the others, or was hardly there: an effect may show
-        only at its larger speeds or strokes.
-    """
+    """A run that does not fit the others, with residual shares."""
 
     run: RecordedRun
-    search: Explanations
+    search: Explanations  # of this run alone
     joints: tuple[int, ...]
+    # left, others (n,): residual shares in this run, and the largest in any other.
     left: np.ndarray
     others: np.ndarray
+    # True if it fits within the range of the others, or was hardly there: an effect may show only
+    # at its larger speeds or strokes.
     outside_range: bool
 
 

@@ -20,20 +20,11 @@ _MAX_INSTANTS = 900
 
 @dataclass(frozen=True, eq=False)
 class TorqueSeries:
-    """Torques of one run with their times, to be read with a delay.
+    """Torques of one run with their times, to be read with a delay."""
 
-    Parameters
-    ----------
-    time : array (K,) [s]
-    torque : array (K, n)
-        Filtered [N m]; nan if a joint has none.
-    at : array (m,)
-        Sampled instants of the run [s].
-    """
-
-    time: np.ndarray
-    torque: np.ndarray
-    at: np.ndarray
+    time: np.ndarray  # (K,) [s]
+    torque: np.ndarray  # (K, n) filtered [N m]; nan if a joint has none
+    at: np.ndarray  # (m,) sampled instants of the run [s]
 
     def shifted(self, delay: float) -> np.ndarray:
         """Return torques (m, n) recorded `delay` [s] after the instants."""
@@ -43,21 +34,15 @@ class TorqueSeries:
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Motion and torques at sampled instants of the runs, filtered alike.
+    """Motion and torques at sampled instants of the runs, filtered alike."""
 
-    Parameters
-    ----------
-    position, velocity, acceleration, torque : array (m, n)
-        As recorded, in the order of the set; torque is nan if a joint has none.
-    series : tuple of TorqueSeries
-        One per run.
-    """
-
+    # position, velocity, acceleration, torque (m, n): as recorded, in the order of the set; torque
+    # is nan if a joint has none.
     position: np.ndarray
     velocity: np.ndarray
     acceleration: np.ndarray
     torque: np.ndarray
-    series: tuple[TorqueSeries, ...]
+    series: tuple[TorqueSeries, ...]  # one per run
 
     def delayed_torque(self, delay: float) -> np.ndarray:
         """Return torques (m, n) recorded `delay` [s] after the motion."""
@@ -105,35 +90,21 @@ _CLOCK_FACTORS = (1e-3, 1e-6, 1e-9, 0.01, 0.1, 10.0, 100.0, 1e3)
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """Assignment of columns to joints, with scale factors.
+    """Assignment of columns to joints, with scale factors."""
 
-    Parameters
-    ----------
-    position_from, torque_from : tuple of int (n,)
-        Number (from 0) of the joint whose columns each joint uses.
-    position_scale, torque_scale : tuple of float (n,)
-    time_scale : float
-        Factor of the time.
-    includes : tuple of int (n,)
-        Joint (from 1) whose position is contained in that of each; negative where subtracted, 0 for
-        none.
-    offset : tuple of float (n,)
-        Added to positions [rad].
-    steps : int
-        Number of steps from the stated reading.
-    in_degrees : tuple of bool (n,)
-        Joints with positions stated in degrees.
-    """
-
+    # position_from, torque_from (n,): number (from 0) of the joint whose columns each joint uses.
     position_from: tuple[int, ...]
     torque_from: tuple[int, ...]
+    # position_scale, torque_scale (n,)
     position_scale: tuple[float, ...]
     torque_scale: tuple[float, ...]
-    time_scale: float = 1.0
+    time_scale: float = 1.0  # factor of the time
+    # (n,) joint (from 1) whose position is contained in that of each; negative where subtracted, 0
+    # for none.
     includes: tuple[int, ...] = ()
-    offset: tuple[float, ...] = ()
-    steps: int = 0
-    in_degrees: tuple[bool, ...] = ()
+    offset: tuple[float, ...] = ()  # (n,) added to positions [rad]
+    steps: int = 0  # number of steps from the stated reading
+    in_degrees: tuple[bool, ...] = ()  # (n,) joints with positions stated in degrees
 
     @staticmethod
     def as_described(n: int, position_scale: np.ndarray | None = None) -> Reading:
@@ -197,8 +168,7 @@ class Reading:
     def with_offset(self, joint: int, offset: float) -> Reading:
         """Return the reading with another zero of one joint [rad]."""
         return replace(
-            self,
-            offset=tuple(offset if k == joint else own for k, own in enumerate(self.offset)),
+            self, offset=tuple(offset if k == joint else own for k, own in enumerate(self.offset))
         )
 
     def _turn_zero(self, joint: int) -> Iterator[Reading]:

@@ -29,10 +29,7 @@ _MAX_SHARE = 0.5
 def doubt_contacts_at_rest(robot: RobotModel, runs: Sequence[RecordedRun]) -> Iterator[Doubt]:
     """Yield a remark about every interval in which a stationary joint carries a further load.
 
-    Parameters
-    ----------
-    robot : RobotModel
-        Joints without stated friction are left out.
+    `robot`: joints without stated friction are left out.
     """
     for run in runs:
         if not run.usable:

@@ -27,10 +27,7 @@ def doubt_dead_channels(
 ) -> Iterator[Doubt]:
     """Yield a doubt about torque channels that do not follow the motion at any gain.
 
-    Parameters
-    ----------
-    samples : Samples
-        Of the training runs.
+    `samples`: of the training runs.
     """
     motion = Motion.of(robot, samples.position, samples.velocity, samples.acceleration)
     fit, dead, parts = TorqueFit(robot), [], []

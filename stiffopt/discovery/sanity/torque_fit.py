@@ -34,19 +34,13 @@ _GAIN_GRID = np.logspace(-4.5, 4.5, 61)
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A motion, in some interpretation of the files, with its nominal torques.
+    """A motion, in some interpretation of the files, with its nominal torques."""
 
-    Parameters
-    ----------
-    position, velocity, acceleration : array (m, n)
-    spring : array (m, n)
-        Nominal torque of bodies and counterbalances [N m].
-    """
-
+    # position, velocity, acceleration (m, n)
     position: np.ndarray
     velocity: np.ndarray
     acceleration: np.ndarray
-    spring: np.ndarray
+    spring: np.ndarray  # (m, n) nominal torque of bodies and counterbalances [N m]
 
     @staticmethod
     def of(robot: RobotModel, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> Motion:
@@ -74,22 +68,19 @@ class TorqueFit:
     ) -> float:
         """Return the residual share of a torque's variance; nan if the motion cannot decide.
 
-        Parameters
-        ----------
-        torque : array (m,)
-            Measured [N m].
-        extra : Additions, optional
-            Further columns, such as springs and payloads.
+        `torque` (m,): measured [N m]. `extra`: further columns, such as springs and payloads.
         """
         reduced = self._reduce_table(motion, torque, joint, extra)
         return float("nan") if reduced is None else reduced.share(1.0)
 
     def gain(
-        self, motion: Motion, torque: np.ndarray, joint: int, usual: Sequence[float]
+        self, motion: Motion, torque: np.ndarray, joint: int, usual: Sequence[float] | None
     ) -> tuple[float, float]:
         """Return the gain, of either sign, that fits a torque best, and its residual share.
 
-        A usual gain is preferred if it fits nearly as well.
+        A usual gain is preferred if it fits nearly as well. Where `usual` is None, as for a
+        current, both are nan if half or twice of it leaves less than twice the share: friction may
+        be of any size, and a joint that carries no weight fits every gain.
         """
         reduced = self._reduce_table(motion, torque, joint, None)
         if reduced is None:
@@ -105,6 +96,10 @@ class TorqueFit:
             method="bounded",
             options={"xatol": 1e-3},
         )
+        gain = float(sign * np.exp(found.x))
+        if usual is None:
+            beside = min(reduced.share(0.5 * gain), reduced.share(2.0 * gain))
+            return (gain, float(found.fun)) if beside > 2.0 * found.fun else (np.nan, np.nan)
         good = {
             g: share
             for g in usual
@@ -112,7 +107,7 @@ class TorqueFit:
         }
         if good:
             return min(good.items(), key=lambda one: one[1])
-        return float(sign * np.exp(found.x)), float(found.fun)
+        return gain, float(found.fun)
 
     def _reduce_table(
         self, motion: Motion, torque: np.ndarray, joint: int, extra: Additions | None

@@ -20,7 +20,7 @@ from stiffopt.discovery.comparison.evidence import (
 )
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, effect_places
 from stiffopt.discovery.effect import Effect
-from stiffopt.discovery.progress import RoundProgress
+from stiffopt.discovery.progress import RoundProgress, Say
 from stiffopt.discovery.thresholds import MIN_ACTIVE_SHARE, NAMED_DEVIATIONS, NAMED_EVIDENCE
 
 # Nelder-Mead evaluations per shape.
@@ -31,30 +31,15 @@ _MAX_SECANT_STEPS, _SECANT_TOLERANCE = 20, 1e-5
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """An effect at a place, scored beside those already found.
-
-    Parameters
-    ----------
-    located : LocatedEffect
-    amplitudes : array (k,)
-        In units of their typical sizes.
-    covariance : array (k, k)
-    evidence : float
-        Log evidence gained by it, less the price of the shapes tried.
-    deviations : float
-        Square root of the amplitudes' chi-square: standard deviations from zero.
-    gained : callable
-        -> gain of the log predictive density of blocks left out.
-    change : callable
-        -> the channel that it changes most, and the share of the squared residual removed there.
-    """
+    """An effect at a place, scored beside those already found."""
 
     located: LocatedEffect
-    amplitudes: np.ndarray
-    covariance: np.ndarray
-    evidence: float
-    deviations: float
-    gained: Callable[[], float]
+    amplitudes: np.ndarray  # (k,) in units of their typical sizes
+    covariance: np.ndarray  # (k, k)
+    evidence: float  # log evidence gained by it, less the price of the shapes tried
+    deviations: float  # square root of the amplitudes' chi-square: standard deviations from zero
+    gained: Callable[[], float]  # -> gain of the log predictive density of blocks left out
+    # -> the channel that it changes most, and the share of the squared residual removed there.
     change: Callable[[], tuple[int, float]]
 
     @cached_property
@@ -86,11 +71,7 @@ class Candidate:
 class Scorer:
     """Scores of candidates beside a base model.
 
-    Parameters
-    ----------
-    comparison : Comparison
-    base : sequence of LocatedEffect
-        Effects already found.
+    `base`: effects already found.
     """
 
     def __init__(self, comparison: Comparison, base: Sequence[LocatedEffect] = ()) -> None:
@@ -120,11 +101,7 @@ class Scorer:
     def score(self, located: LocatedEffect, price: float = 0.0) -> Candidate | None:
         """Score one candidate; None if it changes nothing or leaves its bounds.
 
-        Parameters
-        ----------
-        located : LocatedEffect
-        price : float
-            Log of the number of shapes tried.
+        `price`: log of the number of shapes tried.
         """
         if not located.possible(self.comparison.constants):
             return None
@@ -364,22 +341,13 @@ def scan(
     refined: int = 6,
     worth: float = -math.inf,
     about: LocatedEffect | None = None,
-    tell: Callable[[str], object] = lambda _: None,
+    tell: Say = lambda _: None,
 ) -> list[Candidate]:
     """Score the whole catalogue; the best first, each place once.
 
-    Parameters
-    ----------
-    scorer : Scorer
-    catalogue : sequence of Effect
-    refined : int
-        Number of the best candidates whose shapes are fitted.
-    worth : float
-        Log evidence below which shapes are not fitted.
-    about : LocatedEffect, optional
-        Only possible rivals of this effect are tried.
-    tell : callable
-        Called with a sentence before every effect.
+    `refined`: number of the best candidates whose shapes are fitted. `worth`: log evidence below
+    which shapes are not fitted. `about`: only possible rivals of this effect are tried. `tell`:
+    called with a sentence before every effect.
     """
     constants = scorer.comparison.constants
     runs = [run.name for run in scorer.comparison.runs]

@@ -9,10 +9,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from stiffopt.discovery.comparison.channel_rows import part_numbers
 from stiffopt.discovery.comparison.comparison import Comparison, solve_boxed
 from stiffopt.discovery.comparison.design_matrix import MIN_RUNS_AS_BLOCKS
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.comparison.prepared_run import PreparedRun
 
 # Number of folds, over all runs, where runs are few.
 FOLDS_OF_FEW_RUNS = 6
@@ -32,15 +32,10 @@ def stack_columns(
 class FoldPredictions:
     """Predictions of every fold by fits to the other folds.
 
-    Parameters
-    ----------
-    columns : array (m, p)
-    target : array (m,)
-    prior, limits : array (p,)
-        Standard deviations, and bounds in units of them. Nominal values keep their bounds: beyond
-        them they would stand for an effect that is left out, as torque constants twice their size
-        do for a load about which the columns are linear.
-    fold : array (m,) of int
+    `columns` (m, p). `target` (m,). `prior`, `limits` (p,): standard deviations, and bounds in
+    units of them. Nominal values keep their bounds: beyond them they would stand for an effect that
+    is left out, as torque constants twice their size do for a load about which the columns are
+    linear. `fold` (m,) of int.
     """
 
     def __init__(
@@ -64,19 +59,14 @@ class FoldPredictions:
         moment = self._moment.sum(axis=0)[kept]
         for own, gram, part in zip(self._rows, self._gram, self._moment, strict=True):
             others, goal = whole - gram[kept][:, kept], moment - part[kept]
-            values = np.linalg.solve(others + np.diag(prior**-2.0), goal)
-            if np.any(np.abs(values) > limits * prior):
-                values = solve_boxed(others, goal, prior, limits)
-            left[own] -= self._columns[own][:, kept] @ values
+            left[own] -= self._columns[own][:, kept] @ _solve_within(others, goal, prior, limits)
         return left
 
     def prior_squares(self, kept: np.ndarray, count: int) -> float:
         """Return the squares over priors of the first columns (k,), fitted to all folds."""
         prior, limits = self._prior[kept], self._limits[kept]
         whole, moment = self._gram.sum(axis=0)[kept][:, kept], self._moment.sum(axis=0)[kept]
-        values = np.linalg.solve(whole + np.diag(prior**-2.0), moment)
-        if np.any(np.abs(values) > limits * prior):
-            values = solve_boxed(whole, moment, prior, limits)
+        values = _solve_within(whole, moment, prior, limits)
         return float(np.sum((values[:count] / prior[:count]) ** 2))
 
     def squares(self, first: np.ndarray) -> float:
@@ -91,6 +81,15 @@ class FoldPredictions:
             values = np.linalg.solve(whole - gram, moment - part)
             total += float(values @ gram @ values - 2.0 * part @ values)
         return total
+
+
+def _solve_within(
+    gram: np.ndarray, moment: np.ndarray, prior: np.ndarray, limits: np.ndarray
+) -> np.ndarray:
+    """Return the likeliest values (k,), within bounds where they would leave them."""
+    values = np.linalg.solve(gram + np.diag(prior**-2.0), moment)
+    beyond = np.any(np.abs(values) > limits * prior)
+    return solve_boxed(gram, moment, prior, limits) if beyond else values
 
 
 def predict_folds(
@@ -109,11 +108,7 @@ def folds_per_run(runs: int) -> int:
 
 def number_folds(comparison: Comparison, parts: int | None = None) -> np.ndarray:
     """Return the fold number of every row (m,): runs, or parts of runs in time."""
-    runs = comparison.runs
-    cut = folds_per_run(len(runs)) if parts is None else parts
-
-    def number(run: PreparedRun) -> np.ndarray:
-        share = (run.time - run.time[0]) / float(run.time[-1] - run.time[0])
-        return np.asarray(runs.index(run) * cut + np.minimum((share * cut).astype(int), cut - 1))
-
-    return np.unique(comparison.rows.sample_signal(number), return_inverse=True)[1]
+    rows = comparison.rows
+    cut = folds_per_run(len(comparison.runs)) if parts is None else parts
+    part = rows.sample_signal(lambda run: part_numbers(run.time, cut))
+    return np.unique(rows.run * cut + part, return_inverse=True)[1]

@@ -1,4 +1,4 @@
-"""Fit effects together, and select those that a search keeps."""
+"""Fit effects together, and remove those without evidence."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import numpy as np
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, effect_places
 from stiffopt.discovery.search.candidates import Candidate, Scorer
-from stiffopt.discovery.search.left_out_gain import select_predictive
 from stiffopt.discovery.thresholds import NAMED_EVIDENCE, NAMED_SHARE, PRIOR_RELIEF_SHARE
 
 STOPPED_MESSAGE = "stopped: the findings up to now are assessed"
@@ -80,27 +79,3 @@ def prune_effects(comparison: Comparison, effects: list[LocatedEffect]) -> list[
             break
         kept.pop(worst)
     return kept
-
-
-def select_supported(
-    comparison: Comparison, effects: list[LocatedEffect], *, strict: bool
-) -> list[LocatedEffect]:
-    """Select effects that recordings left out support.
-
-    With stated tolerances an effect also stays if nominal values would otherwise leave them, since
-    the residual cannot tell the two apart.
-    """
-
-    def spared(kept: list[LocatedEffect], located: LocatedEffect) -> bool:
-        return not strict and _is_supported_by_nominal(comparison, kept, located)
-
-    return select_predictive(comparison, effects, spared)
-
-
-def _is_supported_by_nominal(
-    comparison: Comparison, effects: list[LocatedEffect], located: LocatedEffect
-) -> bool:
-    """True if most evidence for an effect is that nominal values stay within tolerance."""
-    scorer = Scorer(comparison, [e for e in effects if e is not located])
-    own = scorer.score(located)
-    return own is not None and _prior_relief(own, scorer) > PRIOR_RELIEF_SHARE * own.evidence

@@ -7,7 +7,7 @@ the recordings that neither was fitted to.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,31 +40,21 @@ _MIN_ACTIVE_FOLDS = 3
 
 @dataclass(frozen=True, kw_only=True)
 class LeftOutGain:
-    """Gain of an effect in folds left out, against a refit without it.
+    """Gain of an effect in folds left out, against a refit without it."""
 
-    Parameters
-    ----------
-    removed : float
-        Squares over the stated noise that it removes in its best channel.
-    left_open : float
-        Squares that the fit with it leaves there and that noise does not make: alike from row to
-        row, or beyond those of the noise by more than inexact formulas make.
-    share, explained : float
-        Share of the channel's squares that it removes, and of those beyond the stated noise, 0
-        to 1.
-    channel : int
-        Its best channel among those that it acts on: others improve through nominal values.
-    support : float
-        Probability that it improves predictions where it acts, by the spread of its gain between
-        stretches (Student's t): errors of a law are correlated within a stretch, so that the number
-        of samples says nothing.
-    """
-
-    removed: float
+    removed: float  # squares over the stated noise that it removes in its best channel
+    # Squares that the fit with it leaves there and that noise does not make: alike from row to row,
+    # or beyond those of the noise by more than inexact formulas make.
     left_open: float
+    # share, explained: share of the channel's squares that it removes, and of those beyond the
+    # stated noise, 0 to 1.
     share: float
     explained: float
+    # Its best channel among those that it acts on: others improve through nominal values.
     channel: int
+    # Probability that it improves predictions where it acts, by the spread of its gain between
+    # stretches (Student's t): errors of a law are correlated within a stretch, so that the number
+    # of samples says nothing.
     support: float
 
     @property
@@ -123,8 +113,8 @@ class _GainJudge:
         stretch = number_stretches(comparison)
         self._stretch = fold if stretch.max() < fold.max() else stretch
         # Noise above the filter's band may exceed the stated one.
-        stated = np.concatenate([comparison.noise.torque, comparison.noise.deflection])
-        held = np.fmax(noise_above_cutoff(comparison.nominal_runs) / stated, 1.0)
+        held = noise_above_cutoff(comparison.nominal_runs) / comparison.noise.stacked
+        held = np.fmax(held, 1.0)
         self._usual = (UNEXPLAINED_RATIO * held) ** 2
 
     def gain(
@@ -161,21 +151,12 @@ class _GainJudge:
 def select_predictive(
     comparison: Comparison,
     effects: Sequence[LocatedEffect],
-    spared: Callable[[list[LocatedEffect], LocatedEffect], bool] = lambda *_: False,
 ) -> list[LocatedEffect]:
     """Select effects without which folds left out are predicted worse.
 
-    Parameters
-    ----------
-    comparison : Comparison
-        With the noise estimated beside the effects.
-    effects : sequence of LocatedEffect
-        With shapes as found, which are not refitted.
-    spared : callable
-        -> True for an effect, among those kept, that stays without a gain.
+    `comparison`: with the noise estimated beside the effects. `effects`: with shapes as found,
+    which are not refitted.
 
-    Notes
-    -----
     Effects that cancel others are removed first, then the least helpful one repeatedly, each judged
     by a fit without it. Calibrated values stay.
     """
@@ -185,7 +166,7 @@ def select_predictive(
             0.0 if each.calibrated else _excess_share(comparison, each, gain)
             for each, gain in zip(kept, left_out_gains(comparison, kept), strict=True)
         ]
-        poor = [k for k in np.argsort(excess) if excess[k] < 0.0 and not spared(kept, kept[k])]
+        poor = [k for k in np.argsort(excess) if excess[k] < 0.0]
         if not poor:
             return kept
         kept.pop(poor[0])
@@ -241,16 +222,14 @@ def _smooth_squares(comparison: Comparison, residual: np.ndarray, own: np.ndarra
     Filtered noise is correlated as far as the filter makes it; what is correlated beyond that is no
     noise. Expected value, since the correlation of noise differs from zero by chance.
     """
-    run = comparison.rows.sample_signal(lambda each: np.full(len(each.time), float(each.index)))
     time = comparison.rows.sample_signal(lambda each: each.time)
-    filters = {float(each.index): each.low_pass for each in comparison.runs}
     shared, square, white = 0.0, 0.0, 0.0
-    for number, low_pass in filters.items():
-        rows = own & (run == number)
+    for number, run in enumerate(comparison.runs):
+        rows = own & (comparison.rows.run == number)
         left, gaps = residual[rows], np.diff(time[rows])
         if len(left) < 2:
             continue
-        beside, white = gaps < 1.5 * gaps.min(), low_pass.row_correlation
+        beside, white = gaps < 1.5 * gaps.min(), run.low_pass.row_correlation
         shared += float(np.sum((left[1:] * left[:-1])[beside])) / float(np.mean(beside))
         shared -= white * float(left @ left)
         square += float(left @ left)

@@ -9,12 +9,9 @@ import numpy as np
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.progress import Say
 from stiffopt.discovery.search.candidates import Candidate, Scorer, scan
-from stiffopt.discovery.search.joint_fit import (
-    STOPPED_MESSAGE,
-    fit_jointly,
-    passes_thresholds,
-)
+from stiffopt.discovery.search.joint_fit import STOPPED_MESSAGE, fit_jointly, passes_thresholds
 from stiffopt.discovery.search.left_out_gain import select_predictive
 from stiffopt.discovery.thresholds import (
     EQUIVALENT_EVIDENCE_SHARE,
@@ -33,8 +30,8 @@ def find_changes(
     start: Sequence[LocatedEffect],
     catalogue: Sequence[Effect],
     most: int,
-    say: Callable[[str], object],
-    tell: Callable[[str], object],
+    say: Say,
+    tell: Say,
     *,
     keep: Callable[[Found], object],
 ) -> bool:
@@ -42,21 +39,10 @@ def find_changes(
 
     A single change is preferred where it predicts recordings left out nearly as well as several.
 
-    Parameters
-    ----------
-    comparison : Comparison
-        With the extended model.
-    current : Comparison
-        Linearised about `start`.
-    start : sequence of LocatedEffect
-        Effects in channels that the model has no recordings of.
-    catalogue : sequence of Effect
-    most : int
-        Maximum number of changes.
-    say, tell : callable
-        Called with a sentence at every finding, and before every candidate.
-    keep : callable
-        Called with comparison and effects whenever they change.
+    `comparison`: with the extended model. `current`: linearised about `start`. `start`: effects in
+    channels that the model has no recordings of. `most`: maximum number of changes. `say`, `tell`:
+    called with a sentence at every finding, and before every candidate. `keep`: called with
+    comparison and effects whenever they change.
     """
     effects = list(start)
     first: list[Candidate] = []

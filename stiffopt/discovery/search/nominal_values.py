@@ -8,7 +8,7 @@ shapes, which they are not: place and form are known before.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -16,8 +16,9 @@ from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.nuisance import OutsideValue, select_outside
 from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.progress import Say
 from stiffopt.discovery.search.joint_fit import fit_jointly
-from stiffopt.discovery.search.rivals import RankedEffect, rank_rivals
+from stiffopt.discovery.search.rivals import Selected, rank_rivals
 from stiffopt.discovery.thresholds import UNEXPLAINED_RATIO
 
 
@@ -38,17 +39,17 @@ def values_outside_tolerance(
 def claim_outside_values(
     start: Comparison,
     current: Comparison,
-    ranked: list[RankedEffect],
+    ranked: list[Selected],
     catalogue: Sequence[Effect],
     most: int,
-    tell: Callable[[str], object],
-) -> tuple[Comparison, list[RankedEffect]]:
+    tell: Say,
+) -> tuple[Comparison, list[Selected]]:
     """Add the effects of nominal values outside their tolerances, and rank all effects anew.
 
     Only where nominal values and effects explain the recordings: beside a residual they stand for
     an effect that is missing. More than `most` values at once stand for one as well.
     """
-    effects = [each.selected.located for each in ranked]
+    effects = [each.located for each in ranked]
     stated = current.robot.recordings.tolerance
     # A default is no statement about this robot.
     outside = [

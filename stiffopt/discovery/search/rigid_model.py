@@ -9,7 +9,7 @@ in recordings left out.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -19,6 +19,7 @@ from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.inertial_parameters import body_units, nominal_bodies
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, effect_places
 from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.progress import Say
 from stiffopt.discovery.search.candidates import Candidate, Scorer
 from stiffopt.discovery.search.cross_validation import predict_folds
 from stiffopt.discovery.signals import PARAMETERS_PER_BODY
@@ -36,22 +37,14 @@ _MAX_PASSES, _MIN_SQUARES_GAIN = 5, 2.0
 
 @dataclass(frozen=True, kw_only=True)
 class Counterweight:
-    """A body with re-identified parameters of a counterbalance, impossible for a real body.
+    """A body with re-identified parameters of a counterbalance, impossible for a real body."""
 
-    Parameters
-    ----------
-    joint : int
-        Joint that carries it (from 0).
-    nominal, change : float
-        First moment of the body about its joint, and its change [kg m].
-    gain : float
-        Decrease of squares over noise in recordings left out by a counterbalance in its place;
-        negative for an increase.
-    """
-
-    joint: int
+    joint: int  # joint that carries it (from 0)
+    # nominal, change: first moment of the body about its joint, and its change [kg m].
     nominal: float
     change: float
+    # Decrease of squares over noise in recordings left out by a counterbalance in its place;
+    # negative for an increase.
     gain: float
 
     @property
@@ -67,30 +60,16 @@ class Counterweight:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RigidStage:
-    """Result of the re-identification of the rigid model.
+    """Result of the re-identification of the rigid model."""
 
-    Parameters
-    ----------
-    widths : tuple of float
-        Prior standard deviation of each body's inertial parameters over their typical sizes; empty
-        if nominal values within usual tolerances suffice.
-    gain : float
-        Gain of log predictive density in stretches left out by free bodies.
-    single : Candidate or None
-        Single change that explains as much.
-    nearest : Candidate or None
-        Best single change, also where it explains less.
-    nearest_share : float
-        Share of the gain of free bodies that it has.
-    counterweights : tuple of Counterweight
-    """
-
+    # Prior standard deviation of each body's inertial parameters over their typical sizes; empty if
+    # nominal values within usual tolerances suffice.
     widths: tuple[float, ...]
-    gain: float
-    single: Candidate | None
+    gain: float  # gain of log predictive density in stretches left out by free bodies
+    single: Candidate | None  # single change that explains as much
     counterweights: tuple[Counterweight, ...] = ()
-    nearest: Candidate | None = None
-    nearest_share: float = 0.0
+    nearest: Candidate | None = None  # best single change, also where it explains less
+    nearest_share: float = 0.0  # share of the gain of free bodies that it has
 
     @property
     def freed(self) -> bool:
@@ -106,19 +85,12 @@ def reidentify_rigid_model(
     comparison: Comparison,
     effects: Sequence[LocatedEffect],
     catalogue: Sequence[Effect],
-    tell: Callable[[str], object] = lambda _: None,
+    tell: Say = lambda _: None,
 ) -> RigidStage:
     """Choose between nominal bodies, a single change and all parameters by cross-validation.
 
-    Parameters
-    ----------
-    comparison : Comparison
-        With nominal bodies.
-    effects : sequence of LocatedEffect
-        Effects already found.
-    catalogue : sequence of Effect
-    tell : callable
-        Called with a sentence at every step.
+    `comparison`: with nominal bodies. `effects`: effects already found. `tell`: called with a
+    sentence at every step.
     """
     nominal, found = Scorer(comparison, effects), tuple(effects)
     gain = _gain_of_free_bodies(comparison, found, nominal.by_block, tell)
@@ -147,7 +119,7 @@ def _gain_of_free_bodies(
     comparison: Comparison,
     effects: Sequence[LocatedEffect],
     without: np.ndarray,
-    tell: Callable[[str], object],
+    tell: Say,
 ) -> float:
     """Return the gain of one width for all bodies: the narrowest within one standard error."""
     rows = []
@@ -166,7 +138,7 @@ def _gain_of_free_bodies(
 
 
 def _choose_widths(
-    comparison: Comparison, effects: Sequence[LocatedEffect], tell: Callable[[str], object]
+    comparison: Comparison, effects: Sequence[LocatedEffect], tell: Say
 ) -> tuple[tuple[float, ...], Comparison, float]:
     """Choose the width of every body by cross-validation.
 
@@ -174,13 +146,8 @@ def _choose_widths(
     free all others to overfit the training motion. Squares over the noise beside free bodies are
     compared, not predictive densities, which tolerate errors where a fit is uncertain.
 
-    Returns
-    -------
-    widths : tuple of float
-    free : Comparison
-        With the noise estimated beside free bodies.
-    squares : float
-        Squares over this noise with these widths.
+    Returns `free`: with the noise estimated beside free bodies. `squares`: squares over this noise
+    with these widths.
     """
     n = comparison.robot.n
     free = comparison.with_bodies(_parameter_deviations(comparison, (PRIOR_WIDTHS[-1],) * n))
@@ -249,9 +216,7 @@ def _parameter_deviations(comparison: Comparison, widths: Sequence[float]) -> np
     return np.asarray(np.array(widths)[:, None] * body_units(comparison.robot))
 
 
-def _best_single_change(
-    scorer: Scorer, catalogue: Sequence[Effect], tell: Callable[[str], object]
-) -> Candidate | None:
+def _best_single_change(scorer: Scorer, catalogue: Sequence[Effect], tell: Say) -> Candidate | None:
     found = []
     for entry in catalogue:
         if not entry.shifts_weight:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,11 +11,9 @@ from scipy.special import softmax
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.effect import Effect
-from stiffopt.discovery.progress import RoundProgress
+from stiffopt.discovery.progress import RoundProgress, Say
 from stiffopt.discovery.search.candidates import Candidate, Scorer, scan
-from stiffopt.discovery.search.joint_fit import (
-    fit_jointly,
-)
+from stiffopt.discovery.search.joint_fit import fit_jointly
 from stiffopt.discovery.signals import RobotConstants
 from stiffopt.discovery.thresholds import (
     ADDED_MASS_OFFSET,
@@ -35,36 +33,16 @@ _MIN_REFINED_SHARE = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Selected:
-    """A found effect with its rivals.
-
-    Parameters
-    ----------
-    located : LocatedEffect
-    loss : float
-        Log evidence lost without it.
-    deviations : float
-    probability : float
-        Against its rivals.
-    rivals : tuple of (LocatedEffect, float)
-        Effects that the data do not tell apart from it, with probabilities.
-    channel : int
-        Channel that it changes most.
-    """
+    """A found effect with its rivals."""
 
     located: LocatedEffect
-    loss: float
+    loss: float  # log evidence lost without it
     deviations: float
-    probability: float
+    probability: float  # against its rivals
+    # Effects that the data do not tell apart from it, with probabilities.
     rivals: tuple[tuple[LocatedEffect, float], ...]
-    channel: int
-
-
-@dataclass(frozen=True, eq=False)
-class RankedEffect:
-    """A found effect ranked among its rivals, and the likeliest of all."""
-
-    selected: Selected
-    likeliest: LocatedEffect
+    channel: int  # channel that it changes most
+    likelier: LocatedEffect | None = None  # rival that is likelier
 
 
 def rank_rivals(
@@ -73,8 +51,8 @@ def rank_rivals(
     located: LocatedEffect,
     catalogue: Sequence[Effect],
     *,
-    tell: Callable[[str], object] = lambda _: None,
-) -> RankedEffect | None:
+    tell: Say = lambda _: None,
+) -> Selected | None:
     """Rank a found effect among all possible rivals.
 
     None if it has become insignificant or left its bounds beside the other effects.
@@ -85,8 +63,7 @@ def rank_rivals(
     if own is None:
         return None
     if located.calibrated:
-        alone = Selected(located, own.evidence, own.deviations, 1.0, (), own.channel)
-        return RankedEffect(alone, located)
+        return Selected(located, own.evidence, own.deviations, 1.0, (), own.channel)
     worth = _MIN_REFINED_SHARE * own.evidence
     every = scan(scorer, catalogue, worth=worth, about=located, tell=tell)
     found = [c for c in every if not c.located.same_place(located)]
@@ -105,8 +82,8 @@ def rank_rivals(
     near = [each for each in near if max(each[:2]) > -RIVAL_LOG_ODDS]
     itself, *theirs = map(float, softmax([0.0, *(o for o, _, _ in near)]))
     rivals = tuple((c.located, p) for (_, _, c), p in zip(near, theirs, strict=True))
-    selected = Selected(located, own.evidence, own.deviations, itself, rivals, own.channel)
-    return RankedEffect(selected, near[0][2].located if near and near[0][0] > 0.0 else located)
+    likelier = near[0][2].located if near and near[0][0] > 0.0 else None
+    return Selected(located, own.evidence, own.deviations, itself, rivals, own.channel, likelier)
 
 
 def tempering_width(evidence: float) -> float:
@@ -173,16 +150,16 @@ def exchange_rivals(
     current: Comparison,
     effects: list[LocatedEffect],
     catalogue: Sequence[Effect],
-    tell: Callable[[str], object],
-    before: Sequence[RankedEffect] = (),
-) -> tuple[Comparison, list[RankedEffect]]:
+    tell: Say,
+    before: Sequence[Selected] = (),
+) -> tuple[Comparison, list[Selected]]:
     """Replace effects by their likeliest rivals until nothing changes; return them ranked."""
     ranked = rank_effects(current, effects, catalogue, tell, before)
     seen = [_places(effects)]
     while (likelier := _exchange_apart(ranked)) != effects:
         if _places(likelier) in seen:
             # Effects that replace each other in turns are dropped.
-            kept = [r.selected.located for r in ranked if r.likeliest is r.selected.located]
+            kept = [r.located for r in ranked if r.likelier is None]
             current, effects = fit_jointly(comparison, kept)
             ranked = rank_effects(current, effects, catalogue, tell)
             break
@@ -190,7 +167,7 @@ def exchange_rivals(
         current, effects = fit_jointly(comparison, likelier)
         ranked = rank_effects(current, effects, catalogue, tell, ranked)
     if len(ranked) < len(effects):
-        current, effects = fit_jointly(comparison, [r.selected.located for r in ranked])
+        current, effects = fit_jointly(comparison, [r.located for r in ranked])
         ranked = rank_effects(current, effects, catalogue, tell, ranked)
     return current, ranked
 
@@ -199,28 +176,23 @@ def rank_effects(
     comparison: Comparison,
     effects: list[LocatedEffect],
     catalogue: Sequence[Effect],
-    say: Callable[[str], object],
-    before: Sequence[RankedEffect] = (),
-) -> list[RankedEffect]:
+    say: Say,
+    before: Sequence[Selected] = (),
+) -> list[Selected]:
     """Rank effects among their rivals, without those that have become insignificant.
 
     An earlier ranking is reused if no possible rival has changed.
     """
-    known = {r.selected.located.key[:-1]: r for r in before}
+    known = {r.located.key[:-1]: r for r in before}
     places = {e.key[:-1] for e in effects}
     changed = [e for e in effects if e.key[:-1] not in known]
-    changed += [r.selected.located for key, r in known.items() if key not in places]
+    changed += [r.located for key, r in known.items() if key not in places]
     found = []
     pace = RoundProgress(len(effects))
     for number, located in enumerate(effects):
         old = known.get(located.key[:-1])
         if old is not None and not any(located.is_adjacent(other) for other in changed):
-            stays = old.likeliest.same_place(located)
-            found.append(
-                RankedEffect(
-                    replace(old.selected, located=located), located if stays else old.likeliest
-                )
-            )
+            found.append(replace(old, located=located))
             continue
         say(f"compare {located.label} with its rivals ({pace.words(number)})")
         new = rank_rivals(comparison, effects, located, catalogue, tell=say)
@@ -229,23 +201,25 @@ def rank_effects(
     return found
 
 
-def _exchange_apart(ranked: Sequence[RankedEffect]) -> list[LocatedEffect]:
+def _exchange_apart(ranked: Sequence[Selected]) -> list[LocatedEffect]:
     """Return the effects with the surest exchanges that do not touch each other.
 
     Each rival is judged with all other effects kept: of several exchanges at neighbouring places
     only one may be made before the others are judged again. A new load is a likelier rival of
     every friction at the joints that carry it, and would replace them all.
     """
-    wanted = [r for r in ranked if r.likeliest is not r.selected.located]
-    made: list[RankedEffect] = []
-    for each in sorted(wanted, key=lambda r: r.selected.probability):
-        pair = (each.selected.located, each.likeliest)
-        touched = [located for m in made for located in (m.selected.located, m.likeliest)]
+    made: dict[int, LocatedEffect] = {}
+    touched: list[LocatedEffect] = []
+    for each in sorted(ranked, key=lambda r: r.probability):
+        if each.likelier is None:
+            continue
+        pair = (each.located, each.likelier)
         if not any(own.is_adjacent(other) for own in pair for other in touched):
-            made.append(each)
+            made[id(each)] = each.likelier
+            touched += pair
     kept: list[LocatedEffect] = []
     for each in ranked:
-        located = each.likeliest if each in made else each.selected.located
+        located = made.get(id(each), each.located)
         # One effect may be the likeliest rival of several.
         if not any(located.same_place(other) for other in kept):
             kept.append(located)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,20 +10,19 @@ import numpy as np
 from stiffopt.discovery.comparison.comparison import Comparison, Fit
 from stiffopt.discovery.comparison.located_effect import Extension, LocatedEffect
 from stiffopt.discovery.effect import Effect
-from stiffopt.discovery.progress import throttle_progress
+from stiffopt.discovery.progress import Say, throttle_progress
 from stiffopt.discovery.search.candidates import Candidate, Scorer, scan
 from stiffopt.discovery.search.joint_fit import (
     STOPPED_MESSAGE,
     fit_jointly,
     passes_thresholds,
     prune_effects,
-    select_supported,
 )
+from stiffopt.discovery.search.left_out_gain import select_predictive
 from stiffopt.discovery.search.model_changes import find_changes
 from stiffopt.discovery.search.nominal_values import claim_outside_values
 from stiffopt.discovery.search.rigid_model import RigidStage, reidentify_rigid_model
 from stiffopt.discovery.search.rivals import (
-    RankedEffect,
     Selected,
     exchange_rivals,
     rank_effects,
@@ -33,7 +32,6 @@ from stiffopt.discovery.search.tournament import CATALOGUE_MODEL, Contender, hol
 from stiffopt.discovery.thresholds import (
     LINEARISATION_DEVIATIONS,
     LINEARISATION_TOLERANCE,
-    MAX_EFFECTS_PER_ROUND,
     MAX_EXCHANGES,
     MAX_LINEARISATIONS,
     NAMED_EVIDENCE,
@@ -43,44 +41,25 @@ from stiffopt.interrupts import complete_step
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """Result of a search.
+    """Result of a search."""
 
-    Parameters
-    ----------
-    selected : tuple of Selected
-        In decreasing order of loss.
-    comparison : Comparison
-        Linearised about the effects found, with the noise estimated beside them.
-    fit : Fit
-    rigid : RigidStage or None
-        Re-identified rigid model; None if its tolerances are stated.
-    before, calibrated, after : array (2 n,)
-        Normalised residual of every channel: of the nominal model, with nominal values fitted
-        within tolerance, and with the effects.
-    target : array (m,)
-        Residual of the nominal model over the stated noise: the rows of `before`.
-    contenders : tuple of Contender
-        Models that competed in the prediction of stretches left out, the best first.
-    stopped : bool
-        By Ctrl-C, before the search was complete.
-    weighed : bool
-        True if all findings were compared with their rivals.
-    hurried : bool
-        True if Ctrl-C came after the search.
-    """
-
-    selected: tuple[Selected, ...]
+    selected: tuple[Selected, ...]  # in decreasing order of loss
+    # Linearised about the effects found, with the noise estimated beside them.
     comparison: Comparison
     fit: Fit
-    rigid: RigidStage | None
+    rigid: RigidStage | None  # re-identified rigid model; None if its tolerances are stated
+    # before, calibrated, after (2 n,): normalised residual of every channel: of the nominal model,
+    # with nominal values fitted within tolerance, and with the effects.
     before: np.ndarray
     calibrated: np.ndarray
     after: np.ndarray
+    # (m,) residual of the nominal model over the stated noise: the rows of `before`.
     target: np.ndarray
+    # Models that competed in the prediction of stretches left out, the best first.
     contenders: tuple[Contender, ...] = ()
-    stopped: bool = False
-    weighed: bool = True
-    hurried: bool = False
+    stopped: bool = False  # by Ctrl-C, before the search was complete
+    weighed: bool = True  # True if all findings were compared with their rivals
+    hurried: bool = False  # True if Ctrl-C came after the search
 
     @property
     def effects(self) -> tuple[LocatedEffect, ...]:
@@ -94,38 +73,27 @@ def search(
     *,
     start: Sequence[LocatedEffect] = (),
     most: int = 3,
-    strict: bool = False,
+    together: int = 1,
     reidentify: bool = False,
     about: Extension | None = None,
-    report: Callable[[str], object] | None = None,
+    report: Say | None = None,
 ) -> SearchResult:
     """Search the catalogue for missing effects.
 
-    Parameters
-    ----------
-    comparison : Comparison
-        With the nominal or an extended model.
-    catalogue : sequence of Effect
-    start : sequence of LocatedEffect
-        Values that the nominal model does not state: fitted together before any other effect.
-    most : int
-        Maximum number of effects beside those.
-    strict : bool
-        Without stated tolerances: only effects that recordings left out support are kept.
-    reidentify : bool
-        Re-identify the rigid model first.
-    about : Extension, optional
-        Extension found by another comparison, to linearise about; its effects are tried first.
-    report : callable, optional
-        Called with a sentence at every step.
+    `comparison`: with the nominal or an extended model. `start`: values that the nominal model does
+    not state: fitted together before any other effect. `most`: maximum number of effects beside
+    those. `together`: effects that are added per round before all are compared again.
+    `reidentify`: re-identify the rigid model first. `about`: extension found by another
+    comparison, to linearise about; its effects are tried first. `report`: called with a sentence at
+    every step.
     """
     say = report or (lambda _: None)
     target = comparison.target * comparison.inflation[comparison.rows.channel]
     before = comparison.channel_ratio(target)
     calibrated = comparison.channel_ratio(comparison.fit().residual)
-    so_far = _SearchState(comparison, comparison)
+    so_far = _Search(comparison, comparison, catalogue, most, together, say)
     try:
-        _run_stages(so_far, catalogue, start, most, strict, reidentify, about, say)
+        so_far.run(start, about, reidentify=reidentify)
     except KeyboardInterrupt:
         if not so_far.effects:  # there is no result
             raise
@@ -155,41 +123,80 @@ def search(
 
 
 @dataclass(eq=False)
-class _SearchState:
-    """State of a search, from which Ctrl-C makes a result.
+class _Search:
+    """A search and its state, from which Ctrl-C makes a result."""
 
-    Parameters
-    ----------
-    start, current : Comparison
-        Comparison that fits start from, and the one linearised about the effects.
-    effects : list of LocatedEffect
-    ranked : list of Ranked
-        Effects ranked last.
-    rigid : RigidStage or None
-    contenders : tuple of Contender
-    stopped : bool
-    """
-
+    # start, current: comparison that fits start from, and the one linearised about the effects.
     start: Comparison
     current: Comparison
+    catalogue: Sequence[Effect]
+    most: int  # largest number of effects beside those that the search starts with
+    together: int  # effects that are added per round
+    say: Say
     effects: list[LocatedEffect] = field(default_factory=list)
-    ranked: list[RankedEffect] = field(default_factory=list)
+    ranked: list[Selected] = field(default_factory=list)  # effects ranked last
     rigid: RigidStage | None = None
     contenders: tuple[Contender, ...] = ()
     stopped: bool = False
 
-    def fitted(self, found: tuple[Comparison, list[LocatedEffect]]) -> None:
-        """Set jointly fitted effects."""
-        self.current, self.effects = found
+    def __post_init__(self) -> None:
+        self.tell = throttle_progress(self.say)
 
-    def weighed(self, found: tuple[Comparison, list[RankedEffect]]) -> None:
-        """Set effects that are ranked among their rivals."""
-        self.current, self.ranked = found
-        self.effects = [each.selected.located for each in self.ranked]
+    def run(
+        self, unstated: Sequence[LocatedEffect], about: Extension | None, *, reidentify: bool
+    ) -> None:
+        """Run the stages of `search`."""
+        self._fit_unstated(unstated)
+        if reidentify:
+            self.say("re-identify the rigid model")
+            self.rigid = reidentify_rigid_model(
+                self.current, self.effects, self.catalogue, self.tell
+            )
+            self.start = self.start.with_bodies(self.rigid.bodies(self.start))
+            # Fit again: wrong masses may have hidden unstated values.
+            single = () if self.rigid.single is None else (self.rigid.single.located,)
+            self._fit_unstated([*unstated, *single])
+        if about is not None:
+            # A linearisation about the nominal motion would lead away from it.
+            self.start = self.start.with_extension(about)
+            self._fit_and_prune([each.located for each in about.effects])
+        if self.current.after_model:
+            self.stopped = find_changes(
+                self.start,
+                self.current,
+                self.effects,
+                self.catalogue,
+                self.most,
+                self.say,
+                self.tell,
+                keep=self._set_fitted,
+            )
+        else:
+            self._add_forward()
+        if self.effects:
+            self.say(f"confirm {len(self.effects)} findings on stretches left out")
+        for number in range(1 + MAX_EXCHANGES):
+            kept = select_predictive(self.current, self.effects)
+            if len(kept) < len(self.effects):
+                self._fit(kept)
+            elif number:
+                break
+            self._set_ranked(
+                exchange_rivals(
+                    self.start, self.current, self.effects, self.catalogue, self.tell, self.ranked
+                )
+            )
+        self._set_ranked(
+            claim_outside_values(
+                self.start, self.current, self.ranked, self.catalogue, self.most, self.tell
+            )
+        )
+        if reidentify:
+            self._adopt_best_model()
 
     def selected(self) -> tuple[tuple[Selected, ...], bool]:
         """Return effects in decreasing order of loss, and True if all of them are ranked."""
-        known = {each.selected.located.key: each.selected for each in self.ranked}
+        known = {each.located.key: each for each in self.ranked}
         found, weighed = [], True
         for located in self.effects:
             own = known.get(located.key)
@@ -199,84 +206,69 @@ class _SearchState:
                 found.append(own)
         return tuple(sorted(found, key=lambda each: -each.loss)), weighed
 
+    def _set_fitted(self, found: tuple[Comparison, list[LocatedEffect]]) -> None:
+        """Set jointly fitted effects."""
+        self.current, self.effects = found
 
-def _run_stages(
-    so_far: _SearchState,
-    catalogue: Sequence[Effect],
-    start: Sequence[LocatedEffect],
-    most: int,
-    strict: bool,
-    reidentify: bool,
-    about: Extension | None,
-    say: Callable[[str], object],
-) -> None:
-    """Run the stages of `search`."""
-    tell = throttle_progress(say)
-    so_far.fitted(_fit_unstated(so_far.start, list(start), say))
-    if reidentify:
-        say("re-identify the rigid model")
-        so_far.rigid = reidentify_rigid_model(so_far.current, so_far.effects, catalogue, tell)
-        so_far.start = so_far.start.with_bodies(so_far.rigid.bodies(so_far.start))
-        # Fit again: wrong masses may have hidden unstated values.
-        single = () if so_far.rigid.single is None else (so_far.rigid.single.located,)
-        so_far.fitted(_fit_unstated(so_far.start, [*start, *single], say))
-    if about is not None:
-        # A linearisation about the nominal motion would lead away from it.
-        so_far.start = so_far.start.with_extension(about)
-        current, tried = fit_jointly(so_far.start, [each.located for each in about.effects])
-        so_far.fitted((current, prune_effects(current, tried)))
-    if so_far.current.after_model:
-        so_far.stopped = find_changes(
-            so_far.start,
-            so_far.current,
-            so_far.effects,
-            catalogue,
-            most,
-            say,
-            tell,
-            keep=so_far.fitted,
-        )
-    else:
-        _add_forward(so_far, catalogue, most, MAX_EFFECTS_PER_ROUND if strict else 1, say, tell)
-    if so_far.effects:
-        say(f"confirm {len(so_far.effects)} findings on stretches left out")
-    sure = select_supported(so_far.current, so_far.effects, strict=strict)
-    if len(sure) < len(so_far.effects):
-        so_far.fitted(fit_jointly(so_far.start, sure))
-    so_far.weighed(exchange_rivals(so_far.start, so_far.current, so_far.effects, catalogue, tell))
-    for _ in range(MAX_EXCHANGES):
-        effects = so_far.effects
-        kept = select_supported(so_far.current, effects, strict=strict)
-        if len(kept) == len(effects):
-            break
-        so_far.fitted(fit_jointly(so_far.start, kept))
-        so_far.weighed(
-            exchange_rivals(
-                so_far.start, so_far.current, so_far.effects, catalogue, tell, so_far.ranked
-            )
-        )
-    so_far.weighed(
-        claim_outside_values(so_far.start, so_far.current, so_far.ranked, catalogue, most, tell)
-    )
-    if reidentify:
-        _adopt_best_model(so_far, catalogue, tell)
+    def _set_ranked(self, found: tuple[Comparison, list[Selected]]) -> None:
+        """Set effects that are ranked among their rivals."""
+        self.current, self.ranked = found
+        self.effects = [each.located for each in self.ranked]
 
+    def _fit(self, effects: list[LocatedEffect]) -> None:
+        self._set_fitted(fit_jointly(self.start, effects))
 
-def _adopt_best_model(
-    so_far: _SearchState, catalogue: Sequence[Effect], tell: Callable[[str], object]
-) -> None:
-    """Adopt a plainer model where it predicts stretches left out better than the effects."""
-    calibrated = [each for each in so_far.effects if each.calibrated]
-    best = None if so_far.rigid is None else so_far.rigid.nearest
-    single = None if best is None else best.located
-    so_far.contenders = hold_tournament(so_far.current, calibrated, single, so_far.effects)
-    winner = so_far.contenders[0]
-    if winner.name == CATALOGUE_MODEL:
-        return
-    so_far.start = so_far.start.with_bodies(winner.comparison.bodies)
-    so_far.fitted(fit_jointly(so_far.start, list(winner.effects)))
-    ranked = rank_effects(so_far.current, so_far.effects, catalogue, tell, so_far.ranked)
-    so_far.weighed((so_far.current, ranked))
+    def _fit_and_prune(self, effects: list[LocatedEffect]) -> None:
+        current, tried = fit_jointly(self.start, effects)
+        self._set_fitted((current, prune_effects(current, tried)))
+
+    def _fit_unstated(self, unstated: Sequence[LocatedEffect]) -> None:
+        """Fit values that the nominal model does not state; drop unsupported ones."""
+        if not unstated:
+            plain = self.start.fit(boxed=False)
+            self._set_fitted((self.start.linearised_at(plain), []))
+            return
+        self.say(f"fit {len(unstated)} values that the nominal model does not state")
+        current, effects = fit_jointly(self.start, list(unstated))
+        self._fit(prune_effects(current, effects))
+
+    def _add_forward(self) -> None:
+        """Add the best candidates, several per round, until none passes or Ctrl-C."""
+        most = self.most + len(self.effects)
+        while len(self.effects) < most:
+            effects = self.effects
+            scorer = Scorer(self.current, effects)
+            room = min(self.together, most - len(effects))
+            try:
+                best = _select_best(scan(scorer, self.catalogue, tell=self.tell), scorer, room)
+                if not best:
+                    break
+                for each in best:
+                    self.say(f"found {each.located.label} (log evidence {each.evidence:.0f})")
+                self._fit_and_prune([*effects, *(e.located for e in best)])
+            except KeyboardInterrupt:
+                if not effects:  # there is no result
+                    raise
+                self.say(STOPPED_MESSAGE)
+                self.stopped = True
+                break
+            if best[0].located.label not in [e.label for e in self.effects]:
+                break
+        self._fit(self.effects)
+
+    def _adopt_best_model(self) -> None:
+        """Adopt a plainer model where it predicts stretches left out better than the effects."""
+        calibrated = [each for each in self.effects if each.calibrated]
+        best = None if self.rigid is None else self.rigid.nearest
+        single = None if best is None else best.located
+        self.contenders = hold_tournament(self.current, calibrated, single, self.effects)
+        winner = self.contenders[0]
+        if winner.name == CATALOGUE_MODEL:
+            return
+        self.start = self.start.with_bodies(winner.comparison.bodies)
+        self._fit(list(winner.effects))
+        ranked = rank_effects(self.current, self.effects, self.catalogue, self.tell, self.ranked)
+        self._set_ranked((self.current, ranked))
 
 
 def _relinearise_fit(
@@ -296,58 +288,13 @@ def _relinearise_fit(
     return current, fit
 
 
-def _fit_unstated(
-    comparison: Comparison, start: list[LocatedEffect], say: Callable[[str], object]
-) -> tuple[Comparison, list[LocatedEffect]]:
-    """Fit values that the nominal model does not state; drop unsupported ones."""
-    if not start:
-        return comparison.linearised_at(comparison.fit(boxed=False)), []
-    say(f"fit {len(start)} values that the nominal model does not state")
-    current, effects = fit_jointly(comparison, start)
-    return fit_jointly(comparison, prune_effects(current, effects))
-
-
-def _add_forward(
-    so_far: _SearchState,
-    catalogue: Sequence[Effect],
-    most: int,
-    together: int,
-    say: Callable[[str], object],
-    tell: Callable[[str], object],
-) -> None:
-    """Add the best candidates, several per round, until none passes or Ctrl-C."""
-    most += len(so_far.effects)
-    while len(so_far.effects) < most:
-        effects = so_far.effects
-        scorer = Scorer(so_far.current, effects)
-        room = min(together, most - len(effects))
-        try:
-            best = _select_best(scan(scorer, catalogue, tell=tell), scorer, room)
-            if not best:
-                break
-            for each in best:
-                say(f"found {each.located.label} (log evidence {each.evidence:.0f})")
-            wider, tried = fit_jointly(so_far.start, [*effects, *(e.located for e in best)])
-            so_far.fitted((wider, prune_effects(wider, tried)))
-        except KeyboardInterrupt:
-            if not effects:  # there is no result
-                raise
-            say(STOPPED_MESSAGE)
-            so_far.stopped = True
-            break
-        if best[0].located.label not in [e.label for e in so_far.effects]:
-            break
-    so_far.fitted(fit_jointly(so_far.start, so_far.effects))
-
-
 def _select_best(candidates: Sequence[Candidate], scorer: Scorer, most: int) -> list[Candidate]:
     """Return the best passing candidates, one per channel: others may have the same cause."""
     found: list[Candidate] = []
     for candidate in candidates:
         if len(found) == most or candidate.evidence < NAMED_EVIDENCE:
             break
-        if candidate.channel not in [c.channel for c in found] and passes_thresholds(
-            candidate, scorer
-        ):
+        new = candidate.channel not in [c.channel for c in found]
+        if new and passes_thresholds(candidate, scorer):
             found.append(candidate)
     return found

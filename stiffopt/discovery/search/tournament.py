@@ -33,22 +33,12 @@ EQUAL_RESIDUALS = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Contender:
-    """A model of the tournament.
-
-    Parameters
-    ----------
-    name : str
-    comparison : Comparison
-        With its prior of masses, and the stated noise.
-    effects : tuple of LocatedEffect
-    residual : float
-        Normalised residual of stretches left out, root mean square over the channels.
-    """
+    """A model of the tournament."""
 
     name: str
-    comparison: Comparison
+    comparison: Comparison  # with its prior of masses, and the stated noise
     effects: tuple[LocatedEffect, ...]
-    residual: float
+    residual: float  # normalised residual of stretches left out, root mean square over the channels
 
 
 def hold_tournament(
@@ -59,16 +49,9 @@ def hold_tournament(
 ) -> tuple[Contender, ...]:
     """Return the models with their residuals in stretches left out, the best first.
 
-    Parameters
-    ----------
-    comparison : Comparison
-        Linearised about the effects, with the masses as free as found best.
-    calibrated : sequence of LocatedEffect
-        Values that every joint has and the nominal model does not state.
-    single : LocatedEffect or None
-        The best single body.
-    effects : sequence of LocatedEffect
-        Calibrated values and effects of the catalogue.
+    `comparison`: linearised about the effects, with the masses as free as found best. `calibrated`:
+    values that every joint has and the nominal model does not state. `single`: the best single
+    body. `effects`: calibrated values and effects of the catalogue.
     """
     held = comparison.with_bodies(None)
     free = comparison.with_bodies(PRIOR_WIDTHS[-1] * body_units(comparison.robot))

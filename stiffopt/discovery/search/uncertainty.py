@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import special
 
+from stiffopt.discovery.comparison.channel_rows import part_numbers
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.design_matrix import MIN_RUNS_AS_BLOCKS
 from stiffopt.discovery.comparison.located_effect import (
@@ -36,33 +37,20 @@ _MIN_STRETCHES = 5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Estimate:
-    """Joint posterior of nominal values and effects.
+    """Joint posterior of nominal values and effects."""
 
-    Parameters
-    ----------
-    nuisance : tuple of ValueName
-        Names of the nominal values.
-    values : array (p,)
-        Nominal values, then amplitudes over their sizes.
-    effects : tuple of EstimatedEffect
-    covariance : array (r, r)
-        Nominal values, amplitudes over sizes, shapes over sizes; by the linear model.
-    spread, between : array (r, r)
-        The same by a jackknife over stretches, and over whole runs where there are three or more:
-        only those show differences between runs.
-    parts : tuple of int
-        Number of stretches and of runs.
-    """
-
-    nuisance: tuple[ValueName, ...]
-    values: np.ndarray
+    nuisance: tuple[ValueName, ...]  # names of the nominal values
+    values: np.ndarray  # (p,) nominal values, then amplitudes over their sizes
     effects: tuple[EstimatedEffect, ...]
+    # (r, r) nominal values, amplitudes over sizes, shapes over sizes; by the linear model.
     covariance: np.ndarray
+    # spread, between (r, r): the same by a jackknife over stretches, and over whole runs where
+    # there are three or more: only those show differences between runs.
     spread: np.ndarray
     between: np.ndarray
     sizes: tuple[np.ndarray, ...]
     shape_sizes: tuple[np.ndarray, ...]
-    parts: tuple[int, int]
+    parts: tuple[int, int]  # number of stretches and of runs
 
     def calibration(self) -> dict[ValueName, float]:
         """Return the changes of the nominal values by name."""
@@ -201,28 +189,15 @@ class Estimate:
             )
             for each, step, size in zip(self.effects, steps, self.sizes, strict=True)
         )
-        more = np.diag(change**2)
-        return replace(
-            self,
-            values=self.values + change[: len(self.values)],
-            effects=effects,
-            covariance=self.covariance + more,
-            spread=self.spread + more,
-            between=self.between + more,
-        )
+        moved = replace(self, values=self.values + change[: len(self.values)], effects=effects)
+        return moved._widened(np.diag(change**2))
 
     def doubted(self, away: np.ndarray) -> Estimate:
         """Add differences to another fit's amplitudes (k,), over their sizes, as deviations."""
         change = np.zeros(len(self.covariance))
         first = len(self.nuisance)
         change[first : first + len(away)] = away
-        more = np.diag(change**2)
-        return replace(
-            self,
-            covariance=self.covariance + more,
-            spread=self.spread + more,
-            between=self.between + more,
-        )
+        return self._widened(np.diag(change**2))
 
     def scaled(self, scales: Sequence[float]) -> Estimate:
         """Add a common relative standard deviation (e,) of each effect's amplitudes."""
@@ -231,12 +206,12 @@ class Estimate:
             rows, _ = self._parameter_rows(index)
             own = rows[: len(self.sizes[index])]
             more[np.ix_(own, own)] = scale**2 * np.outer(self.values[own], self.values[own])
-        return replace(
-            self,
-            covariance=self.covariance + more,
-            spread=self.spread + more,
-            between=self.between + more,
-        )
+        return self._widened(more)
+
+    def _widened(self, more: np.ndarray) -> Estimate:
+        """Return the estimate with a covariance (r, r) added to each of its own."""
+        names = ("covariance", "spread", "between")
+        return replace(self, **{name: getattr(self, name) + more for name in names})
 
     def _parameter_rows(self, index: int) -> tuple[np.ndarray, np.ndarray]:
         """Return rows of an effect's amplitudes and shapes, and the sizes that they are over."""
@@ -252,29 +227,24 @@ class Estimate:
 def estimate_parameters(comparison: Comparison, effects: Sequence[LocatedEffect]) -> Estimate:
     """Fit nominal values and effects together and estimate their covariance.
 
-    Parameters
-    ----------
-    comparison : Comparison
-        With the noise estimated beside the effects.
-    effects : sequence of LocatedEffect
-        With fitted shapes.
+    `comparison`: with the noise estimated beside the effects. `effects`: with fitted shapes.
 
-    Notes
-    -----
     Shapes are linearised numerically about their fitted values.
     """
     fit = comparison.fit(effects)
     names, prior_sd = comparison.priors
     sizes = tuple(e.sizes(comparison.constants) for e in effects)
     scaled = fit.amplitudes()
-    shape_sizes = tuple(_shape_sizes(e) for e in effects)
+    shape_sizes = tuple(np.array([abs(v) if v else 1.0 for v in e.shapes]) for e in effects)
     slopes, begin = [], 0
     for located, steps in zip(effects, shape_sizes, strict=True):
         amplitudes = scaled[begin : begin + len(located.effect.amplitudes)]
         begin += len(amplitudes)
         for i, step in enumerate(steps):
             slopes.append(_shape_slope(comparison, located, amplitudes, i, step))
-    matrix = _append_columns(comparison.stack_columns(effects), slopes)
+    matrix = comparison.stack_columns(effects)
+    if slopes:  # without any, no copy of all columns
+        matrix = np.column_stack([matrix, *slopes])
     prior = np.concatenate([prior_sd, np.ones(len(scaled)), np.full(len(slopes), _SHAPE_PRIOR)])
     del slopes
     blocks = number_stretches(comparison)
@@ -323,20 +293,11 @@ def null_probability(chance: float, odds: float = 1.0) -> float:
     return odds * bound / (1.0 + odds * bound)
 
 
-def _append_columns(columns: np.ndarray, slopes: Sequence[np.ndarray]) -> np.ndarray:
-    """Return columns (m, p) with slopes beside them; without any no copy of all is made."""
-    return np.column_stack([columns, *slopes]) if slopes else columns
-
-
 def _deviations_from_zero(values: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
     """Return the significance of values (k,) together, and of the most significant one [sigma]."""
     square = float(values @ np.linalg.lstsq(covariance, values)[0])
     sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     return math.sqrt(max(square, 0.0)), float(np.max(np.abs(values) / sd))
-
-
-def _shape_sizes(located: LocatedEffect) -> np.ndarray:
-    return np.array([abs(v) if v else 1.0 for v in located.shapes])
 
 
 def _shape_slope(
@@ -383,16 +344,11 @@ def _jackknife_covariance(
 
 def number_stretches(comparison: Comparison) -> np.ndarray:
     """Return the number of the stretch that every row (m,) belongs to."""
-    counts = [max(1, round(_run_duration(run) / STRETCH_DURATION)) for run in comparison.runs]
-    first = np.concatenate([[0], np.cumsum(counts)])
+    rows = comparison.rows
 
-    def number(run: PreparedRun) -> np.ndarray:
-        k = comparison.runs.index(run)
-        place = (run.time - run.time[0]) / _run_duration(run) * counts[k]
-        return np.asarray(first[k] + np.minimum(place.astype(int), counts[k] - 1))
+    def count(run: PreparedRun) -> int:
+        return max(1, round(float(run.time[-1] - run.time[0]) / STRETCH_DURATION))
 
-    return np.unique(comparison.rows.sample_signal(number), return_inverse=True)[1]
-
-
-def _run_duration(run: PreparedRun) -> float:
-    return float(run.time[-1] - run.time[0])
+    first = np.concatenate([[0], np.cumsum([count(run) for run in comparison.runs])])
+    part = rows.sample_signal(lambda run: part_numbers(run.time, count(run)))
+    return np.unique(first[rows.run] + part, return_inverse=True)[1]

@@ -14,8 +14,6 @@ _EXTERNAL_AXES = "[9E9,9E9,9E9,9E9,9E9,9E9]"
 class AbbEgm(CyclicFormat):
     """Absolute joint positions in degrees, one row a cycle, and the RAPID module that takes them.
 
-    Notes
-    -----
     ABB, Externally Guided Motion (application manual): EGMSetupUC, EGMActJoint and EGMRunJoint; a
     cycle of 4 ms. The sender of the rows over UDP (EgmSensor messages) and the UdpUc device
     "EGMSensor" belong to the cell.

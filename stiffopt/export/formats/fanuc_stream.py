@@ -13,8 +13,6 @@ _AXIS_NAMES = tuple(f"J{axis}" for axis in range(1, 7))
 class FanucStream(CyclicFormat):
     """Absolute joint positions in degrees, one row a cycle, and the TP program that takes them.
 
-    Notes
-    -----
     Fanuc, Stream Motion option J519 (operator's manual): IBGN start and IBGN end; a cycle of 8 ms,
     4 ms on R-30iB Plus. The sender of the packets belongs to the cell.
     """

@@ -13,8 +13,6 @@ _AXIS_NAMES = tuple(f"A{axis}" for axis in range(1, 7))
 class KrlRsi(CyclicFormat):
     """Absolute axis corrections from the start in degrees, one row per cycle.
 
-    Notes
-    -----
     KUKA.RobotSensorInterface: a cycle of 4 ms (IPO_FAST) or 12 ms; with RSI_ON(#ABSOLUTE) a
     correction is relative to the start of the sensor-guided motion. The sender of the rows over
     Ethernet and the correction limits of the RSI context belong to the cell.

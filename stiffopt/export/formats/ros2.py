@@ -17,8 +17,6 @@ _NANOSECONDS_PER_SECOND = 1_000_000_000
 class Ros2(ExportFormat):
     """Message fields in their order; efforts stay empty.
 
-    Notes
-    -----
     Fields after https://github.com/ros2/common_interfaces, trajectory_msgs: JointTrajectory and
     JointTrajectoryPoint. Controllers refuse points whose times do not increase, and some refuse
     efforts, so the list of efforts stays empty.

@@ -20,8 +20,6 @@ _GRIPPER_INSTRUCTIONS = {"grip": "close(tTool)", "release": "open(tTool)"}
 class StaubliVal3(PointFormat):
     """Application with joint positions and motion descriptors as data, and programs start and stop.
 
-    Notes
-    -----
     Staubli, VAL3 reference manual: jointRx, mdesc, movej, waitEndMove, delay, open and close (which
     act on the valve of a tool); VAL3 XML format of applications: project, data and program files.
     """

@@ -17,8 +17,6 @@ _GRIPPER_OUTPUTS = {"grip": "True", "release": "False"}
 class UrScript(CyclicFormat):
     """Slow approach to the start, then one servoj per cycle.
 
-    Notes
-    -----
     Universal Robots, The URScript Programming Language: servoj(q, a, v, t, lookahead_time in 0.03
     to 0.2 s, gain in 100 to 2000). e-Series controllers have a cycle of 2 ms, CB3 of 8 ms.
     """

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from datetime import datetime
 
 import numpy as np
 
@@ -12,6 +11,9 @@ from stiffopt.errors import InputError
 from stiffopt.export.format import FORMATS, PointFormat, PointStep, identifier
 from stiffopt.export.motion import SampledMotion, StoredMotion
 
+# The manual has the line in every header and says of none that it may be left out; one date for all
+# jobs, so that equal motions are equal files.
+_DATE_LINE = "///DATE 2000/01/01 00:00"
 # Universal output 1 closes the gripper.
 _GRIPPER_INSTRUCTIONS = {"grip": "DOUT OT#(1) ON", "release": "DOUT OT#(1) OFF"}
 
@@ -20,18 +22,12 @@ _GRIPPER_INSTRUCTIONS = {"grip": "DOUT OT#(1) ON", "release": "DOUT OT#(1) OFF"}
 class YaskawaJob(PointFormat):
     """Job of MOVJ instructions, one a sample; the first approaches the start.
 
-    Parameters
-    ----------
-    pulses : tuple of float
-        Pulses per degree of each axis, negative where the URDF turns the other way.
-
-    Notes
-    -----
     Yaskawa, NX100 data transmission manual HW0481924, section 4.1 (job data format): POSTYPE PULSE
     is the one type of robot positions that is joint by joint. FS100 INFORM manual: MOVJ with VJ in
     %, PL=0 to stop at the point, TIMER, DOUT.
     """
 
+    # Pulses per degree of each axis, negative where the URDF turns the other way.
     pulses: tuple[float, ...] = ()
 
     name = "yaskawa-job"
@@ -74,7 +70,7 @@ class YaskawaJob(PointFormat):
             "///PULSE",
             *(f"C{k:05d}={','.join(map(str, row))}" for k, row in enumerate(points)),
             "//INST",
-            f"///DATE {datetime.now():%Y/%m/%d %H:%M}",
+            _DATE_LINE,
             "///ATTR SC,RW",
             "///GROUP1 RB1",
             "NOP",

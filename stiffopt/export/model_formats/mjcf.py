@@ -33,8 +33,6 @@ CHANGES_FILE = "mjcf_changes.csv"
 class Mjcf(ModelFormat):
     """Bodies with inertias, joints with `frictionloss`, `damping` and `armature`, motors.
 
-    Notes
-    -----
     MuJoCo, XML reference. A motor's `gear` is the joint torque per commanded torque. Elastic joints
     become rigid; shapes are omitted.
     """

@@ -17,8 +17,6 @@ from stiffopt.robot.xml_files import parse_xml
 class Urdf(ModelFormat):
     """New `<dynamics>` of every joint and `<inertial>` of changed bodies.
 
-    Notes
-    -----
     A changed body comprises its link and all links fixed to it: the first gets the whole inertia,
     the others keep only their shapes. URDF has no rotor inertia; the comment at its head states it.
     Of an MJCF a URDF without shapes is made, with rotor inertias as `armature` of `<dynamics>`.

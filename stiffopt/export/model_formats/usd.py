@@ -18,35 +18,22 @@ _PER_DEGREE = math.radians(1.0)
 
 @dataclass(frozen=True, kw_only=True)
 class IsaacValue:
-    """A value of a joint.
-
-    Parameters
-    ----------
-    isaac_lab : str
-        Key of `ImplicitActuatorCfg`.
-    nominal, found : float
-        Before and with the findings, in `unit`.
-    usd_attribute : str
-        Attribute of the joint's prim.
-    usd_value : float
-        Found value in `usd_unit`: rotations of USD are in degrees.
-    """
+    """A value of a joint."""
 
     joint: str
-    isaac_lab: str
+    isaac_lab: str  # key of `ImplicitActuatorCfg`
+    # Before and with the findings, in `unit`.
     nominal: float
     found: float
     unit: str
-    usd_attribute: str
-    usd_value: float
+    usd_attribute: str  # attribute of the joint's prim
+    usd_value: float  # found value in `usd_unit`: rotations of USD are in degrees
     usd_unit: str
 
 
 class Usd(ModelFormat):
     """Armature, friction, drive gains and limits of every joint, one row a value.
 
-    Notes
-    -----
     Dry friction is an effort, as PhysX has it since Isaac Sim 5; `physxJoint:jointFriction` of
     earlier ones is a dimensionless share of the joint's load and cannot be computed. Gains are
     those of servos in the robot's MJCF.

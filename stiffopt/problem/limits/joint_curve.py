@@ -26,14 +26,8 @@ if TYPE_CHECKING:
 class JointCurve(DriveLimit):
     """Limit of a joint quantity, piecewise linear over another one, constant beyond its ends.
 
-    The attribute of `Limits` is (places (k, n), bounds (k, n)) or None.
-
-    Parameters
-    ----------
-    name : str
-        Key in files.
-    columns : (str, str)
-        Letters of the table's columns: of the place and of the bound.
+    The attribute of `Limits` is (places (k, n), bounds (k, n)) or None. `name`: key in files.
+    `columns` (str, str): letters of the table's columns: of the place and of the bound.
     """
 
     def __init__(self, name: str, attribute: str, columns: tuple[str, str], doc: str) -> None:

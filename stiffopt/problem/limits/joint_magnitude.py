@@ -29,14 +29,8 @@ _MAX_LIMIT = 1e9
 class JointMagnitude(DriveLimit):
     """|quantity| <= limit for every joint; the robot's own where the file gives none.
 
-    Parameters
-    ----------
-    name : str
-        Key, attribute of `Assessment`, and NAME_max of the robot.
-    form : type
-        Type of one entry in a file.
-    dimension : str
-        Dimension for a revolute joint.
+    `name`: key, attribute of `Assessment`, and NAME_max of the robot. `form`: type of one entry in
+    a file. `dimension`: dimension for a revolute joint.
     """
 
     def __init__(

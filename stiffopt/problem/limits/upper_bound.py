@@ -31,14 +31,7 @@ if TYPE_CHECKING:
 class UpperBound(LimitKind):
     """Upper bound of one number; infinite by default.
 
-    Parameters
-    ----------
-    name : str
-        Name of key and attribute.
-    form : type
-        Type of the key in a file.
-    unit : str
-        SI unit.
+    `name`: name of key and attribute. `form`: type of the key in a file. `unit`: SI unit.
     """
 
     def __init__(self, name: str, form: Any, unit: str, description: str) -> None:
@@ -109,9 +102,19 @@ class ArrivalBound(UpperBound):
         """No rows: the limit applies after the motion."""
         return []
 
-    def rest_missing(self, simulated: SimulatedMotion) -> Violation:
-        """Violation of a motion that does not end at rest."""
-        return Violation(1.0, self.name, None, simulated.duration)
+    @abstractmethod
+    def excess(self, limits: Limits, simulated: SimulatedMotion) -> tuple[float, float]:
+        """Relative excess of a motion that ends at rest, and its instant [s]."""
+
+    def violations(self, limits: Limits, motion: Assessment) -> list[Violation]:
+        """Violation of the simulated motion; 1 if it does not end at rest."""
+        simulated = motion.simulated
+        if simulated is None:
+            return []
+        excess, when = 1.0, simulated.duration
+        if simulated.peak_after is not None:
+            excess, when = self.excess(limits, simulated)
+        return [Violation(excess, self.name, None, when)]
 
 
 class ToolSpeed(ToolMagnitudeBound):
@@ -176,16 +179,10 @@ class ResidualVibrationLimit(ArrivalBound):
         """Row on the sum of the modal amplitudes at the tool, an upper bound of the peak."""
         return [arrival.row(self.name, limits.residual_vibration, 0.0)]
 
-    def violations(self, limits: Limits, motion: Assessment) -> list[Violation]:
-        """Violation of the simulated motion."""
-        simulated = motion.simulated
-        if simulated is None:
-            return []
-        if simulated.peak_after is None:
-            return [self.rest_missing(simulated)]
+    def excess(self, limits: Limits, simulated: SimulatedMotion) -> tuple[float, float]:
+        """Relative excess of the peak, and its instant [s]."""
         after = np.where(simulated.time >= simulated.duration, simulated.distance, 0.0)
-        when = float(simulated.time[int(np.argmax(after))])
-        return [Violation(self.overshoot(limits, simulated), self.name, None, when)]
+        return self.overshoot(limits, simulated), float(simulated.time[int(np.argmax(after))])
 
     def overshoot(self, limits: Limits, simulated: SimulatedMotion) -> float:
         """Relative excess of the peak over the limit."""
@@ -226,20 +223,12 @@ class SettlingTimeLimit(ArrivalBound):
         """Row on the modal amplitudes after that time."""
         return [arrival.row(self.name, limits.settling_band, limits.settling_time)]
 
-    def violations(self, limits: Limits, motion: Assessment) -> list[Violation]:
-        """Violation of the simulated motion; 1 if it has not settled within one second."""
-        simulated = motion.simulated
-        if simulated is None:
-            return []
-        if simulated.peak_after is None:
-            return [self.rest_missing(simulated)]
+    def excess(self, limits: Limits, simulated: SimulatedMotion) -> tuple[float, float]:
+        """Relative excess and the instant of settling [s]; 1 if not settled within one second."""
         took = simulated.settling_time
-        excess = 1.0
         if took is None:
-            took = float(simulated.time[-1]) - simulated.duration
-        else:
-            excess = took / limits.settling_time - 1.0
-        return [Violation(excess, self.name, None, simulated.duration + took)]
+            return 1.0, float(simulated.time[-1])
+        return took / limits.settling_time - 1.0, simulated.duration + took
 
     def overshoot(self, limits: Limits, simulated: SimulatedMotion) -> float:
         """Relative excess of the deviation after that time over the band."""

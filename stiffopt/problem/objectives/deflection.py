@@ -39,16 +39,9 @@ class ToolDeflection(ObjectiveKind):
     """Peak or root mean square over time of one part of the tool's deflection.
 
     A peak is minimised through an upper bound on it (epigraph); a root mean square through a bound
-    on the integral, so that the Hessian stays sparse.
-
-    Parameters
-    ----------
-    part : str
-        "dynamic", "total" or "process".
-    pinned_by : str
-        Quantity that bounds the peak in a rest pose; "" for none.
-    instead : str
-        Alternative to suggest where the peak is at its bound.
+    on the integral, so that the Hessian stays sparse. `part`: "dynamic", "total" or "process".
+    `pinned_by`: quantity that bounds the peak in a rest pose; "" for none. `instead`: alternative
+    to suggest where the peak is at its bound.
     """
 
     unit = "m"

@@ -165,13 +165,7 @@ def flatten_mapping(content: Any, name: str = "", depth: int = 0) -> Iterator[tu
 
 
 def select_columns(path: Path, table: Mapping[str, np.ndarray], signals: Signals) -> Table:
-    """Return the columns that `signals` names.
-
-    Raises
-    ------
-    InputFileError
-        A missing column, or none named for the time.
-    """
+    """Return the columns that `signals` names; raise `InputFileError` for a missing one."""
     require_time(signals, path)
     wanted = (signals.time, *signals.wanted)
     check_columns(path, wanted, table)

@@ -27,15 +27,10 @@ _MAX_STAMP = 4e9
 
 @dataclass(frozen=True)
 class Field:
-    """A number inside the messages of a topic, such as "/joint_states.position[elbow]".
-
-    Parameters
-    ----------
-    steps : tuple of str or int
-        Attributes; an entry of a list by number, or by name as "[elbow]".
-    """
+    """A number inside the messages of a topic, such as "/joint_states.position[elbow]"."""
 
     topic: str
+    # Attributes; an entry of a list by number, or by name as "[elbow]".
     steps: tuple[str | int, ...]
 
     def of(self, message: Any) -> float | None:
@@ -88,10 +83,7 @@ class _Topic:
 def parse_field(name: str, topics: Iterable[str], path: Path) -> Field:
     """Parse a channel name into topic and field.
 
-    Raises
-    ------
-    InputFileError
-        No such topic, or no field after it.
+    Raises `InputFileError`: no such topic, or no field after it.
     """
     known = list(topics)
     fitting = [topic for topic in known if name == topic or name.startswith(f"{topic}.")]
@@ -118,20 +110,10 @@ def parse_field(name: str, topics: Iterable[str], path: Path) -> Field:
 def gather_columns(
     path: Path, signals: Signals, topics: Iterable[str], messages: Iterable[Message]
 ) -> dict[str, np.ndarray]:
-    """Collect the columns that `signals` names from messages.
+    """Collect the columns (R,) that `signals` names from messages in the order of the log.
 
-    Parameters
-    ----------
-    topics : iterable of str
-        Topics of the file.
-    messages : iterable of Message
-        In the order of the log.
-
-    Returns
-    -------
-    mapping of column name to array (R,)
-        On the clock of the topic of the first position, in seconds after its first stamp. Channels
-        of other topics are interpolated linearly, NaN outside of their stamps.
+    On the clock of the topic of the first position, in seconds after its first stamp. Channels of
+    other topics are interpolated linearly, NaN outside of their stamps.
     """
     wanted = {name: parse_field(name, topics, path) for name in signals.wanted}
     own: dict[str, _Topic] = {}

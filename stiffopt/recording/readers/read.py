@@ -99,26 +99,13 @@ RUN_ENDINGS = tuple(ending for ending in _READER_OF_ENDING if ending not in (".j
 def read_columns(path: str | os.PathLike[str], signals: Signals) -> Columns:
     """Read time and channels of a run file.
 
-    Parameters
-    ----------
-    path : path
-        Text, JSON, NPZ, Parquet, MATLAB, Excel, HDF5, MCAP, a rosbag2 (its folder or the .db3
-        inside), the .dat of a KUKA trace; "FILE#PART" for one of several runs in it: an episode of
-        a LeRobot dataset ("data/chunk-000/file-000.parquet#3"), a group of HDF5, a sheet.
-
-    Returns
-    -------
-    mapping of column name to array (R,)
-        The time under `signals.time` ("" for the stamps of messages) and every column that
-        `signals` names, as recorded.
-
-    Raises
-    ------
-    InputFileError
-        No such file, an unknown format, a missing column (with those of the file), or content that
-        is no series of numbers.
-    InputError
-        The format needs libraries that are not installed.
+    `path`: text, JSON, NPZ, Parquet, MATLAB, Excel, HDF5, MCAP, a rosbag2 (its folder or the .db3
+    inside), the .dat of a KUKA trace; "FILE#PART" for one of several runs in it: an episode of a
+    LeRobot dataset ("data/chunk-000/file-000.parquet#3"), a group of HDF5, a sheet. Returns mapping
+    of column name to array (R,): the time under `signals.time` ("" for the stamps of messages) and
+    every column that `signals` names, as recorded. Raises `InputFileError`: no such file, an
+    unknown format, a missing column (with those of the file), or content that is no series of
+    numbers. Raises `InputError`: the format needs libraries that are not installed.
     """
     path = Path(path)
     module = _select_reader(path)
@@ -145,10 +132,7 @@ def read_columns(path: str | os.PathLike[str], signals: Signals) -> Columns:
 def read_tables(path: Path) -> dict[str, Columns]:
     """Read all numeric columns of a file, by run; "" where it holds one run.
 
-    Raises
-    ------
-    InputFileError, InputError
-        See `read_columns`.
+    Raises `InputFileError` or `InputError`: see `read_columns`.
     """
     module = _select_reader(path)
     reader = _import_reader(module, path)
@@ -205,13 +189,7 @@ def is_messages(path: Path) -> bool:
 
 
 def first_messages(path: Path, count: int) -> list[Message]:
-    """Read the first messages of an MCAP file or a rosbag2: topic, log time [ns], content.
-
-    Raises
-    ------
-    InputFileError, InputError
-        See `read_columns`.
-    """
+    """Read the first messages of an MCAP file or a rosbag2: topic, log time [ns], content."""
     module = _select_reader(path)
     reader = _import_reader(module, path)
     return read_bounded(lambda: list(islice(reader.peek(path), count)), path, _FORMAT_NAMES[module])
@@ -281,10 +259,7 @@ def read_bounded(read: Callable[[], Read], path: Path, name: str) -> Read:
 def find_set_file(path: Path) -> Path:
     """Find recordings.toml of a set, given by its folder or its path.
 
-    Raises
-    ------
-    InputFileError
-        Recordings without one; the message names the command that writes it.
+    Raises `InputFileError`: recordings without one; the message names the command that writes it.
     """
     file = path / SET_FILE if path.is_dir() else path
     if path.is_file() and path.suffix.lower() in RUN_ENDINGS:

@@ -115,17 +115,9 @@ def write_page(
     """Render a template of `stiffopt.report` and write it after the files of its figures.
 
     All values except figures are escaped. On an interruption, new files are removed again.
-
-    Parameters
-    ----------
-    template : str
-        Name such as "solve/page.html.j2".
-    path : Path
-        Path of the page; the figures are written beside it.
-    context : mapping
-        Variables of the template, beside `figures`.
-    filters : dict of name to callable, optional
-        Filters of this page, beside those of `common.text`.
+    `template`: name such as "solve/page.html.j2". `path`: path of the page; the figures are written
+    beside it. `context`: variables of the template, beside `figures`. `filters`: filters of this
+    page, beside those of `common.text`.
     """
     environment = Environment(
         loader=PackageLoader("stiffopt.report", ""),

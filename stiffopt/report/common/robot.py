@@ -76,13 +76,7 @@ class EstimatedInputs:
 
 
 def estimated_inputs(robot: Robot, joints: Container[str] | None = None) -> list[EstimatedInputs]:
-    """List the inputs of a robot that are estimated.
-
-    Parameters
-    ----------
-    joints : container of str, optional
-        Names of the joints to include, beside inputs of no joint; default: all.
-    """
+    """List the inputs of a robot that are estimated: of no joint, and of these (default: all)."""
     keys: dict[tuple[str, str, str], list[str]] = {}
     for each in robot.estimated():
         if joints is None or not each.joint or each.joint in joints:

@@ -86,19 +86,7 @@ def line_style(index: int) -> dict[str, Any]:
 
 
 def decimate_curve(time: np.ndarray, values: np.ndarray, points: int = POINTS) -> tuple[Any, Any]:
-    """Decimate a curve to at most `points` samples, peaks preserved.
-
-    Of each piece of the curve the lowest and the highest sample are kept.
-
-    Parameters
-    ----------
-    time, values : array (K,)
-
-    Returns
-    -------
-    (array, array)
-        The samples kept, ends included.
-    """
+    """Decimate a curve to at most `points` samples: ends, lowest and highest of each piece."""
     if len(time) <= points:
         return time, values
     edges = np.linspace(0, len(time), points // 2, dtype=int)
@@ -153,12 +141,8 @@ def shade_limits(axes: Axes, lower: float, upper: float) -> None:
 def to_svg(figure: Figure, name: str, description: str) -> str:
     """Return a figure as inline SVG, cut to its content.
 
-    Parameters
-    ----------
-    name : str
-        Unique on its page; prefixes the ids, which would otherwise clash between figures.
-    description : str
-        Text alternative for readers who cannot see the figure.
+    `name`: unique on its page; prefixes the ids, which would otherwise clash between figures.
+    `description`: text alternative for readers who cannot see the figure.
     """
     with mpl.rc_context({**_FIGURE_STYLE, "svg.hashsalt": name}):
         box = _content_box(figure)
@@ -190,11 +174,8 @@ def time_axes(figure: Figure, extent: Bbox) -> list[list[float]]:
     """Return the axes over time, for the page's time cursor: place in the SVG, first and last time.
 
     An axis counts where its label, or that of an axis it is shared with, begins with "time".
-
-    Returns
-    -------
-    list of [left, top, right, bottom, first, last]
-        In the SVG's units, the time in its own.
+    Returns list of [left, top, right, bottom, first, last]: in the SVG's units, the time in its
+    own.
     """
     width, height = figure.get_size_inches()
     found = []

@@ -44,23 +44,14 @@ def print_table(
 
 @dataclass(frozen=True, kw_only=True)
 class ReportSection:
-    """Part of an answer that page and terminal both show: a table and sentences.
-
-    Parameters
-    ----------
-    head : sequence of str
-        Column headings; none without a table.
-    rows : sequence of sequence of str
-        Cells; several values of a cell stand on lines of their own.
-    numbers : collection of str
-        Columns that the terminal aligns on the right.
-    """
+    """Part of an answer that page and terminal both show: a table and sentences."""
 
     title: str = ""
     lines: Sequence[str] = ()
-    head: Sequence[str] = ()
+    head: Sequence[str] = ()  # column headings; none without a table
+    # Cells; several values of a cell stand on lines of their own.
     rows: Sequence[Sequence[str]] = ()
-    numbers: Collection[str] = ()
+    numbers: Collection[str] = ()  # columns that the terminal aligns on the right
 
 
 def print_section(section: ReportSection) -> None:
@@ -73,12 +64,8 @@ def print_section(section: ReportSection) -> None:
 class StatusLine(ExitStack):
     """Context manager that shows a line: updated in place on a terminal, else printed each time.
 
-    Parameters
-    ----------
-    console : rich.console.Console or None
-        None: standard error, so that standard output stays free for results.
-    clock : callable
-        Seconds; replaced in tests.
+    `console`: None: standard error, so that standard output stays free for results. `clock`:
+    seconds; replaced in tests.
     """
 
     def __init__(

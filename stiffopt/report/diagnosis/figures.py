@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
 
+from stiffopt.discovery.channel import Channel
 from stiffopt.discovery.settings import MIN_MOVING_SPEED
 from stiffopt.recording.joint_facts import velocities
 from stiffopt.report.common.svg import (
@@ -89,15 +90,12 @@ def held_out_figure(diagnosis: Diagnosis) -> Figure:
     roles = [(role, words) for role, words in _ROLE_TITLES if diagnosis.proofs(role)]
     with figure_style():
         names = list(dict.fromkeys(c.name for p in diagnosis.held_out for c in p.channels))
-        names.sort(key=lambda name: (not name.startswith("torque"), int(name.rpartition("_")[2])))
+        names.sort(key=lambda name: Channel.read(name).number(diagnosis.recordings.n))
         figure = Figure(figsize=(WIDTH, 1.0 + 0.24 * max(len(names), 3)))
         grid = figure.subplots(1, max(len(roles), 1), squeeze=False, sharey=True)[0]
         for axes, (role, words) in zip(grid, roles, strict=False):
             for row, name in enumerate(names):
-                before, after = channel_ratio(diagnosis, role, name)
-                axes.plot([before, after], [row, row], color=PALE, linewidth=3.0, zorder=1)
-                axes.plot(before, row, "o", mfc="white", mec=VERMILLION, mew=1.5, ms=6)
-                axes.plot(after, row, "o", color=BLUE, ms=5)
+                _draw_ratio(axes, row, channel_ratio(diagnosis.proofs(role), name))
             axes.axvline(1.0, color=GREY, linewidth=1.0, zorder=0)
             axes.set_xscale("log")
             low, high = axes.get_xlim()
@@ -140,18 +138,25 @@ def noise_ceiling_figure(diagnosis: Diagnosis) -> Figure:
             axes.axhline(0.0, color=GREY, linewidth=1.0, zorder=0)
             unit = joint_unit(_SIGNAL_UNITS[kind], slides)
             axes.set_xlabel(f"{regressor_words(each.signal).removeprefix('the ')} [{unit}]")
-        own = int(depends[0].channel.rpartition("_")[2]) - 1
+        own = Channel.read(depends[0].channel).joint - 1
         unit = joint_unit("N m", diagnosis.training.constants.joints[own].prismatic)
         grid[0].set_ylabel(f"residual torque, joint {own + 1} [{unit}]")
         return figure
 
 
-def channel_ratio(diagnosis: Diagnosis, role: str, name: str) -> tuple[float, float]:
-    """Return residual over noise of a channel in the runs of a role, before and after.
+def _draw_ratio(axes: Axes, row: int, ratio: tuple[float, float]) -> None:
+    """Draw residual over noise before and after, and the line between them."""
+    axes.plot(ratio, [row, row], color=PALE, linewidth=3.0, zorder=1)
+    axes.plot(ratio[0], row, "o", mfc="white", mec=VERMILLION, mew=1.5, ms=6)
+    axes.plot(ratio[1], row, "o", color=BLUE, ms=5)
+
+
+def channel_ratio(proofs: Iterable[RunProof], name: str) -> tuple[float, float]:
+    """Return residual over noise of a channel in some runs, before and after.
 
     Both are nan where no run has samples of the channel.
     """
-    own = [c for p in diagnosis.proofs(role) for c in p.channels if c.name == name]
+    own = [c for p in proofs for c in p.channels if c.name == name]
     count = sum(c.samples for c in own)
     if not count:
         return float("nan"), float("nan")
@@ -160,8 +165,8 @@ def channel_ratio(diagnosis: Diagnosis, role: str, name: str) -> tuple[float, fl
 
 
 def _channel_label(name: str) -> str:
-    kind, _, joint = name.rpartition("_")
-    return f"J{joint} {'torque' if kind == 'torque' else 'link encoder'}"
+    channel = Channel.read(name)
+    return f"J{channel.joint} {channel.sensor}"
 
 
 def _format_minor_tick(value: float) -> str:
@@ -172,52 +177,31 @@ def _format_minor_tick(value: float) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """One channel of one held-out run.
+    """One channel of one held-out run."""
 
-    Parameters
-    ----------
-    time : array (K,)
-        [s]
-    measured, before, after : array (K,)
-        Torque, or wind-up (motor less link angle) of a link encoder; SI.
-    used : array (K,) of bool
-        Samples that count: torque only while the joint moves.
-    speed : array (K,)
-        Speed of the joint.
-    """
-
-    time: np.ndarray
+    time: np.ndarray  # (K,) [s]
+    # (K,) torque, or wind-up (motor less link angle) of a link encoder; SI.
     measured: np.ndarray
     before: np.ndarray
     after: np.ndarray
-    used: np.ndarray
-    speed: np.ndarray
+    used: np.ndarray  # (K,) samples that count: torque only while the joint moves
+    speed: np.ndarray  # (K,) speed of the joint
     error: ChannelError
     unit: str
 
 
 @dataclass(frozen=True)
 class Window:
-    """Interval of a held-out run with a large residual.
-
-    Parameters
-    ----------
-    begin, end : float
-        [s]
-    rms : float
-        Root mean square of the residual with the extended model.
-    ratio : float
-        The same over noise.
-    slowest, fastest : float
-        Range of the joint's speed.
-    """
+    """Interval of a held-out run with a large residual."""
 
     run: str
     error: ChannelError
+    # [s].
     begin: float
     end: float
-    rms: float
-    ratio: float
+    rms: float  # root mean square of the residual with the extended model
+    ratio: float  # the same over noise
+    # Range of the joint's speed.
     slowest: float
     fastest: float
     unit: str
@@ -376,17 +360,7 @@ def state_figure(diagnosis: Diagnosis) -> Figure:
         for axes, state in zip(grid, ("before", "after"), strict=True):
             proofs = [p for p in diagnosis.held_out if p.run.name.startswith(f"{state}_")]
             for row, name in enumerate(names):
-                own = [c for p in proofs for c in p.channels if c.name == name]
-                count = sum(c.samples for c in own)
-                if not count:
-                    continue
-                old, new = (
-                    (sum(getattr(c, key) for c in own) / count) ** 0.5 / own[0].noise
-                    for key in ("before", "after")
-                )
-                axes.plot([old, new], [row, row], color=PALE, linewidth=3.0, zorder=1)
-                axes.plot(old, row, "o", mfc="white", mec=VERMILLION, mew=1.5, ms=6)
-                axes.plot(new, row, "o", color=BLUE, ms=5)
+                _draw_ratio(axes, row, channel_ratio(proofs, name))
             axes.axvline(1.0, color=GREY, linewidth=1.0, zorder=0)
             axes.set_title(f"held-out runs {state} the change")
             axes.set_xlabel("residual over noise")

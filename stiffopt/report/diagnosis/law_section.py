@@ -51,22 +51,12 @@ _OPERATOR_DEFINITIONS = {
 
 @dataclass(frozen=True, kw_only=True)
 class LawOnPage:
-    """A law with its numbers.
-
-    Parameters
-    ----------
-    numbers : tuple of str
-        Every value in full, for another simulator.
-    signals : tuple of str
-        Meaning of every symbol.
-    lines : tuple of str
-        What it explains, what it resembles, the test that would tell.
-    """
+    """A law with its numbers."""
 
     equation: str
-    numbers: tuple[str, ...]
-    signals: tuple[str, ...]
-    lines: tuple[str, ...]
+    numbers: tuple[str, ...]  # every value in full, for another simulator
+    signals: tuple[str, ...]  # meaning of every symbol
+    lines: tuple[str, ...]  # what it explains, what it resembles, the test that would tell
 
 
 def laws_on_page(diagnosis: Diagnosis) -> dict[Finding, LawOnPage]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from stiffopt.discovery.answer import format_probability, place
+from stiffopt.discovery.channel import Channel
 from stiffopt.discovery.judging.noise_ceiling import SHOWN_SHARE
 from stiffopt.discovery.settings import MAX_NOMINAL_DEVIATIONS
 from stiffopt.report.common.text import listed, significant
@@ -38,33 +39,19 @@ _CHANNEL_KINDS = {"torque": "the torques", "link_position": "the link encoders"}
 
 @dataclass(frozen=True, kw_only=True)
 class Mismatch:
-    """Composition of the mismatch of one kind of channel on held-out runs.
-
-    Parameters
-    ----------
-    pieces : list of NamedShare
-        Explained parts, the largest first, and the unexplained part last.
-    """
+    """Composition of the mismatch of one kind of channel on held-out runs."""
 
     sentence: str
-    pieces: list[NamedShare]
+    pieces: list[NamedShare]  # explained parts, the largest first, and the unexplained part last
 
 
 @dataclass(frozen=True, kw_only=True)
 class NamedShare:
-    """A part of the mismatch, shown as a piece of the bar.
-
-    Parameters
-    ----------
-    share : float
-        Share of the mismatch on held-out runs.
-    open : bool
-        True for the unexplained part.
-    """
+    """A part of the mismatch, shown as a piece of the bar."""
 
     words: str
-    share: float
-    open: bool
+    share: float  # share of the mismatch on held-out runs
+    open: bool  # True for the unexplained part
 
 
 def mismatches(diagnosis: Diagnosis) -> list[Mismatch]:
@@ -190,9 +177,9 @@ def transfer_sentences(diagnosis: Diagnosis) -> list[str]:
                 f" ({100 * each.share:.0f} % of the residual there)."
             )
             continue
-        kind, _, joint = each.channel.rpartition("_")
-        slides = diagnosis.training.constants.joints[int(joint) - 1].prismatic
-        unit = "rad" if kind == "link_position" else "N m"
+        channel = Channel.read(each.channel)
+        slides = diagnosis.training.constants.joints[channel.joint - 1].prismatic
+        unit = "rad" if channel.kind == "link_position" else "N m"
         unit = f"{unit} s/rad" if each.kind == "viscous friction" else unit
         value = f"{significant(each.value, 2)} {joint_unit(unit, slides)}"
         kind = "A constant" if each.kind == "constant" else each.kind.capitalize()

@@ -27,36 +27,24 @@ _INERTIAL_UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 6)
 
 @dataclass(frozen=True)
 class MovedValue:
-    """A nominal value that was moved within its tolerance.
-
-    Parameters
-    ----------
-    unit : str
-        "" for a relative change.
-    change, tolerance : float
-        The tolerance is one standard deviation.
-    """
+    """A nominal value that was moved within its tolerance."""
 
     name: ValueName
-    unit: str
+    unit: str  # "" for a relative change
+    # The tolerance is one standard deviation.
     change: float
     tolerance: float
 
 
 @dataclass(frozen=True)
 class MovedBody:
-    """A link of a re-identified rigid model.
-
-    Parameters
-    ----------
-    shown : tuple of (name, change, sd, unit)
-        Identifiable inertial parameters, with standard deviations of the linear model.
-    hidden : int
-        Number of parameters that are not identifiable and remain near their nominal values.
-    """
+    """A link of a re-identified rigid model."""
 
     link: str
+    # (name, change, sd, unit) identifiable inertial parameters, with standard deviations of the
+    # linear model.
     shown: tuple[tuple[str, float, float, str], ...]
+    # Number of parameters that are not identifiable and remain near their nominal values.
     hidden: int
 
 

@@ -148,7 +148,7 @@ def write_diagnosis_report(
         "worst": worst_channel(diagnosis, search.after) if _has_residuals(search.after) else None,
         "worst_ratio": worst_ratio(search.after),
         "encoders": sum(bool(name) for name in recordings.signals.link_position or ()),
-        "channel_ratio": partial(channel_ratio, diagnosis),
+        "channel_ratio": lambda role, name: channel_ratio(diagnosis.proofs(role), name),
         "windows": worst_windows(diagnosis),
         "limits": limits_by_effect(diagnosis),
         "sharpest": sharpest_limits(diagnosis),

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stiffopt.discovery.answer import channel_number
+from stiffopt.discovery.channel import Channel
 from stiffopt.report.common.svg import (
     BLUE,
     GREY,
@@ -231,61 +231,35 @@ def spectrum_figure(rows: ChannelResiduals, time: np.ndarray, period: float) -> 
 
 @dataclass(frozen=True, eq=False)
 class ChannelResiduals:
-    """Filtered residuals of one channel in the training runs.
+    """Filtered residuals of one channel in the training runs."""
 
-    Parameters
-    ----------
-    name : str
-        Name such as "torque_3".
-    joint : int
-        From 0.
-    unit : str
-        Unit of the residuals, SI.
-    before, after : array (m,)
-        Residual of the nominal model, and with findings and calibrated nominal values.
-    noise : array (m,)
-        Standard deviation of each sample.
-    run : array (m,) of int
-        Index of the run.
-    chosen : array (m,) of int
-        Indices of the rows in the search.
-    """
-
-    name: str
-    joint: int
-    unit: str
+    name: str  # name such as "torque_3"
+    joint: int  # from 0
+    unit: str  # unit of the residuals, SI
+    # (m,) residual of the nominal model, and with findings and calibrated nominal values.
     before: np.ndarray
     after: np.ndarray
-    noise: np.ndarray
-    run: np.ndarray
-    chosen: np.ndarray
+    noise: np.ndarray  # (m,) standard deviation of each sample
+    run: np.ndarray  # (m,) index of the run
+    chosen: np.ndarray  # (m,) indices of the rows in the search
 
 
 @dataclass(frozen=True, eq=False)
 class Regime:
-    """A signal on which a residual may depend.
+    """A signal on which a residual may depend."""
 
-    Parameters
-    ----------
-    name, label : str
-        The label has the unit.
-    values : array (m,)
-        In the label's unit.
-    apart : bool
-        True where each run is a separate group of values, not to be connected.
-    """
-
+    # The label has the unit.
     name: str
     label: str
-    values: np.ndarray
-    apart: bool = False
+    values: np.ndarray  # (m,) in the label's unit
+    apart: bool = False  # True where each run is a separate group of values, not to be connected
 
 
 def channel_residuals(diagnosis: Diagnosis, name: str) -> ChannelResiduals:
     """Return the residuals of a channel in its own unit, before and after."""
     search = diagnosis.search
     rows, comparison = search.comparison.rows, search.comparison
-    number = channel_number(diagnosis, name)
+    number = Channel.read(name).number(diagnosis.recordings.n)
     joint = number % diagnosis.recordings.n
     chosen = np.flatnonzero(rows.channel == number)
     noises = comparison.noise
@@ -327,10 +301,7 @@ def regimes(
 ) -> Iterator[Regime]:
     """Yield speed, load, position, acceleration, session time and rotor angle of the joint.
 
-    Parameters
-    ----------
-    electrical : bool
-        Use the electrical angle of the motor, where its pole pairs are known.
+    `electrical`: use the electrical angle of the motor, where its pole pairs are known.
     """
     sampled = diagnosis.search.comparison.rows.sample_signal
     constants = diagnosis.training.constants.joints[rows.joint]
@@ -372,20 +343,7 @@ def motion_direction(diagnosis: Diagnosis, rows: ChannelResiduals) -> np.ndarray
 def binned_means(
     x: np.ndarray, y: np.ndarray, edges: np.ndarray, least: int = 6
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return means of y in bins of x.
-
-    Parameters
-    ----------
-    x, y : array (m,)
-    edges : array (b + 1,)
-    least : int
-        Minimum samples of a bin.
-
-    Returns
-    -------
-    (array, array, array)
-        Mean x, mean y and standard error of the mean of every bin with enough samples.
-    """
+    """Return mean x, mean y and its standard error of each bin with at least `least` samples."""
     number = np.digitize(x, edges) - 1
     found = []
     for b in range(len(edges) - 1):

@@ -134,17 +134,18 @@ def _state_row(each: Statement) -> tuple[str, ...]:
 
 def _unstated_row(diagnosis: Diagnosis, own: Sequence[Finding]) -> tuple[str, ...]:
     """Return the row of one kind of value that the nominal model does not state."""
-    first = own[0].parameters[0]
-    unit = joint_unit(first.unit, is_prismatic(diagnosis, own[0].located))
+
+    def value(each: Finding) -> str:
+        first = each.parameters[0]
+        unit = joint_unit(first.unit, is_prismatic(diagnosis, each.located))
+        return f"joint {each.joint}: {pm(first.value, first.sd, unit)}"
+
     shares = [each.variance_explained for each in own]
     where = joints_in_words([each.joint for each in own if each.joint is not None])
     return (
         capital(f"{value_name(own[0].effect)} of {where} (no nominal value)"),
         format_probability_range([each.probability for each in own]),
-        "\n".join(
-            f"joint {each.joint}: {pm(each.parameters[0].value, each.parameters[0].sd, unit)}"
-            for each in own
-        ),
+        "\n".join(map(value, own)),
         format_share_range(min(shares), max(shares)),
         DASH,
     )

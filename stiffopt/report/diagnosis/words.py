@@ -12,11 +12,11 @@ from stiffopt.discovery.answer import (
     MAX_HEADLINE_FINDINGS,
     Statement,
     action,
-    channel_number,
     held_out_share,
     statement_headline,
     statements,
 )
+from stiffopt.discovery.channel import Channel, channel_name
 from stiffopt.discovery.thresholds import OPEN_RATIO
 from stiffopt.report.common.text import capital, listed, significant, words
 
@@ -203,7 +203,7 @@ def _surety_sentence(named: Sequence[Statement]) -> str:
 
 def residual_reduction(diagnosis: Diagnosis, channel: str) -> tuple[float, float]:
     """Return residual over noise in training: nominal values within tolerance, with findings."""
-    number = channel_number(diagnosis, channel)
+    number = Channel.read(channel).number(diagnosis.recordings.n)
     return float(diagnosis.search.calibrated[number]), float(diagnosis.search.after[number])
 
 
@@ -301,8 +301,8 @@ def worst_ratio(ratios: np.ndarray) -> float:
 
 def channel_words(name: str) -> str:
     """Return a channel such as "torque_3" in words."""
-    kind, _, joint = name.rpartition("_")
-    return f"{'torque' if kind == 'torque' else 'link encoder'} of joint {joint}"
+    channel = Channel.read(name)
+    return f"{channel.sensor} of joint {channel.joint}"
 
 
 def channels_in_words(channels: Iterable[str]) -> str:
@@ -316,8 +316,7 @@ def channels_in_words(channels: Iterable[str]) -> str:
 
 def worst_channel(diagnosis: Diagnosis, ratios: np.ndarray) -> str:
     """Return the name of the channel with the largest residual over noise."""
-    number, n = int(np.nanargmax(ratios)), diagnosis.recordings.n
-    return f"{'torque' if number < n else 'link_position'}_{number % n + 1}"
+    return channel_name(int(np.nanargmax(ratios)), diagnosis.recordings.n)
 
 
 def regressor_words(name: str) -> str:

@@ -38,31 +38,18 @@ _TOP_INCH, _BOTTOM_INCH, _ROW_GAP_INCH = 0.3, 0.85, 0.5
 
 @dataclass(frozen=True)
 class PreloadView:
-    """Stiffness over the preload of an element, with the scatter of its design.
+    """Stiffness over the preload of an element, with the scatter of its design."""
 
-    Parameters
-    ----------
-    preload : array (K,)
-        Preload of one bolt or pin, ascending [N].
-    stiffness : array (K,)
-        Stiffness of its joint [N m/rad]; 0 where the element slips.
-    least, largest : float
-        Preloads of the design after scatter and embedding [N].
-    present : (float, float) or None
-        Least and largest preload of the present design [N].
-    bounds : mapping of limit name to float
-        Lower limits on the least preload, upper limits on the largest [N].
-    binding : frozenset of limit name
-        Active limits.
-    """
-
-    preload: np.ndarray
-    stiffness: np.ndarray
+    preload: np.ndarray  # (K,) preload of one bolt or pin, ascending [N]
+    stiffness: np.ndarray  # (K,) stiffness of its joint [N m/rad]; 0 where the element slips
+    # Preloads of the design after scatter and embedding [N].
     least: float
     largest: float
+    # Least and largest preload of the present design [N].
     present: tuple[float, float] | None
+    # By limit name: lower limits on the least preload, upper limits on the largest [N].
     bounds: Mapping[str, float]
-    binding: frozenset[str]
+    binding: frozenset[str]  # active limits
 
 
 def preload_view(

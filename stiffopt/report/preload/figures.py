@@ -26,10 +26,7 @@ if TYPE_CHECKING:
 def front_figure(front: ParetoFront, units: Sequence[JointUnits], joints: Sequence[int]) -> Figure:
     """Plot the Pareto front of total preload and stiffness with its knee.
 
-    Parameters
-    ----------
-    joints : sequence of int
-        With one joint its stiffness is plotted, with several the least relative stiffness.
+    `joints`: with one joint its stiffness is plotted, with several the least relative stiffness.
     """
     total = np.array([point.total_preload for point in front.points]) / 1e3
     if len(joints) == 1:
@@ -85,12 +82,8 @@ def _level_if_flat(axes: Axes) -> None:
 def shares_figure(shares: Mapping[int, Sequence[WindupShare]], free: Sequence[str]) -> Figure:
     """Plot the share of every element in the wind-up of its joint, the most compliant first.
 
-    Parameters
-    ----------
-    shares : mapping of joint number to shares
-        Shares in one load case each.
-    free : sequence of str
-        Names of the elements with free preload; written in bold.
+    `shares`: shares in one load case each. `free`: names of the elements with free preload; written
+    in bold.
     """
     columns = min(3, len(shares))
     rows = -(-len(shares) // columns)
@@ -144,10 +137,7 @@ def _bars_height(bars: int) -> float:
 def loosening_figure(first_slip: Mapping[str, float], slip: Mapping[str, float]) -> Figure:
     """Plot the remaining preload at which the rim of each connection slips, then all of it.
 
-    Parameters
-    ----------
-    first_slip, slip : mapping of element key to float
-        Remaining share of the least preload.
+    `first_slip` and `slip`: remaining share of the least preload.
     """
     keys = list(slip)
     with figure_style():

@@ -32,16 +32,10 @@ _KEY_PRESSURE = "key pressure"
 
 @dataclass(frozen=True)
 class UtilisationMatrix:
-    """Utilisation of every requirement by owner and kind, each in its worst load case.
-
-    Parameters
-    ----------
-    rows : mapping of owner to tuple of UtilisationRow or None
-        One cell per kind.
-    """
+    """Utilisation of every requirement by owner and kind, each in its worst load case."""
 
     kinds: tuple[str, ...]
-    rows: Mapping[str, tuple[UtilisationRow | None, ...]]
+    rows: Mapping[str, tuple[UtilisationRow | None, ...]]  # by owner: one cell per kind
 
 
 @dataclass(frozen=True)
@@ -56,20 +50,11 @@ class LimitSource:
 
 @dataclass(frozen=True)
 class StiffnessChange:
-    """Stiffness of a joint [N m/rad], least over the load cases; 0 where it slips.
+    """Stiffness of a joint [N m/rad], least over the load cases; 0 where it slips."""
 
-    Parameters
-    ----------
-    joint : int
-        From 1.
-    case : str
-        Load case of least stiffness of the design.
-    before, after : float
-        Stiffness with the present preload and with the design.
-    """
-
-    joint: int
-    case: str
+    joint: int  # from 1
+    case: str  # load case of least stiffness of the design
+    # Stiffness with the present preload and with the design.
     before: float
     after: float
     required: float | None

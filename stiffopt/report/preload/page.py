@@ -77,74 +77,72 @@ def write_preload_report(study: PreloadStudy, directory: str | Path) -> Path:
         Study of any status; parts that were not run are omitted.
     """
     with with_own(study.problem.robot.own):
-        return _write_page(study, directory)
-
-
-def _write_page(study: PreloadStudy, directory: str | Path) -> Path:
-    problem, solution = study.problem, study.solution
-    units = joint_units(problem.robot)
-    shares = shares_by_joint(study.sensitivity, problem, solution)
-    free = [element.name for element in problem.elements]
-    figures = PageFigures("preload")
-    figures.draw(
-        "curves", curves_figure(problem, solution, study.curves, units), "Stiffness against preload"
-    )
-    if study.front is not None and len(study.front.points) > 1:
-        front = front_figure(study.front, units, problem.joints)
-        figures.draw("front", front, "Total preload against stiffness")
-    sheets = bolt_sheets(PreloadModel(problem, solution.cases), solution.vector)
-    drawn = shown_sheets(sheets, solution)
-    if drawn:
-        figures.draw("diagram", joint_diagrams(drawn), "Joint diagram")
-        figures.draw("flanges", flange_drawings(drawn), "Load of each bolt")
-    figures.draw("shares", shares_figure(shares, free), "Share of the wind-up")
-    loosening = study.loosening
-    figures.draw(
-        "loosening",
-        loosening_figure(loosening.first_slip_fraction, loosening.slip_fraction),
-        "Remaining preload at slip",
-    )
-    context = {
-        "study": study,
-        "problem": problem,
-        "solution": solution,
-        "units": units,
-        "unit": OBJECTIVES[problem.objective],
-        "title": problem.title or f"Preloads of {problem.robot.title or problem.robot.name}",
-        "headline": headline(problem, solution),
-        "lead": active_limits_sentence(problem, solution),
-        "gain": stiffness_sentence(problem, solution, study.front),
-        "weakest": weakest_sentence(shares, free),
-        "mark": EstimateMarks(problem).of,
-        "changes": stiffness_changes(problem, solution),
-        "posed": any(case.jacobian is not None for case in solution.cases),
-        "cautions": cautions(problem, solution),
-        "most_used": most_used(solution.rows),
-        "matrix": utilisation_matrix(solution.rows),
-        "loosened": loosened_connections(study.loosening),
-        "worth": preload_worth(study.sensitivity),
-        "sheets": sheets,
-        "drawn": [sheet.key for sheet in drawn],
-        "steps": vdi_steps(solution.rows),
-        "safety_factors": SAFETY_FACTORS,
-        "limit_sources": limit_sources(solution.rows),
-        "estimated": study_estimates(problem),
-        "references": preload_references(study),
-        "objective_words": OBJECTIVE_WORDS,
-        "method_words": METHOD_WORDS,
-        "priced": problem.choose is not None and problem.choose.cost is not None,
-    }
-    filters: Filters = {
-        "readable": readable,
-        "prose": prose,
-        "amount": amount,
-        "fasteners": fasteners,
-        "fastener_words": fastener_words,
-        "owner": owner_name,
-        "set_by": lambda element: active_limits_text(solution, element.key, element.joint),
-    }
-    path = Path(directory) / REPORT_FILE
-    return write_page("preload/page.html.j2", path, context, figures, filters)
+        problem, solution = study.problem, study.solution
+        units = joint_units(problem.robot)
+        shares = shares_by_joint(study.sensitivity, problem, solution)
+        free = [element.name for element in problem.elements]
+        figures = PageFigures("preload")
+        figures.draw(
+            "curves",
+            curves_figure(problem, solution, study.curves, units),
+            "Stiffness against preload",
+        )
+        if study.front is not None and len(study.front.points) > 1:
+            front = front_figure(study.front, units, problem.joints)
+            figures.draw("front", front, "Total preload against stiffness")
+        sheets = bolt_sheets(PreloadModel(problem, solution.cases), solution.vector)
+        drawn = shown_sheets(sheets, solution)
+        if drawn:
+            figures.draw("diagram", joint_diagrams(drawn), "Joint diagram")
+            figures.draw("flanges", flange_drawings(drawn), "Load of each bolt")
+        figures.draw("shares", shares_figure(shares, free), "Share of the wind-up")
+        loosening = study.loosening
+        figures.draw(
+            "loosening",
+            loosening_figure(loosening.first_slip_fraction, loosening.slip_fraction),
+            "Remaining preload at slip",
+        )
+        context = {
+            "study": study,
+            "problem": problem,
+            "solution": solution,
+            "units": units,
+            "unit": OBJECTIVES[problem.objective],
+            "title": problem.title or f"Preloads of {problem.robot.title or problem.robot.name}",
+            "headline": headline(problem, solution),
+            "lead": active_limits_sentence(problem, solution),
+            "gain": stiffness_sentence(problem, solution, study.front),
+            "weakest": weakest_sentence(shares, free),
+            "mark": EstimateMarks(problem).of,
+            "changes": stiffness_changes(problem, solution),
+            "posed": any(case.jacobian is not None for case in solution.cases),
+            "cautions": cautions(problem, solution),
+            "most_used": most_used(solution.rows),
+            "matrix": utilisation_matrix(solution.rows),
+            "loosened": loosened_connections(study.loosening),
+            "worth": preload_worth(study.sensitivity),
+            "sheets": sheets,
+            "drawn": [sheet.key for sheet in drawn],
+            "steps": vdi_steps(solution.rows),
+            "safety_factors": SAFETY_FACTORS,
+            "limit_sources": limit_sources(solution.rows),
+            "estimated": study_estimates(problem),
+            "references": preload_references(study),
+            "objective_words": OBJECTIVE_WORDS,
+            "method_words": METHOD_WORDS,
+            "priced": problem.choose is not None and problem.choose.cost is not None,
+        }
+        filters: Filters = {
+            "readable": readable,
+            "prose": prose,
+            "amount": amount,
+            "fasteners": fasteners,
+            "fastener_words": fastener_words,
+            "owner": owner_name,
+            "set_by": lambda element: active_limits_text(solution, element.key, element.joint),
+        }
+        path = Path(directory) / REPORT_FILE
+        return write_page("preload/page.html.j2", path, context, figures, filters)
 
 
 def print_study(study: PreloadStudy, folder: Path) -> None:

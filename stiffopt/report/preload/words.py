@@ -200,15 +200,7 @@ def stiffness_sentence(
 ) -> str:
     """Return sentences on the change of stiffness from the present to the recommended preload.
 
-    Parameters
-    ----------
-    front : ParetoFront, optional
-        Front from which the gain of more preload is taken.
-
-    Returns
-    -------
-    str
-        Empty without a usable design.
+    `front`: front from which the gain of more preload is taken. Empty without a usable design.
     """
     if not solution.status.usable:
         return ""
@@ -249,12 +241,7 @@ def front_gain(front: ParetoFront | None) -> float | None:
 def weakest_sentence(shares: Mapping[int, Sequence[WindupShare]], free: Collection[str]) -> str:
     """Return a sentence on the most compliant element, overall and among those with free preload.
 
-    Parameters
-    ----------
-    shares : mapping of joint number to shares
-        Shares in one load case each.
-    free : collection of str
-        Names of the elements with free preload.
+    `shares`: shares in one load case each. `free`: names of the elements with free preload.
     """
     worst = {joint: max(own, key=lambda each: each.share) for joint, own in shares.items()}
     names = {each.element for each in worst.values()}

@@ -41,16 +41,9 @@ def scene_document(
 ) -> dict[str, Any]:
     """Return the content of a scene.
 
-    Parameters
-    ----------
-    motions : mapping of name to Poses
-        The motion that is shown, then the one drawn as its ghost.
-    part : str
-        Part of the deflection that is shown first.
-    factor : float
-        Initial magnification of the deflection.
-    cell : Cell, optional
-        Cell around the arm: boxes, meshes, and walls and floor near the arm.
+    `motions`: the motion that is shown, then the one drawn as its ghost. `part`: part of the
+    deflection that is shown first. `factor`: initial magnification of the deflection. `cell`: cell
+    around the arm: boxes, meshes, and walls and floor near the arm.
     """
     radii = joint_radii(robot.tree, robot.tool)
     first = next(iter(motions.values()))
@@ -158,18 +151,8 @@ def _round_nested(values: np.ndarray, digits: int = 6) -> list[Any]:
 def compact_mesh(shape: LinkShape, most: int = _MAX_TRIANGLES) -> dict[str, Any]:
     """Return the mesh of a shape, vertices on a grid, triangles that vanish on it removed.
 
-    Parameters
-    ----------
-    shape : LinkShape
-        A mesh whose file exists.
-    most : int
-        Maximum number of triangles; the grid is coarsened until it holds.
-
-    Returns
-    -------
-    dict
-        `origin` [m] and `step` [m] of the grid; `vertices` and `triangles`, little-endian
-        16-bit numbers in base 64.
+    `origin` [m] and `step` [m] of the grid, which is coarsened until at most `most` triangles
+    remain; `vertices` and `triangles`, little-endian 16-bit numbers in base 64.
     """
     vertices, corners = mesh_triangles(shape)
     low = vertices.min(axis=0)
@@ -201,10 +184,7 @@ def _encode_uint16(numbers: np.ndarray) -> str:
 def shapes_around(cell: Cell | None, reach: float) -> list[JointShape]:
     """Return boxes, meshes, and the near part of walls and floor, in the base frame.
 
-    Parameters
-    ----------
-    reach : float
-        Reach of the arm [m], which bounds the part of a wall that is shown.
+    `reach`: reach of the arm [m], which bounds the part of a wall that is shown.
     """
     if cell is None:
         return []

@@ -20,27 +20,17 @@ FRAMES = 121
 
 @dataclass(frozen=True)
 class Poses:
-    """A motion at K instants.
+    """A motion at K instants."""
 
-    Parameters
-    ----------
-    time : array (K,) [s]
-    position : array (K, n)
-        Planned joint positions [rad].
-    bend : dict of array (K, n)
-        Wind-up of each joint [rad] by part of the deflection; the bent arm is at position - bend.
-    share : dict of array (K, n)
-        Share of each joint in the tool's deflection by part: projection of its contribution on the
-        whole deflection, over the whole; the shares of an instant add up to 1.
-    deflection : dict of array (K,)
-        Deflection of the tool by part [m].
-    """
-
-    time: np.ndarray
-    position: np.ndarray
+    time: np.ndarray  # (K,) [s]
+    position: np.ndarray  # (K, n) planned joint positions [rad]
+    # (K, n) wind-up of each joint [rad] by part of the deflection; the bent arm is at position -
+    # bend.
     bend: dict[str, np.ndarray]
+    # (K, n) share of each joint in the tool's deflection by part: projection of its contribution on
+    # the whole deflection, over the whole; the shares of an instant add up to 1.
     share: dict[str, np.ndarray]
-    deflection: dict[str, np.ndarray]
+    deflection: dict[str, np.ndarray]  # (K,) deflection of the tool by part [m]
 
     @classmethod
     def bent(
@@ -100,11 +90,8 @@ def stored_poses(
 ) -> Poses:
     """Return poses of a stored motion at equal time steps.
 
-    Parameters
-    ----------
-    time : array (K,) [s]
-    position, windup : array (K, n)
-        [rad]; without wind-up there are no parts of the deflection.
+    `time` (K,) [s]. `position` and `windup` (K, n) [rad]; without wind-up there are no parts of the
+    deflection.
     """
     at = np.unique(np.searchsorted(time, np.linspace(0.0, time[-1], FRAMES)))
     at = at[at < len(time)]

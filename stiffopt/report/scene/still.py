@@ -44,17 +44,9 @@ def still_figure(
     """Draw the arm at the largest deflection, bent and planned, with start, end and tool paths.
 
     The picture has no text, so that it fits small screens; `still_caption` returns the caption.
-
-    Parameters
-    ----------
-    motions : sequence of Poses
-        The first is drawn as an arm, others as tool paths.
-    part : str
-        Part of the deflection; "" where the motion has none.
-    factor : float
-        Magnification of the deflection.
-    cell : Cell, optional
-        Cell whose box edges are drawn.
+    `motions`: the first is drawn as an arm, others as tool paths. `part`: part of the deflection;
+    "" where the motion has none. `factor`: magnification of the deflection. `cell`: cell whose box
+    edges are drawn.
     """
     poses, at = motions[0], largest(motions[0], part)
     bent = poses.position - factor * poses.bend[part] if part else poses.position
@@ -242,19 +234,17 @@ def embedded_scene(
 ) -> ArmInSpace:
     """Return scene and still of the first motion, its deflection magnified, the second as ghost.
 
-    Parameters
-    ----------
-    part : str
-        Part of the deflection; the first nonzero one where it is zero.
-    cell : Cell, optional
-        Cell around the arm.
+    `part`: part of the deflection; the first nonzero one where it is zero. `cell`: cell around the
+    arm.
     """
     first = next(iter(motions.values()))
     shown = part if part in first.bend else next(iter(first.bend), "")
-    tool = frame_positions(robot.tree, robot.tool, first.position)
+    tool = frame_positions(robot.tree, robot.tool.in_base, first.position)
     extent = max(float(np.ptp(tool, axis=0).max()), 1e-3)
     factor = exaggeration(extent, float(first.deflection[shown].max())) if shown else 1.0
-    still = still_figure(robot.tree, robot.tool, list(motions.values()), shown, factor, cell)
+    still = still_figure(
+        robot.tree, robot.tool.in_base, list(motions.values()), shown, factor, cell
+    )
     here = resources.files("stiffopt.report.scene")
     texts = {
         "document": scene_json(scene_document(robot, motions, shown, factor, cell)),

@@ -98,7 +98,7 @@ def _compensation_notes(compensation: Compensation) -> list[str]:
         f"{compensation.draws} arms are drawn uniformly within the bounds. The problem's limits, "
         "settling included, are checked on the nominal arm only.",
         f"{made}; the feedforward lead is {100 * own.share:.0f} % of the nominal wind-up, "
-        f"{'as chosen by the solve' if compensation.file else 'the best for the worst case'}.",
+        f"{'as chosen by the solve' if compensation.file else 'chosen for the worst case'}.",
     ]
 
 

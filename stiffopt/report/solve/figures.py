@@ -101,12 +101,7 @@ def motion_style(index: int) -> dict[str, Any]:
 def deflection_figure(motions: Sequence[ComparedMotion], part: str = "dynamic") -> Figure:
     """Plot the tool deflection over time: one part of all motions, and all parts of the first.
 
-    Parameters
-    ----------
-    motions : sequence of ComparedMotion
-        The optimised one first.
-    part : str
-        Key of `Assessment.deflection` that is compared.
+    `motions`: the optimised one first. `part`: key of `Assessment.deflection` that is compared.
     """
     with figure_style():
         figure = Figure(figsize=(WIDTH, 3.7))
@@ -156,12 +151,8 @@ def motion_figure(
 ) -> Figure:
     """Plot position, velocity, acceleration and jerk of every joint with the bounds.
 
-    Parameters
-    ----------
-    problem : TrajectoryProblem
-        Problem whose limits are drawn.
-    other : ComparedMotion or None
-        Baseline drawn with thin lines, without its jerk.
+    `problem`: problem whose limits are drawn. `other`: baseline drawn with thin lines, without its
+    jerk.
     """
     limits, units = problem.active_limits, joint_units(problem.robot)
     upper = (limits.position_upper, limits.velocity, limits.acceleration, limits.jerk)

@@ -123,12 +123,7 @@ def write_simulation_report(
 ) -> Path:
     """Write simulation.html and its figures; return its path.
 
-    Parameters
-    ----------
-    arm : ElasticArm
-        The simulated arm.
-    compensation : Compensation, optional
-        Deviations of the written command on uncertain arms.
+    `arm`: the simulated arm. `compensation`: deviations of the written command on uncertain arms.
     """
     own = simulation.optimised.simulated
     shown = [motion for motion in simulation.motions if motion.name != "optimised"][:1]

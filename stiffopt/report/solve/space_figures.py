@@ -23,14 +23,8 @@ if TYPE_CHECKING:
 def path_figure(problem: TrajectoryProblem, motions: Sequence[ComparedMotion], part: str) -> Figure:
     """Plot the tool path in two projections, planned and with magnified deflection.
 
-    Parameters
-    ----------
-    problem : TrajectoryProblem
-        Problem whose via points are marked.
-    motions : sequence of ComparedMotion
-        Motions, all with the same magnification.
-    part : str
-        Part of the deflection that is added to the planned path.
+    `problem`: problem whose via points are marked. `motions`: motions, all with the same
+    magnification. `part`: part of the deflection that is added to the planned path.
     """
     first = motions[0].assessment
     spans = np.ptp(first.tool, axis=0)
@@ -101,15 +95,7 @@ def _draw_projection(
 
 
 def exaggeration(extent: float, largest: float) -> float:
-    """Return a round factor (1, 2 or 5 times a power of ten) that makes a deflection visible.
-
-    Parameters
-    ----------
-    extent : float
-        Extent of the path [m].
-    largest : float
-        Largest deflection [m].
-    """
+    """Return a round factor (1, 2 or 5 times a power of ten) that makes a deflection visible."""
     if largest <= 0:
         return 1.0
     # Share of the path's extent to which the largest deflection is magnified.

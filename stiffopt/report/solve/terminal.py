@@ -22,6 +22,7 @@ from stiffopt.report.solve.wording import (
     headline_text,
     simulation_section,
 )
+from stiffopt.result.archive import ARCHIVE_FILE
 from stiffopt.result.status import SolveStatus
 
 if TYPE_CHECKING:
@@ -47,6 +48,8 @@ def print_solution(problem: TrajectoryProblem, solution: Solution, folder: Path)
     report = folder / "report.html"
     if report.is_file():
         print_lines([f"Report: {report}"])
+    elif (folder / ARCHIVE_FILE).is_file():
+        print_lines([f"`stiffopt report {folder}` compares it with rivals and draws the report."])
 
 
 def print_simulation(simulation: Simulation) -> None:

@@ -120,6 +120,8 @@ def comparison(problem: TrajectoryProblem, solution: Solution) -> str:
 def rival_text(compensation: Compensation) -> str:
     """Return sentences on the worst-case tool error beside that of the best rival."""
     best, own = compensation.best_rival, compensation.optimised
+    if len(compensation.motions) == 1:
+        return "It was not compared with rivals."
     if best is None:
         return "No rival's command keeps every limit."
     name = f"{_motion_phrase(best.name)} of {si(best.simulated.duration, 's', 4)}"
@@ -161,6 +163,8 @@ def _certified_comparison(problem: TrajectoryProblem, solution: Solution) -> str
     ratio = solution.ratio_to_better_baseline
     if solution.objective is None or solution.assessment is None:
         return "There is no motion to compare with the baselines."
+    if not solution.baselines:
+        return "It was not compared with baselines."
     if better is not None and ratio is None and solution.status.usable:
         return "Values of this objective have no ratio; the table of baselines shows them."
     if better is not None and ratio is None:

@@ -34,24 +34,12 @@ SHARE_RATIOS = (0.001, 0.01, 0.1, 1.0)
 
 @dataclass(frozen=True)
 class FirstSlip:
-    """The element of a joint that slips first.
+    """The element of a joint that slips first."""
 
-    Parameters
-    ----------
-    joint : int
-        From 1.
-    element : str
-        "" where none slips.
-    torque : float
-        Slip torque at the joint [N m]; inf where none slips.
-    largest : float
-        Largest torque of the joint [N m].
-    """
-
-    joint: int
-    element: str
-    torque: float
-    largest: float
+    joint: int  # from 1
+    element: str  # "" where none slips
+    torque: float  # slip torque at the joint [N m]; inf where none slips
+    largest: float  # largest torque of the joint [N m]
 
 
 @dataclass(frozen=True)
@@ -68,10 +56,7 @@ def write_stiffness_report(
 ) -> Path:
     """Write stiffness.html and its figures as SVG and PNG into `directory`; return the page.
 
-    Parameters
-    ----------
-    rows : iterable of StiffnessRow
-        As `stiffness_study` returns them.
+    `rows`: as `stiffness_study` returns them.
     """
     units = joint_units(robot)
     curves = stiffness_curves(rows)
@@ -150,28 +135,17 @@ def _first_slips(robot: Robot) -> list[FirstSlip]:
 
 @dataclass(frozen=True)
 class StiffnessCurve:
-    """Stiffness of one joint over the torque ratio, key flanks in series or in parallel.
+    """Stiffness of one joint over the torque ratio, key flanks in series or in parallel."""
 
-    Parameters
-    ----------
-    joint : int
-        From 1.
-    ratio : array (K,)
-        Torque over the largest torque.
-    tangent, reducer_only, relative : array (K,)
-        With contacts and without [N m/rad], and their ratio.
-    windup : array (K,) [rad]
-    first, cyclic : array (K,)
-        Tangent stiffness under first loading and under cyclic loading of the contacts [N m/rad].
-    """
-
-    joint: int
+    joint: int  # from 1
     flanks: str
-    ratio: np.ndarray
+    ratio: np.ndarray  # (K,) torque over the largest torque
+    # (K,) with contacts and without [N m/rad], and their ratio.
     tangent: np.ndarray
     reducer_only: np.ndarray
     relative: np.ndarray
-    windup: np.ndarray
+    windup: np.ndarray  # (K,) [rad]
+    # (K,) tangent stiffness under first loading and under cyclic loading of the contacts [N m/rad].
     first: np.ndarray
     cyclic: np.ndarray
 
@@ -218,11 +192,7 @@ def tangent_figure(
 ) -> Figure:
     """Plot the tangent stiffness of every joint, with contacts and of the reducer alone.
 
-    Parameters
-    ----------
-    curves : mapping joint number -> curves
-    low_torque : bool
-        Logarithmic torque axis, which resolves the range near zero torque.
+    `low_torque`: logarithmic torque axis, which resolves the range near zero torque.
     """
     with figure_style():
         columns = min(3, len(curves))

@@ -10,7 +10,12 @@ from matplotlib.figure import Figure
 from stiffopt.report.common.page import PageFigures, write_page
 from stiffopt.report.common.svg import BLUE, GREY, VERMILLION, WIDTH, figure_style
 from stiffopt.report.common.text import scale, si, words
-from stiffopt.report.sweep.terminal import headline, knee_sentence, spread_sentence
+from stiffopt.report.sweep.terminal import (
+    headline,
+    knee_sentence,
+    shared_sentences,
+    spread_sentence,
+)
 from stiffopt.sweep.run import is_unusable
 from stiffopt.sweep.summary import Cell, Front, SweepSummary
 from stiffopt.units import number_and_unit
@@ -41,6 +46,7 @@ def write_sweep_report(summary: SweepSummary, folder: Path) -> Path:
         "headline": headline(summary),
         "knee": knee_sentence(summary),
         "spread": spread_sentence(summary),
+        "shared": shared_sentences(summary),
         "head": [name if name in summary.sweep.places else words(name) for name in shown],
         "rows": [
             [

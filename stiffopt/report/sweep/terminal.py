@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from stiffopt.formatting import pm
 from stiffopt.report.common.terminal import StatusLine, print_lines
 from stiffopt.report.common.text import listed, si
 from stiffopt.sweep.run import SweepProgress
+from stiffopt.sweep.shared_values import SharedValue
 from stiffopt.sweep.summary import TABLE_FILE, SweepSummary
+
+# Standard deviations from zero of a common value that is told.
+_MIN_DEVIATIONS = 2.0
 
 
 class SweepDisplay(StatusLine):
@@ -38,6 +43,7 @@ def print_sweep(summary: SweepSummary, folder: Path) -> None:
             f"{headline(summary)}.",
             knee_sentence(summary) or None,
             spread_sentence(summary) or None,
+            *shared_sentences(summary),
             "Interrupted: the same command resumes the sweep." if summary.interrupted else None,
             f"Table: {folder / TABLE_FILE}",
             f"Report: {folder / 'report.html'}",
@@ -69,6 +75,35 @@ def knee_sentence(summary: SweepSummary) -> str:
     value = si(float(front.objectives[front.knee]), summary.units["objective"])
     at = f"{front.values[front.knee]:.4g} {front.unit}".rstrip()
     return f"Knee of the front: {front.over} = {at}, objective {value}."
+
+
+def shared_sentences(summary: SweepSummary) -> list[str]:
+    """Return what several arms share in the simulation from commands, and what is each arm's own.
+
+    Values that no arm departs from zero with are left out.
+    """
+    values = summary.shared_values()
+    if not values:
+        return []
+    groups = [
+        f"{_place_words(each)} {pm(each.value, each.sd, each.unit)}"
+        for each in values
+        if each.common and abs(each.value) > _MIN_DEVIATIONS * each.sd
+    ]
+    found = [f"Common to all arms: {'; '.join(groups)}."] if groups else []
+    for each in values:
+        if not each.common:
+            own = listed([f"{arm} {pm(value, sd, each.unit)}" for arm, value, sd in each.arms])
+            found.append(
+                f"Each arm's own: {_place_words(each)}, {own}; so far apart by chance in"
+                f" {each.p:.2g} of comparisons."
+            )
+    return found
+
+
+def _place_words(value: SharedValue) -> str:
+    words = value.parameter.replace("_", " ")
+    return words if value.joint is None else f"{words} of joint {value.joint}"
 
 
 def spread_sentence(summary: SweepSummary) -> str:

@@ -1,0 +1,168 @@
+"""Signals read at other instants: torque late or ahead of the motion, or on another clock.
+
+A measured torque is late by its filter and its way through the bus. It is never ahead of the motion
+that it causes: a torque that is ahead was commanded, and recorded in place of the measured one.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term, Values
+from stiffopt.discovery.signals import RobotSignals
+
+# Shortest shift [s] whose slope rounding errors leave exact.
+_SHORTEST_SHIFT = 1e-9
+# Longest delay and lead [s]: some cycles of a slow controller.
+_MAX_DELAY = 0.05
+# Longest offset of the clock of one run [s]; the plausibility check finds longer ones.
+_MAX_OFFSET = 0.2
+# Largest relative difference of two clocks: 1 % is a rate in the place of another; crystals agree
+# to 1e-4.
+_MAX_RATE_DIFFERENCE = 0.01
+
+
+def shift_slope(
+    values: np.ndarray, dt: float, shift: float, growth: np.ndarray | float = 1.0
+) -> np.ndarray:
+    """Return (values(t - shift) - values(t))/shift (K, n), per unit of the shift.
+
+    `values` (K, n): at uniform instants. `dt` [s]. `shift` [s], or relative where it grows with the
+    time. `growth` (K,): factor on the shift at every instant: 1, or the time [s].
+    """
+    shift = shift if abs(shift) >= _SHORTEST_SHIFT else _SHORTEST_SHIFT
+    return np.asarray((shift_samples(values, shift / dt * growth) - values) / shift)
+
+
+def delay_term(signals: RobotSignals, amplitudes: Values, shapes: Values) -> Term:
+    """Return tau(t - d) - tau(t) of all joints, linear in d about the delay of the shape."""
+    slope = shift_slope(signals.drive_torque, signals.dt, shapes[0])
+    return Term(drive_torque=amplitudes[0] * slope)
+
+
+def shift_samples(values: np.ndarray, samples: np.ndarray | float) -> np.ndarray:
+    """Return values (K, n) of earlier instants, by cubic convolution; constant beyond the ends.
+
+    `values` (K, n): at uniform instants. `samples` (K,): delay in samples; negative for later
+    instants.
+    """
+    places = np.arange(len(values)) - np.asarray(samples, dtype=float)
+    before = np.floor(places).astype(int)
+    found = np.zeros_like(values)
+    for tap in range(-1, 3):
+        rows = np.clip(before + tap, 0, len(values) - 1)
+        found += _cubic_weight(places - before - tap)[:, None] * values[rows]
+    return found
+
+
+def _cubic_weight(away: np.ndarray) -> np.ndarray:
+    """Return the weight of a sample at a distance in samples (Keys 1981)."""
+    near, far = np.fmin(np.abs(away), 1.0), np.fmin(np.fmax(np.abs(away), 1.0), 2.0)
+    inner = 1.5 * near**3 - 2.5 * near**2 + 1.0
+    return np.asarray(inner - 0.5 * far**3 + 2.5 * far**2 - 4.0 * far + 2.0)
+
+
+def clock_drift_term(signals: RobotSignals, amplitudes: Values, shapes: Values) -> Term:
+    """Return tau(t - d - e t) - tau(t) of all joints, linear in e about the shape, and in d."""
+    elapsed = signals.time - signals.time[0]
+    drift = shift_slope(signals.drive_torque, signals.dt, shapes[0], elapsed)
+    return Term(drive_torque=amplitudes[0] * drift - amplitudes[1] * signals.drive_torque_rate)
+
+
+TIME_DELAY = Effect(
+    name="time_delay",
+    family="sensor",
+    scope="robot",
+    equation="tau += tau(t - d) - tau(t)",
+    signature="motor torques of all joints late by the same time, or early as commanded torques"
+    " are",
+    phrase=(
+        "torque recorded {d} late",
+        "torque recorded {d} ahead of the motion, as a commanded torque is",
+    ),
+    remedy="Shift the torque channels by {d}, use one clock for all signals, and record the"
+    " measured torque where it is ahead of the motion.",
+    needs=("torque", "torque_sensor", "moves"),
+    term=delay_term,
+    amplitudes=(Amplitude("d", "s", 5e-3, -10.0, 10.0),),
+    shapes=(
+        Shape(
+            "about",
+            "s",
+            (-0.02, -5e-3, -1e-3, -2e-4, 2e-4, 1e-3, 5e-3, 0.02),
+            -_MAX_DELAY,
+            _MAX_DELAY,
+            1e-4,
+            reported=False,
+        ),
+    ),
+    linear_about=True,
+    signals_key="torque_delay",
+    separate="Change speed quickly, then hold it: a delay shows while the torque changes, friction"
+    " and inertia do not depend on how fast it does. Ahead of the motion is a command: read the"
+    " name of its column in the manual, and record the measured current as well.",
+)
+
+CLOCK_DRIFT = Effect(
+    name="clock_drift",
+    family="sensor",
+    scope="robot",
+    equation="tau += tau(t - d - e*t) - tau(t)",
+    signature="motor torques of all joints late or early by a time that grows in proportion to the"
+    " time of the run",
+    title="clock drift between torque and position",
+    phrase="torque and position recorded on clocks of different rate: use one clock for both",
+    needs=("torque", "torque_sensor", "moves"),
+    confused_with=("time_delay",),
+    term=clock_drift_term,
+    amplitudes=(
+        Amplitude("e", "", 1e-3, -10.0, 10.0, own=True),
+        Amplitude("d", "s", 5e-3, -10.0, 10.0),
+    ),
+    shapes=(
+        Shape(
+            "about",
+            "",
+            (-4e-3, -1e-3, -2e-4, 2e-4, 1e-3, 4e-3),
+            -_MAX_RATE_DIFFERENCE,
+            _MAX_RATE_DIFFERENCE,
+            1e-5,
+            reported=False,
+        ),
+    ),
+    linear_about=True,
+    separate="Record one short motion at the start and again at the end of a long run: the delay of"
+    " a constant offset is equal in both, that of two clocks is not.",
+)
+
+RUN_CLOCK = Effect(
+    name="run_clock",
+    family="sensor",
+    scope="recording",
+    equation="tau += tau(t - d) - tau(t) in one run",
+    signature="motor torques of all joints late or early by the same time, in one run alone",
+    title="torque of one run on another clock",
+    phrase=(
+        "torque of one run recorded late: shift its torque columns or leave the run out",
+        "torque of one run recorded early: shift its torque columns or leave the run out",
+    ),
+    needs=("torque", "torque_sensor", "moves", "runs"),
+    confused_with=("time_delay",),
+    term=delay_term,
+    amplitudes=(Amplitude("d", "s", 0.02, -10.0, 10.0),),
+    shapes=(
+        Shape(
+            "about",
+            "s",
+            (-0.08, -0.02, -0.005, -1e-3, 1e-3, 0.005, 0.02, 0.08),
+            -_MAX_OFFSET,
+            _MAX_OFFSET,
+            1e-4,
+            reported=False,
+        ),
+    ),
+    linear_about=True,
+    separate="Repeat the run with one clock for all signals: a cause in the robot stays.",
+)
+
+TIMING = (TIME_DELAY, CLOCK_DRIFT, RUN_CLOCK)

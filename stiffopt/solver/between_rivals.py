@@ -1,0 +1,115 @@
+"""Motions between the optimised one and its rivals, judged by simulated worst arms.
+
+The optimiser's ringing is an estimate up to a factor, and in flight it is not in the rows at all. A
+rival's smooth time law hardly rings and has its largest error elsewhere. The worst error is nearly
+convex in the motion, as are the limits of the joints: between two motions of about the same error
+there is a better one, and none is worse than the rival of its duration.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+
+from stiffopt.certificate.assess import assess, drive_violations
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
+from stiffopt.command.command_search import CommandOnArms
+from stiffopt.elastic.led_error import led_error
+from stiffopt.elastic.smooth_motion import smooth_motion
+from stiffopt.result.compensation import MIN_RIVAL_GAIN
+from stiffopt.result.tool_error import LedError
+from stiffopt.result.trajectory import Trajectory
+from stiffopt.solver.arrival import suppress_vibration_of_links
+from stiffopt.solver.exact_rows import worst_flight_violation
+from stiffopt.solver.exchange import OutcomeOracle, Proposal, Rank
+from stiffopt.solver.programme import Outcome, follow_plan
+from stiffopt.solver.solve_run import SolveRun
+
+# Error over the best rival's up to which a motion is no worse.
+_NO_WORSE = 1.0 + MIN_RIVAL_GAIN
+# Shares of a rival that are tried: the error is flat about the best one.
+_RIVAL_SHARES = (0.2, 0.4, 0.6, 0.8, 1.0)
+
+
+class BetweenRivals(OutcomeOracle):
+    """Worst errors of motions on the straight line to a rival, in the space of motions."""
+
+    step = "motions between the optimised one and its rivals"
+    # The second one goes from the first to another rival, or further.
+    rounds = 2
+    explores = False
+
+    def __init__(self, run: SolveRun, outcome: Outcome) -> None:
+        super().__init__(run)
+        self._rivals: dict[str, Trajectory] = {}
+        self._best: LedError | None = None
+        kept = [] if run.rivals is None else [each for each in run.rivals[2] if not each.excess]
+        if not kept:
+            return
+        best = min(kept, key=lambda each: each.worst_case_peaks)
+        # By an ideal lead too, as the motions beside it.
+        self._best = self._led_error(_smooth_rival(best, float(best.motion.time[-1])))
+        # Whether a motion between them passes a via closely enough, the certificate says.
+        if run.motion.start_fixed and run.motion.end_fixed:
+            self._rivals = {
+                each.motion.name: _smooth_rival(each, outcome.planned.duration) for each in kept
+            }
+
+    def propose(self, last: Outcome, number: int) -> Proposal[Outcome] | None:
+        """Return the motion of least worst error on the lines to the rivals."""
+        if last.assessment.led is None or not last.raw.converged:
+            return None
+        tried = [
+            (self._worse(self._led_error(plan)), plan, f"{100 * share:.0f} % of the {name} motion")
+            for name, rival in self._rivals.items()
+            for share in _RIVAL_SHARES
+            for plan in (last.planned.mixed_with(rival, share),)
+        ]
+        own = self._worse(last.assessment.led)
+        better = [each for each in tried if each[0] < own]
+        for worse, plan, text in sorted(better, key=lambda each: each[0]):
+            motors = follow_plan(self.run, plan, last.smoothing.law)
+            # Much cheaper than the certificate.
+            if drive_violations(self.run.problem, motors)[0].value > CERTIFICATE_TOLERANCE:
+                continue
+            assessment = assess(self.run.problem, motors)
+            if worst_flight_violation(assessment) <= CERTIFICATE_TOLERANCE:
+                found = replace(
+                    last, planned=plan, trajectory=motors, assessment=assessment, arm=None
+                )
+                reason = f"with {text} the worst arm has {worse[-1] / own[-1]:.2f} times the error"
+                return Proposal(
+                    reason, functools.partial(suppress_vibration_of_links, self.run, found)
+                )
+        return None
+
+    def rank(self, found: Outcome) -> Rank:
+        """Return the rank with the excess over the best rival before the objective."""
+        excess, late, _ = super().rank(found)
+        led = found.assessment.led
+        return excess, late, *((np.inf,) if led is None else self._worse(led))
+
+    def accepts(self, found: Outcome, best: Outcome) -> bool:
+        """Return True for a better motion that collides with nothing new."""
+        return super().accepts(found, best) and (not found.collisions or bool(best.collisions))
+
+    def _worse(self, led: LedError) -> Rank:
+        """Return the error over the best rival's, of the phase that is worse, and its sum."""
+        best = self._best
+        if best is None or not min(best.in_flight, best.after_arrival) > 0.0:
+            return _NO_WORSE, led.whole
+        flight, after = led.in_flight / best.in_flight, led.after_arrival / best.after_arrival
+        return max(flight, after, _NO_WORSE), led.whole
+
+    def _led_error(self, plan: Trajectory) -> LedError:
+        problem = self.run.problem
+        return led_error(self.run.arm, plan, problem.uncertainty, problem.servo)
+
+
+def _smooth_rival(rival: CommandOnArms, duration: float) -> Trajectory:
+    """Return the links' motion of a rival's command at a duration [s]."""
+    assert rival.motion.rival is not None
+    assert rival.spacing is not None
+    return smooth_motion(rival.motion.rival.at(duration), rival.spacing)
