@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from stiffopt.closed_loop.arm import CommandedArm
 
 # Rounding of the magnitude of the torque that load friction goes with [N m].
-_LOAD_WIDTH = 0.01
+_LOAD_WIDTH = 0.1
 
 
 class Balance:
