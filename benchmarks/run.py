@@ -26,6 +26,7 @@ BENCHMARKS = (
     "interpreter",
     "scaling",
     "sweeps",
+    "second_answers",
 )
 HEAD = """# Results of one run
 

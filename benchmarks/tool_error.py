@@ -21,7 +21,7 @@ from common import Row, main
 from elastic_simulation import simulate
 
 from stiffopt.command.command_search import CommandOnArms
-from stiffopt.command.compensation import commands_on_arms
+from stiffopt.command.compensation import commands_on_arms, rival_commands
 from stiffopt.command.simulation import PlannedMotion, elastic_arm, rival_motions
 from stiffopt.elastic.servo import Servo
 from stiffopt.problem.files import load_problem
@@ -157,8 +157,8 @@ def judge(
     own = PlannedMotion.of("optimised", solution.assessment, True)
     own = replace(own, motors=solution.trajectory)
     rivals = rival_motions(problem, motion, solution.assessment.duration)
-    ours, *others = commands_on_arms(problem, arm, [own, *rivals])
-    kept = [each for each in others if not each.excess]
+    (ours,) = commands_on_arms(problem, arm, [own])
+    kept = [each for each in rival_commands(problem, arm, rivals, ours.law) if not each.excess]
     mine = 1e6 * errors(problem, ours)
     text = f"{mine[0]:.0f} / {mine[1]:.0f} um"
     predicted = 1e6 * ours.compensated.flight.worst, 1e6 * ours.compensated.after.worst

@@ -7,8 +7,7 @@ light links need no shorter steps. Its Jacobian here holds the actuators and fri
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
@@ -16,13 +15,13 @@ import numpy as np
 
 from stiffopt import native
 from stiffopt.actuator.law import ActuatorLaw
+from stiffopt.closed_loop.balance import Balance
 from stiffopt.closed_loop.parameters import BODY_PARAMETERS, JOINT_PARAMETERS
+from stiffopt.closed_loop.physics import LoopPhysics
 from stiffopt.dynamics.newton_euler import own_bodies, torque_of_bodies
 from stiffopt.interpreter.batched import read_batch
 from stiffopt.robot.body_tree import BodyTree
 
-# Rounding of the magnitude of the torque that load friction goes with [N m].
-_LOAD_WIDTH = 0.1
 # Inputs of a step that all lanes share: parameters.
 _SHARED_INPUTS = (2,)
 _STAGE_WEIGHT = 1.0 + 1.0 / np.sqrt(2.0)
@@ -41,62 +40,6 @@ class LoopSymbols:
     width: ca.SX
     step: ca.SX
     next: ca.SX
-
-
-@dataclass(frozen=True, eq=False)
-class LoopSignals:
-    """Motion and torques of all joints, one entry (n,) each, in symbols.
-
-    Readings of the encoders, speeds and accelerations of the motors, smooth direction of motion;
-    torques of the actuators, of the springs, and of the drives by the model's own friction and
-    rotors.
-    """
-
-    position: ca.SX
-    velocity: ca.SX
-    acceleration: ca.SX
-    direction: ca.SX
-    torque: ca.SX
-    spring: ca.SX
-    drive: ca.SX
-
-
-@dataclass(frozen=True, kw_only=True)
-class LoopSpring:
-    """Spring of a joint between motor and link.
-
-    Parameters
-    ----------
-    windup : callable
-        Spring torque [N m] -> motor less link angle [rad], strictly increasing.
-    damping : float
-        Between motor and link [N m s/rad].
-    encoder_at_output : bool
-        The encoder reads the link; otherwise the motor.
-    """
-
-    windup: Callable[[ca.SX], ca.SX]
-    damping: float = 0.0
-    encoder_at_output: bool = False
-
-
-@dataclass(frozen=True, kw_only=True)
-class LoopPhysics:
-    """Physics of a loop beyond rigid bodies, friction and rotors.
-
-    Parameters
-    ----------
-    torque : callable, optional
-        Torques (n,) that the drives have to give besides; affine in accelerations.
-    displacement : callable, optional
-        Readings (n,) -> motor less link angles (n,) of rigid joints [rad].
-    springs : mapping of int to LoopSpring
-        Of elastic joints (from 0).
-    """
-
-    torque: Callable[[LoopSignals], ca.SX] | None = None
-    displacement: Callable[[ca.SX], ca.SX] | None = None
-    springs: Mapping[int, LoopSpring] = field(default_factory=dict)
 
 
 class CommandedArm:
@@ -127,30 +70,30 @@ class CommandedArm:
     ) -> None:
         self.tree, self.law, self.middle = tree, law, np.asarray(middle, dtype=float)
         self.physics = physics or LoopPhysics()
-        self.n, self._elastic = tree.n, sorted(self.physics.springs)
+        self.n, self.elastic = tree.n, sorted(self.physics.springs)
         # Places of the speeds of links and motors among those of readings and other sides.
-        self._link, self._motor = np.arange(self.n), np.arange(self.n)
-        for k, joint in enumerate(self._elastic):
+        self.link_sides, self.motor_sides = np.arange(self.n), np.arange(self.n)
+        for k, joint in enumerate(self.elastic):
             at_output = self.physics.springs[joint].encoder_at_output
-            (self._motor if at_output else self._link)[joint] = self.n + k
+            (self.motor_sides if at_output else self.link_sides)[joint] = self.n + k
         self._steps: dict[bytes, tuple[ca.Function, ca.Function]] = {}
         self._lanes: dict[tuple[bytes, int], ca.Function] = {}
 
     @property
     def size(self) -> int:
         """Number of states."""
-        return 2 * (self.n + len(self._elastic))
+        return 2 * (self.n + len(self.elastic))
 
     def begin(self, position: np.ndarray, velocity: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Return the state with these readings and speeds (n,), in which springs carry the weight.
 
         `values` (p,) are the parameters.
         """
-        if not self._elastic:
+        if not self.elastic:
             return np.concatenate([position, velocity])
         weight = np.asarray(self._weight(position, values))[:, 0]
         return np.concatenate(
-            [position, velocity, weight[self._elastic], np.asarray(velocity)[self._elastic]]
+            [position, velocity, weight[self.elastic], np.asarray(velocity)[self.elastic]]
         )
 
     @cached_property
@@ -226,11 +169,11 @@ class CommandedArm:
 
     def _symbols(self) -> LoopSymbols:
         """Return one step of ROS2 in symbols."""
-        n, elastic = self.n, len(self._elastic)
+        n, elastic = self.n, len(self.elastic)
         state, command = ca.SX.sym("x", self.size), ca.SX.sym("u", n)
         parameters = ca.SX.sym("p", self._parameter_count)
         width, h = ca.SX.sym("width"), ca.SX.sym("h")
-        model = _Balance(self, *self._split(parameters), command, width)
+        model = Balance(self, *self._split(parameters), command, width)
         reading, rate, load, other = ca.vertsplit(
             state, [0, n, 2 * n, 2 * n + elastic, 2 * (n + elastic)]
         )
@@ -278,180 +221,6 @@ class CommandedArm:
             first * ca.repmat(factor, 3, 1) + each[1:4, :],
             inertia * ca.kron(factor, ca.DM.ones(3, 3)) + about,
         )
-
-
-class _Balance:
-    """Equation of motion of a loop in its places (readings, spring torques) and speeds."""
-
-    def __init__(
-        self,
-        loop: CommandedArm,
-        own: Mapping[str, ca.SX],
-        bodies: tuple[ca.SX, ...],
-        command: ca.SX,
-        width: ca.SX,
-    ) -> None:
-        self.loop, self.own, self.bodies, self.width = loop, own, bodies, width
-        self.n, self.command = loop.n, command
-        law = loop.law
-        stiffness = np.where(np.isfinite(law.stiffness), law.stiffness, 0.0)
-        self.kp = ca.DM(stiffness) * (1.0 + own["gain"])
-        self.kd = ca.DM(law.damping) * (1.0 + own["damping"])
-        count = loop.size // 2
-        self._of_link, self._of_motor = (
-            ca.sparsify(ca.DM(np.eye(count)[:, each])) for each in (loop._link, loop._motor)
-        )
-
-    def _links(self, place: ca.SX, speed: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        """Return angles and speeds of the links, their Jacobian, and accelerations at no other."""
-        q, jacobian = place[: self.n], ca.SX(ca.DM.eye(self.n))
-        angle, rate = q - self.own["zero"], ca.mtimes(self._of_link.T, speed)
-        drift = ca.SX.zeros(self.n)
-        for k, joint in enumerate(self.loop._elastic):
-            spring = self.loop.physics.springs[joint]
-            if not spring.encoder_at_output:
-                angle[joint] -= spring.windup(place[self.n + k])
-        if self.loop.physics.displacement is not None:
-            reading = ca.SX.sym("q", self.n)
-            wound = self.loop.physics.displacement(reading)
-            by_reading = ca.jacobian(wound, reading)
-            along = ca.jtimes(ca.mtimes(by_reading, rate), reading, rate)
-            wound, by_reading, along = ca.substitute([wound, by_reading, along], [reading], [q])
-            angle, drift = angle - wound, -along
-            jacobian = jacobian - by_reading
-            rate = ca.mtimes(jacobian, rate)
-        return angle, rate, jacobian, drift
-
-    def _torque_of_links(self, gravity: np.ndarray, q: ca.SX, v: ca.SX, a: ca.SX) -> ca.SX:
-        return torque_of_bodies(self.loop.tree, gravity, q, v, a, *self.bodies)
-
-    def _inertia(self, angle: ca.SX, jacobian: ca.SX) -> ca.SX:
-        """Return the torques (n, n) of the links per acceleration, both along their readings."""
-        still, none = ca.SX.zeros(self.n), np.zeros(3)
-        columns = [self._torque_of_links(none, angle, still, jacobian[:, i]) for i in range(self.n)]
-        return ca.mtimes(jacobian.T, ca.horzcat(*columns))
-
-    def mass(self, place: ca.SX, speed: ca.SX) -> ca.SX:
-        """Return the forces of all sides per acceleration."""
-        angle, _, jacobian, _ = self._links(place, speed)
-        found = ca.mtimes([self._of_link, self._inertia(angle, jacobian), self._of_link.T])
-        found += ca.mtimes([self._of_motor, ca.diag(self.own["armature"]), self._of_motor.T])
-        if self.loop.physics.torque is not None:
-            rate = ca.SX.sym("a", speed.shape[0])
-            added = self._added(place, speed, rate)[0]
-            found += ca.mtimes(self._of_motor, ca.jacobian(added, rate))
-        return found
-
-    def force(self, place: ca.SX, speed: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Return the forces that accelerate, and the slope of all losses by the speed."""
-        torque, losses, slope = self._drive(place, speed)
-        angle, rate, jacobian, drift = self._links(place, speed)
-        # Displaced links work along their readings.
-        bias = ca.mtimes(
-            jacobian.T, self._torque_of_links(self.loop.tree.gravity, angle, rate, drift)
-        )
-        if self.loop.physics.torque is not None:
-            still = ca.SX.zeros(speed.shape[0])
-            more, by_speed = self._added(place, speed, still)
-            losses, slope = losses + more, slope + by_speed
-        found = ca.mtimes(self._of_motor, torque + self.own["offset"] - losses)
-        found -= ca.mtimes(self._of_link, bias)
-        slopes = ca.mtimes(self._of_motor, slope)
-        for k, joint in enumerate(self.loop._elastic):
-            link, motor = int(self.loop._link[joint]), int(self.loop._motor[joint])
-            damping = self.loop.physics.springs[joint].damping
-            carried = place[self.n + k] + damping * (speed[motor] - speed[link])
-            found[link] += carried
-            found[motor] -= carried
-            slopes[link] += damping
-            slopes[motor] += damping
-        return found, slopes
-
-    def _drive(self, place: ca.SX, speed: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Return torques of the actuators, losses of the drives and the slopes of both."""
-        own, law = self.own, self.loop.law
-        q, v = place[: self.n], ca.mtimes(self._of_motor.T, speed)
-        # An actuator damps by the speed that it reads.
-        error = _clip(self.kp * (self.command - q), law.drive_max)
-        torque = _clip(error - self.kd * speed[: self.n], law.torque_max)
-        direction = ca.tanh(v / self.width)
-        dry = own["coulomb"] + own["friction_slope"] * (q - ca.DM(self.loop.middle))
-        by_speed = own["viscous"] * v + own["drag"] * v * ca.fabs(v)
-        # What of the torque reaches the load, past friction by the load as well.
-        past = torque - dry * direction - by_speed
-        size = ca.sqrt(past**2 + _LOAD_WIDTH**2)
-        against = 1.0 + own["load_friction"] * direction * past / size
-        dry += own["load_friction"] * (size - _LOAD_WIDTH) / against
-        losses = dry * direction + by_speed
-        slope = self.kd + own["viscous"] + dry / self.width * (1.0 - direction**2)
-        return torque, losses, slope
-
-    def _added(self, place: ca.SX, speed: ca.SX, rate: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Return the added torques at accelerations `rate`, and their slopes by the own speed."""
-        physics, own = self.loop.physics, self.own
-        assert physics.torque is not None
-        torque, losses, _ = self._drive(place, speed)
-        angle, link_speed, jacobian, drift = self._links(place, speed)
-        faster = ca.mtimes(self._of_motor.T, rate)
-        along = ca.mtimes(jacobian, ca.mtimes(self._of_link.T, rate)) + drift
-        spring = ca.mtimes(
-            jacobian.T, self._torque_of_links(self.loop.tree.gravity, angle, link_speed, along)
-        )
-        for k, joint in enumerate(self.loop._elastic):
-            spring[joint] = place[self.n + k]
-        # Speed and direction are one: both give the slope by which stages are stable.
-        v = ca.SX.sym("v", self.n)
-        way = ca.tanh(v / self.width)
-        drive = spring + losses + own["armature"] * faster
-        signals = LoopSignals(place[: self.n], v, faster, way, torque, spring, drive)
-        more = physics.torque(signals)
-        by_speed = ca.diag(ca.jacobian(more, v))
-        actual = ca.mtimes(self._of_motor.T, speed)
-        more, by_speed = ca.substitute([more, by_speed], [v], [actual])
-        return more, by_speed
-
-    def rates(self, place: ca.SX) -> ca.SX:
-        """Return the rates of the places per speed."""
-        found = ca.SX(place.shape[0], place.shape[0])
-        found[: self.n, : self.n] = ca.DM.eye(self.n)
-        for k, joint in enumerate(self.loop._elastic):
-            stiffness = 1.0 / self._compliance(joint, place[self.n + k])
-            found[self.n + k, int(self.loop._motor[joint])] += stiffness
-            found[self.n + k, int(self.loop._link[joint])] -= stiffness
-        return found
-
-    def slopes(self, place: ca.SX) -> ca.SX:
-        """Return the decrease of the forces per place, of gains and springs alone.
-
-        Gains count as if encoders were at the motors: so the stages stay symmetric.
-        """
-        count = place.shape[0]
-        found = ca.SX(count, count)
-        for joint in range(self.n):
-            found[int(self.loop._motor[joint]), joint] = self.kp[joint]
-        for k, joint in enumerate(self.loop._elastic):
-            link, motor = int(self.loop._link[joint]), int(self.loop._motor[joint])
-            found[motor, self.n + k] += 1.0
-            found[link, self.n + k] -= 1.0
-            if self.loop.physics.springs[joint].encoder_at_output:
-                compliance = self._compliance(joint, place[self.n + k])
-                found[motor, self.n + k] += self.kp[joint] * compliance
-        return found
-
-    def _compliance(self, joint: int, torque: ca.SX) -> ca.SX:
-        load = ca.SX.sym("s")
-        slope = ca.jacobian(self.loop.physics.springs[joint].windup(load), load)
-        return ca.substitute(slope, load, torque)
-
-
-def _clip(value: ca.SX, largest: np.ndarray) -> ca.SX:
-    """Return a value within plus and minus `largest`, untouched where that is infinite."""
-    return ca.vertcat(
-        *(
-            ca.fmax(ca.fmin(value[i], most), -most) if np.isfinite(most) else value[i]
-            for i, most in enumerate(largest)
-        )
-    )
 
 
 def _factorize(matrix: ca.SX, *, symmetric: bool) -> list[list[ca.SX]]:

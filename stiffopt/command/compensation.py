@@ -228,9 +228,14 @@ def _explain_refusal(problem: TrajectoryProblem, excess: tuple[Violation, ...]) 
         if all(name != o.name for o in problem.objectives)
     ]
     other = f"Minimise {' or '.join(others)}, which plan{'s' * (len(others) == 1)} the links"
+    exceeded = (
+        f"No command.csv: for the links to follow this motion, the motors would exceed {named}."
+    )
     if any(each.name == "duration" for each in problem.objectives):
+        if problem.uncertainty.stated:
+            return f"{exceeded} Plan with lower {limits}."
         other = "State [uncertainty], for which the links of a fastest motion are planned"
     return (
-        f"No command.csv: for the links to follow this motion, the motors would exceed {named}. "
-        f"{other} within the motors' limits, allow a longer duration, or plan with lower {limits}."
+        f"{exceeded} {other} within the motors' limits, allow a longer duration, or plan with "
+        f"lower {limits}."
     )

@@ -19,7 +19,7 @@ class Channel(NamedTuple):
 
     @property
     def sensor(self) -> str:
-        """What measures it, in words."""
+        """Sensor that measures it, in words."""
         return "torque" if self.kind == "torque" else "link encoder"
 
     def number(self, joints: int) -> int:

@@ -62,14 +62,8 @@ def build_findings(
 ) -> tuple[Finding, ...]:
     """Return the findings with probabilities and parameters.
 
-    Parameters
-    ----------
-    comparison : Comparison
-        With the noise estimated beside the effects.
-    parameters : Estimate
-        Joint estimate of the same effects.
-    again : array (e,)
-        Share of the perturbation ensemble in which each is named again.
+    `comparison`: with the noise estimated beside the effects. `parameters`: joint estimate of the
+    same effects. `again` (e,): share of the perturbation ensemble in which each is named again.
     """
     constants, n = training.constants, training.robot.n
     gains = left_out_gains(comparison, tuple(s.located for s in kept))

@@ -42,20 +42,14 @@ Certainty = Literal["found", "likely", "one of these", "possible"]
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """Reported value of a finding.
-
-    Parameters
-    ----------
-    value, sd : float
-        The value and one standard deviation [unit].
-    prior_sd : float
-        Standard deviation before any recording; infinite where nothing is known [unit].
-    """
+    """Reported value of a finding."""
 
     name: str
+    # value, sd: the value and one standard deviation [unit].
     value: float
     sd: float
     unit: str
+    # Standard deviation before any recording; infinite where nothing is known [unit].
     prior_sd: float = float("inf")
 
     @property
@@ -79,37 +73,21 @@ class Rival:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Finding:
-    """An effect that the nominal model lacks.
+    """An effect that the nominal model lacks."""
 
-    Parameters
-    ----------
-    estimated : EstimatedEffect
-        Effect, place, shapes and amplitudes.
-    link : str or None
-        Name of the link, of effects of a link.
-    probability : float
-        Against its rivals and an unknown cause (`misfit`).
-    misfit : float
-        Probability of an unknown cause: by what laws leave open in its channel over what it
-        removes there, by the spread of its gain in stretches left out, by the members of the
-        perturbation ensemble that lack it, and by its values where these do not exclude zero.
-    where : str
-        How and where the effect shows.
-    channel : str
-        Channel that it changes most, such as "torque_3".
-    variance_explained : float
-        Share, 0 to 1, of that channel's squared residual above noise that it removes in training
-        runs (or stretches) left out of the fit.
-    """
-
-    estimated: EstimatedEffect
-    link: str | None
-    probability: float
+    estimated: EstimatedEffect  # effect, place, shapes and amplitudes
+    link: str | None  # name of the link, of effects of a link
+    probability: float  # against its rivals and an unknown cause (`misfit`)
+    # Probability of an unknown cause: by what laws leave open in its channel over what it removes
+    # there, by the spread of its gain in stretches left out, by the members of the perturbation
+    # ensemble that lack it, and by its values where these do not exclude zero.
     misfit: float
     rivals: tuple[Rival, ...]
     parameters: tuple[Parameter, ...]
-    where: str
-    channel: str
+    where: str  # how and where the effect shows
+    channel: str  # channel that it changes most, such as "torque_3"
+    # Share, 0 to 1, of that channel's squared residual above noise that it removes in training runs
+    # (or stretches) left out of the fit.
     variance_explained: float
 
     @property

@@ -62,57 +62,36 @@ Need = Literal[
 class Term:
     """Contributions of an effect to the equations of the measured channels; zero by default.
 
-    Parameters
-    ----------
-    drive_torque
-        Added to the drive torque [N m].
-    link_torque
-        Added to the spring torque [N m]: the drive has to give it, and the joint winds up under it.
-    deflection
-        Added to motor angle minus link angle by displacing the link [rad]; the link vibrates about
-        it.
-    reading
-        Added to the reading of motor angle minus link angle alone [rad].
-    previous_torque
-        Added to the drive torque of the previous joint [N m]; effects of a joint only.
-
-    Notes
-    -----
     Each is one value per sample for an effect of a joint, and one per sample and joint for an
     effect of the robot.
     """
 
-    drive_torque: Quantity = 0.0
+    drive_torque: Quantity = 0.0  # added to the drive torque [N m]
+    # Added to the spring torque [N m]: the drive has to give it, and the joint winds up under it.
     link_torque: Quantity = 0.0
+    # Added to motor angle minus link angle by displacing the link [rad]; the link vibrates about
+    # it.
     deflection: Quantity = 0.0
-    reading: Quantity = 0.0
+    reading: Quantity = 0.0  # added to the reading of motor angle minus link angle alone [rad]
+    # Added to the drive torque of the previous joint [N m]; effects of a joint only.
     previous_torque: Quantity = 0.0
 
 
 @dataclass(frozen=True)
 class Amplitude:
-    """Parameter in which an effect's term is linear.
-
-    Parameters
-    ----------
-    scale : callable or float
-        Typical size, a function of the joint's constants where callable; standard deviation of the
-        prior.
-    lower, upper : float
-        Physical bounds over the scale.
-    changed : float
-        Ratio of the typical size of a change since a model was made to `scale`.
-    own : bool
-        Amplitude that distinguishes the effect from other entries: unless one of these is
-        significant, the effect is rejected.
-    """
+    """Parameter in which an effect's term is linear."""
 
     name: str
     unit: str
+    # Typical size, a function of the joint's constants where callable; standard deviation of the
+    # prior.
     scale: Callable[[Any], float] | float = 1.0
+    # lower, upper: physical bounds over the scale.
     lower: float = -float("inf")
     upper: float = float("inf")
-    changed: float = 1.0
+    changed: float = 1.0  # ratio of the typical size of a change since a model was made to `scale`
+    # Amplitude that distinguishes the effect from other entries: unless one of these is
+    # significant, the effect is rejected.
     own: bool = False
 
     def size(self, constants: Constants) -> float:
@@ -122,29 +101,20 @@ class Amplitude:
 
 @dataclass(frozen=True)
 class Shape:
-    """Parameter on which an effect's term depends nonlinearly.
-
-    Parameters
-    ----------
-    starts : callable or tuple of float
-        Initial values of a fit, a function of the signals' ranges where callable.
-    lower, upper : float
-        Bounds [unit].
-    usual : float, optional
-        Default where a file gives no value [unit]; without a default a file must give one.
-    fit : {"free", "held", "secant"}
-        "secant": the term is exact where the shape equals the amplitude of the same index.
-    reported : bool
-        False for a value that says nothing of the arm, such as a point of linearisation.
-    """
+    """Parameter on which an effect's term depends nonlinearly."""
 
     name: str
     unit: str
+    # Initial values of a fit, a function of the signals' ranges where callable.
     starts: Callable[[Any], Sequence[float]] | tuple[float, ...]
+    # lower, upper: bounds [unit].
     lower: float = -float("inf")
     upper: float = float("inf")
+    # Default where a file gives no value [unit]; without a default a file must give one.
     usual: float | None = None
+    # "secant": the term is exact where the shape equals the amplitude of the same index.
     fit: ShapeFit = "free"
+    # False for a value that says nothing of the arm, such as a point of linearisation.
     reported: bool = True
 
     def start_values(self, ranges: Constants) -> tuple[float, ...]:
@@ -160,18 +130,10 @@ class Shape:
 
 @dataclass(frozen=True)
 class RobotChange:
-    """Robot changed by a finding.
+    """Robot changed by a finding."""
 
-    Parameters
-    ----------
-    robot : Robot or None
-        None where the robot cannot be changed so.
-    sentence : str
-        Change that was made, or the reason why none can be.
-    """
-
-    robot: Robot | None
-    sentence: str
+    robot: Robot | None  # None where the robot cannot be changed so
+    sentence: str  # change that was made, or the reason why none can be
 
 
 class FittedEffect(Protocol):
@@ -198,157 +160,104 @@ ChangeRobot = Callable[["Robot", FittedEffect, int, "JointConstants"], RobotChan
 
 @dataclass(frozen=True, kw_only=True)
 class Effect:
-    """An entry of the catalogue.
-
-    Parameters
-    ----------
-    family : str
-        friction, elastic, periodic, inertial, geometry, sensor, spring, contact.
-    scope : {"joint", "robot", "link", "run", "recording"}
-        Place that a finding names: a joint, the robot as a whole, a link, a joint in one run, or
-        the robot in one run.
-    equation : str
-        For reports.
-    signature : str
-        Visible sign of it in the recordings, in words.
-    term : callable
-        (signals, amplitudes, shapes) -> Term.
-    report : callable, optional
-        (amplitudes, shapes, constants) -> named values; default: amplitudes and reported shapes.
-    units : mapping of str to str
-        Units of reported values that are neither amplitudes nor shapes.
-    applies : callable, optional
-        (constants) -> bool; False where the joint cannot have the effect (no pole pairs known).
-    possible : callable, optional
-        (shapes, constants) -> bool; False for shapes that contradict the recordings.
-    usual : bool
-        True where every real robot has a little of it: it is fitted from the start unless the
-        nominal model is vouched for.
-    couples_joints : bool
-        True for an effect of a joint that acts on other joints too: its term takes the signals of
-        the robot, where `link` is the joint, and returns values of all joints.
-    shifts_weight : bool
-        True where it changes the weight that several joints carry: a single one competes with
-        re-identified masses.
-    moves_zero : bool
-        True where its first amplitude is the position of the joint at which its encoder reads 0.
-    yields : bool
-        True where its deflection depends on the load of its joint: the spring is softer or stiffer
-        by it; default: in the family elastic.
-    lags : bool
-        True where its wind-up lags the load: the tangent stiffness is then that under a sudden
-        change of load.
-    is_play : bool
-        True for free travel of a joint as a function of its spring torque alone, across which links
-        are simulated.
-    linear_about : bool
-        True where the first shape is the value of the first amplitude about which the term is
-        linear: the amplitude has to agree with it.
-    only_changed : bool
-        True where it is sought only as a change since an extended model was made: a form so free
-        fits part of everything that a nominal model lacks.
-    separate : str
-        Motion that separates it from similar effects.
-    log_prior : callable, optional
-        (constants) -> logarithm of its prior probability at that joint relative to other effects, 0
-        at most; default 0.
-    title : str
-        Name in prose; default: the name with spaces.
-    phrase : str or (str, str)
-        Missing physics, for a headline, with its values as placeholders: "{dm}" is the value with
-        its standard deviation, "{eps:%}" the same in percent, "{cx/cy/cz}" values in one unit. Two
-        phrases where it depends on the sign of the first amplitude, positive first: values are then
-        without sign. Default: the title.
-    remedy : str or callable
-        What to do: the value to enter, the part to look at. Placeholders as in `phrase`, and
-        "{where}" for the place and "{new}" for the nominal value with the change; or
-        (amplitudes, shapes, constants) -> the sentence. Default: a look at the place.
-    nominal : str
-        Nominal value of every joint (a field of `Nominal` and of `Robot`) that the first amplitude
-        adds to; "" where there is none. Where a set does not state it, the effect takes its place.
-    nominal_words : str
-        Name of that value in prose; default: the field with spaces.
-    signals_key : str
-        Key of [signals] in recordings.toml that undoes it: its first parameter adds to that value.
-    tolerances : tuple of str
-        Nominal values (fields of `Tolerance`) that it changes beyond what their tolerances allow;
-        default: `nominal`.
-    needs : tuple of Need
-        Properties of the recordings without which it cannot show at a joint, the most basic first.
-        Default: the sensor that the term acts on, and motion.
-    only_without : tuple of Need
-        Nominal values with which another entry takes its place.
-    confused_with : tuple of str
-        Names of effects that ordinary motions separate poorly from it; declared on one side.
-    twin : str
-        Name of an effect that is nearly equivalent, with an amplitude where the other has a shape.
-        The evidence penalises amplitudes but not shapes, so the two are compared by fit and by how
-        well the data determine each; declared on one side.
-    at_motor : Effect, optional
-        The same law where the encoder reads the motor: this effect is its torque on a motor that
-        moves unseen, and a simulation of both sides takes the law from there.
-    beside : Effect, optional
-        Competing effect with so many amplitudes that unlisted laws are among its forms. It is
-        fitted only to test this effect against it and is never reported.
-    likelier_than : Effect, optional
-        Alternative that relaxes an assumption of this effect, which needs clearly more evidence
-        than it, both fitted together with `beside`. Never reported either.
-    reference : str
-        Source of its form: a key of references.bib, or the source in words.
-    drawn : callable, optional
-        (amplitudes, shapes, constants) -> sampling error of reported values by name, from the small
-        number of runs [its unit].
-    of_runs : callable, optional
-        (names) -> the entry with one amplitude per run, random about a common mean; (names,
-        seen=False) -> the same for runs that were not recorded; (names, states=states) -> random
-        about the mean of each state of the robot.
-    change_robot : callable, optional
-        Changes the robot that a planner computes with.
-    only_in : tuple of str
-        Names of the runs in which it acts: those of one state of the robot. Default: all runs.
-    """
+    """An entry of the catalogue."""
 
     name: str
-    family: str
+    family: str  # friction, elastic, periodic, inertial, geometry, sensor, spring, contact
+    # Place that a finding names: a joint, the robot as a whole, a link, a joint in one run, or the
+    # robot in one run.
     scope: Scope
-    equation: str
-    signature: str
-    term: Callable[[Any, Values, Values], Term]
+    equation: str  # for reports
+    signature: str  # visible sign of it in the recordings, in words
+    term: Callable[[Any, Values, Values], Term]  # (signals, amplitudes, shapes) -> Term
     amplitudes: tuple[Amplitude, ...]
     shapes: tuple[Shape, ...] = ()
+    # (amplitudes, shapes, constants) -> named values; default: amplitudes and reported shapes.
     report: Report | None = None
+    # Units of reported values that are neither amplitudes nor shapes.
     units: Mapping[str, str] = field(default_factory=dict)
+    # (constants) -> bool; False where the joint cannot have the effect (no pole pairs known).
     applies: Callable[[Any], bool] | None = None
+    # (shapes, constants) -> bool; False for shapes that contradict the recordings.
     possible: Callable[[Sequence[float], Any], bool] | None = None
+    # True where every real robot has a little of it: it is fitted from the start unless the nominal
+    # model is vouched for.
     usual: bool = False
+    # True for an effect of a joint that acts on other joints too: its term takes the signals of the
+    # robot, where `link` is the joint, and returns values of all joints.
     couples_joints: bool = False
+    # True where it changes the weight that several joints carry: a single one competes with
+    # re-identified masses.
     shifts_weight: bool = False
+    # True where its first amplitude is the position of the joint at which its encoder reads 0.
     moves_zero: bool = False
+    # True where its deflection depends on the load of its joint: the spring is softer or stiffer by
+    # it; default: in the family elastic.
     yields: bool = False
+    # True where its wind-up lags the load: the tangent stiffness is then that under a sudden change
+    # of load.
     lags: bool = False
+    # True for free travel of a joint as a function of its spring torque alone, across which links
+    # are simulated.
     is_play: bool = False
+    # True where the first shape is the value of the first amplitude about which the term is linear:
+    # the amplitude has to agree with it.
     linear_about: bool = False
+    # True where it is sought only as a change since an extended model was made: a form so free fits
+    # part of everything that a nominal model lacks.
     only_changed: bool = False
-    separate: str = ""
+    separate: str = ""  # motion that separates it from similar effects
+    # (constants) -> logarithm of its prior probability at that joint relative to other effects, 0
+    # at most; default 0.
     log_prior: Callable[[Any], float] | None = None
-    title: str = ""
+    title: str = ""  # name in prose; default: the name with spaces
+    # Missing physics, for a headline, with its values as placeholders: "{dm}" is the value with its
+    # standard deviation, "{eps:%}" the same in percent, "{cx/cy/cz}" values in one unit. Two
+    # phrases where it depends on the sign of the first amplitude, positive first: values are then
+    # without sign. Default: the title.
     phrase: str | tuple[str, str] = ""
+    # What to do: the value to enter, the part to look at. Placeholders as in `phrase`, and
+    # "{where}" for the place and "{new}" for the nominal value with the change; or (amplitudes,
+    # shapes, constants) -> the sentence. Default: a look at the place.
     remedy: str | Remedy = ""
+    # Nominal value of every joint (a field of `Nominal` and of `Robot`) that the first amplitude
+    # adds to; "" where there is none. Where a set does not state it, the effect takes its place.
     nominal: str = ""
-    nominal_words: str = ""
+    nominal_words: str = ""  # name of that value in prose; default: the field with spaces
+    # Key of [signals] in recordings.toml that undoes it: its first parameter adds to that value.
     signals_key: str = ""
+    # Nominal values (fields of `Tolerance`) that it changes beyond what their tolerances allow;
+    # default: `nominal`.
     tolerances: tuple[str, ...] = ()
+    # Properties of the recordings without which it cannot show at a joint, the most basic first.
+    # Default: the sensor that the term acts on, and motion.
     needs: tuple[Need, ...] = ()
-    only_without: tuple[Need, ...] = ()
+    only_without: tuple[Need, ...] = ()  # nominal values with which another entry takes its place
+    # Names of effects that ordinary motions separate poorly from it; declared on one side.
     confused_with: tuple[str, ...] = ()
+    # Name of an effect that is nearly equivalent, with an amplitude where the other has a shape.
+    # The evidence penalises amplitudes but not shapes, so the two are compared by fit and by how
+    # well the data determine each; declared on one side.
     twin: str = ""
+    # The same law where the encoder reads the motor: this effect is its torque on a motor that
+    # moves unseen, and a simulation of both sides takes the law from there.
     at_motor: Effect | None = None
+    # Competing effect with so many amplitudes that unlisted laws are among its forms. It is fitted
+    # only to test this effect against it and is never reported.
     beside: Effect | None = None
+    # Alternative that relaxes an assumption of this effect, which needs clearly more evidence than
+    # it, both fitted together with `beside`. Never reported either.
     likelier_than: Effect | None = None
-    reference: str = ""
+    reference: str = ""  # source of its form: a key of references.bib, or the source in words
+    # (amplitudes, shapes, constants) -> sampling error of reported values by name, from the small
+    # number of runs [its unit].
     drawn: Report | None = None
+    # (names) -> the entry with one amplitude per run, random about a common mean; (names,
+    # seen=False) -> the same for runs that were not recorded; (names, states=states) -> random
+    # about the mean of each state of the robot.
     of_runs: Callable[..., Effect] | None = None
-    change_robot: ChangeRobot | None = None
+    change_robot: ChangeRobot | None = None  # changes the robot that a planner computes with
+    # Names of the runs in which it acts: those of one state of the robot. Default: all runs.
     only_in: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from stiffopt.closed_loop.arm import LoopPhysics, LoopSignals, LoopSpring
+from stiffopt.closed_loop.physics import LoopPhysics, LoopSignals, LoopSpring
 from stiffopt.discovery.catalogue.common import motor_inertia
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect
 from stiffopt.discovery.effect import Term

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from stiffopt.closed_loop.arm import CommandedArm, LoopPhysics
+from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.parameters import (
     BODY_PARAMETERS,
     Parameters,
     zero_parameters,
 )
+from stiffopt.closed_loop.physics import LoopPhysics
 from stiffopt.closed_loop.polish import Polished, polish, polish_leading
 from stiffopt.closed_loop.simulation import CommandedRun
 from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter, bridge_gaps, derivative
@@ -37,6 +39,10 @@ _GAIN_DEVIATION = 1.0
 _DELAY_DEVIATION = 5e-3
 # Inertia of bodies besides their mass's, relative: centres of mass and masses are better known.
 _INERTIA_DEVIATION = 0.1
+# Scale of masses that nobody vouches for, one standard deviation, and parameters that go with it:
+# descriptions of real arms are off by up to a third, most of their bodies alike.
+_UNVOUCHED_MASS_SCALE = 0.2
+_SCALED_PARAMETERS = ("armature", "viscous", "coulomb", "friction_slope", "drag", "offset")
 # Motion of all training runs that a fit simulates at most, times joints [s]: more adds but time.
 _MAX_FIT_SECONDS = 120.0
 # Values of a robot that a set states, and the parameters that they are; a finding changes them by
@@ -187,9 +193,27 @@ def fit_loop(
     deviations = expected_deviations(recordings, commanded, loop, prior)
     fit = polish_leading if leading else polish
     try:
-        return loop, fit(loop, _limit_motion(commanded), prior, deviations, say)
+        found = fit(loop, _limit_motion(commanded), prior, deviations, say)
     except FloatingPointError:
         return None
+    if recordings.tolerance.mass is None and not leading:
+        found = _add_mass_scale(found, loop.law.estimated)
+    return loop, found
+
+
+def _add_mass_scale(found: Polished, estimated: np.ndarray | None) -> Polished:
+    """Add the deviation of a mass scale that nobody states, where it gives torque its own.
+
+    Ratios to the gain, and how the arm follows, do not depend on it.
+    """
+    own, spread = found.parameters, found.deviations.copy()
+    if estimated is None:
+        return found
+    for name in ("gain", *_SCALED_PARAMETERS):
+        scaled = own.of(name) + (1.0 if name == "gain" else 0.0)
+        more = np.where(estimated, _UNVOUCHED_MASS_SCALE * scaled, 0.0)
+        spread[own.place(name)] = np.hypot(spread[own.place(name)], more)
+    return replace(found, deviations=spread)
 
 
 def _limit_motion(runs: Sequence[CommandedRun]) -> list[CommandedRun]:

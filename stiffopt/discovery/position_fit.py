@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from stiffopt.actuator.law import ActuatorLaw
-from stiffopt.closed_loop.arm import CommandedArm, LoopPhysics
+from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.parameters import (
     BODY_PARAMETERS,
     DELAY,
@@ -18,20 +18,27 @@ from stiffopt.closed_loop.parameters import (
     Parameters,
     zero_parameters,
 )
+from stiffopt.closed_loop.physics import LoopPhysics
 from stiffopt.closed_loop.polish import Polished
 from stiffopt.closed_loop.simulation import simulate
+from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.extended.model import ExtendedModel
 from stiffopt.discovery.extended.schema import ClosedLoopSection
+from stiffopt.discovery.extended.value_changes import extended_model
 from stiffopt.discovery.loop_effects import robot_in_loop
 from stiffopt.discovery.loop_fit import (
     DRIVE_PARAMETERS,
     commanded_run,
     fit_loop,
+    is_commanded,
     nominal_parameters,
 )
+from stiffopt.discovery.progress import Say
+from stiffopt.discovery.training import Training
 from stiffopt.errors import InputError
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
+from stiffopt.recording.state_pair import StatePair
 from stiffopt.robot.batched_kinematics import frame_positions
 from stiffopt.robot.robot import Robot
 from stiffopt.units import joint_unit
@@ -39,52 +46,35 @@ from stiffopt.units import joint_unit
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ClosedLoopModel:
-    """Nominal and fitted simulation of an arm from its commands.
+    """Nominal and fitted simulation of an arm from its commands."""
 
-    Parameters
-    ----------
-    nominal_loop, loop : CommandedArm
-        Of the nominal robot, and with the findings.
-    nominal, fitted : Parameters
-    deviations : array (p,)
-        One standard deviation of each fitted parameter.
-    expected, expected_deviations
-        The same before the fit; None of a model that was read.
-    ratios : mapping of str to pair of array (n,)
-        Parameters over the gain with standard deviations, where torque has no scale; else nan.
-    """
-
+    # nominal_loop, loop: of the nominal robot, and with the findings.
     nominal_loop: CommandedArm
     loop: CommandedArm
     nominal: Parameters
     fitted: Parameters
-    deviations: np.ndarray
+    deviations: np.ndarray  # (p,) one standard deviation of each fitted parameter
+    # expected, expected_deviations: the same before the fit; None of a model that was read.
     expected: Parameters | None = None
     expected_deviations: np.ndarray | None = None
+    # (n,) parameters over the gain with standard deviations, where torque has no scale; else nan.
     ratios: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PositionRun:
-    """One run with its simulations, which saw its commands and its first position alone.
-
-    Parameters
-    ----------
-    name, role : str
-    time : array (K,) [s]
-    command, measured, before, after : array (K, n)
-        Positions in the joint order of the set [rad]; before and after the diagnosis.
-    tool_before, tool_after : array (K,)
-        Distances of the simulated from the measured tool [m].
-    """
+    """One run with its simulations, which saw its commands and its first position alone."""
 
     name: str
     role: str
-    time: np.ndarray
+    time: np.ndarray  # (K,) [s]
+    # command, measured, before, after (K, n): positions in the joint order of the set [rad]; before
+    # and after the diagnosis.
     command: np.ndarray
     measured: np.ndarray
     before: np.ndarray
     after: np.ndarray
+    # tool_before, tool_after (K,): distances of the simulated from the measured tool [m].
     tool_before: np.ndarray
     tool_after: np.ndarray
 
@@ -94,7 +84,7 @@ def fit_positions(
     runs: Sequence[RecordedRun],
     model: ExtendedModel | None = None,
     estimated: Parameters | None = None,
-    say: Callable[[str], object] = lambda _: None,
+    say: Say = lambda _: None,
 ) -> ClosedLoopModel | None:
     """Fit a simulation from commands to training runs, beginning with the findings of a model.
 
@@ -125,11 +115,33 @@ def fit_positions(
     )
 
 
+def fit_simulation(
+    recordings: RecordingSet,
+    training: Training,
+    found: Extension,
+    runs: Sequence[RecordedRun],
+    estimated: Parameters | None,
+    say: Say,
+) -> ClosedLoopModel | None:
+    """Fit the simulation from commands, beginning with friction and rotors as found.
+
+    Joints without a scale of torque, of which nothing is found, begin as `estimated`.
+
+    None where no training run holds commands of joints with known gains, and for two states of a
+    robot, of which one simulation is none.
+    """
+    if isinstance(recordings, StatePair):
+        return None
+    say("simulate the training runs from their commands")
+    model = extended_model(recordings, training.constants, found)
+    return fit_positions(recordings, runs, model, estimated, say)
+
+
 def _fit_robot(
     recordings: RecordingSet,
     runs: Sequence[RecordedRun],
     estimated: Parameters | None,
-    say: Callable[[str], object],
+    say: Say,
     robot: Robot,
     physics: LoopPhysics | None,
     values: Mapping[tuple[str, int], float],
@@ -180,6 +192,16 @@ def simulate_run(recordings: RecordingSet, model: ClosedLoopModel, run: Recorded
         tool_before=np.linalg.norm(places[1] - places[0], axis=1),
         tool_after=np.linalg.norm(places[2] - places[0], axis=1),
     )
+
+
+def simulate_held_out(
+    recordings: RecordingSet, loop: ClosedLoopModel | None
+) -> tuple[PositionRun, ...]:
+    """Simulate held-out runs from their commands."""
+    if loop is None:
+        return ()
+    runs = (recordings.open(entry) for entry in recordings.with_role("test", "extrapolate"))
+    return tuple(simulate_run(recordings, loop, run) for run in runs if is_commanded(run))
 
 
 def model_section(
@@ -255,10 +277,8 @@ def loop_values(
 def read_model(recordings: RecordingSet, model: ExtendedModel) -> ClosedLoopModel:
     """Return the closed loop of an extended model.
 
-    Raises
-    ------
-    InputFileError
-        A list of another length than the joints, or an unknown or missing parameter.
+    Raises `InputFileError`: a list of another length than the joints, or an unknown or missing
+    parameter.
     """
     section = model.closed_loop
     assert section is not None

@@ -52,22 +52,14 @@ ZERO_TOLERANCE = Tolerance(**dict.fromkeys(vars(DEFAULT_TOLERANCE), 0.0))
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """Settings of the comparison of recordings with the nominal model.
+    """Settings of the comparison of recordings with the nominal model."""
 
-    Parameters
-    ----------
-    cutoff : float, optional
-        Cutoff of the zero-phase filter of a fit [Hz]; lowered for slowly sampled recordings.
-        Default: chosen by cross-validation of the training runs; 12 Hz with elastic joints.
-    predict : tuple of float, optional
-        Cutoff of the motion that the torque of each joint is predicted from [Hz]. Default:
-        likewise.
-    slow : float
-        A joint slower than this counts as stationary [rad/s]; its friction is undetermined.
-    """
-
+    # Cutoff of the zero-phase filter of a fit [Hz]; lowered for slowly sampled recordings. Default:
+    # chosen by cross-validation of the training runs; 12 Hz with elastic joints.
     cutoff: float | None = None
+    # Cutoff of the motion that the torque of each joint is predicted from [Hz]. Default: likewise.
     predict: tuple[float, ...] | None = None
+    # A joint slower than this counts as stationary [rad/s]; its friction is undetermined.
     slow: float = MIN_MOVING_SPEED
 
     @property

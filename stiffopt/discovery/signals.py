@@ -62,56 +62,31 @@ def _mean_sign_between(first: np.ndarray, last: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True)
 class JointConstants:
-    """Constants of one joint for terms and bounds.
+    """Constants of one joint for terms and bounds."""
 
-    Parameters
-    ----------
-    joint : int
-        1-based, in the order of the recording set.
-    ratio : float
-        Turns of the motor per turn of the joint.
-    coulomb, viscous : float
-        Nominal friction [N m], [N m s/rad].
-    torque_rated, torque_max : float
-        [N m]
-    rotor_inertia : float
-        Reflected to the joint [kg m^2].
-    joint_damping : float
-        Viscous damping between motor and link [N m s/rad]; 0 where unknown.
-    chain : Chain or None
-        Nominal drivetrain; None where rigid or unknown.
-    pole_pairs : float or None
-    stroke : (lowest, highest)
-        Range of the motor angle in the recordings [rad].
-    fastest : float
-        Largest motor speed in the recordings [rad/s].
-    largest_torque : float
-        Largest nominal spring torque in the recordings [N m].
-    measured_torque : float
-        Largest filtered drive torque measured in the training runs; 0 without measurement [N m].
-    belt : bool or None
-        True where a belt is among the connections; None where they are unknown.
-    joints : int
-        Number of joints of the arm.
-    """
-
-    joint: int
-    ratio: float
+    joint: int  # 1-based, in the order of the recording set
+    ratio: float  # turns of the motor per turn of the joint
+    # coulomb, viscous: nominal friction [N m], [N m s/rad].
     coulomb: float
     viscous: float
+    # torque_rated, torque_max [N m]
     torque_rated: float
     torque_max: float
-    rotor_inertia: float
+    rotor_inertia: float  # reflected to the joint [kg m^2]
+    # Viscous damping between motor and link [N m s/rad]; 0 where unknown.
     joint_damping: float = 0.0
-    chain: Chain | None = None
+    chain: Chain | None = None  # nominal drivetrain; None where rigid or unknown
     pole_pairs: float | None = None
+    # (lowest, highest) range of the motor angle in the recordings [rad].
     stroke: tuple[float, float] = (-np.pi, np.pi)
-    fastest: float = 1.0
-    largest_torque: float = 1.0
+    fastest: float = 1.0  # largest motor speed in the recordings [rad/s]
+    largest_torque: float = 1.0  # largest nominal spring torque in the recordings [N m]
+    # Largest filtered drive torque measured in the training runs; 0 without measurement [N m].
     measured_torque: float = 0.0
     prismatic: bool = False
+    # True where a belt is among the connections; None where they are unknown.
     belt: bool | None = None
-    joints: int = 1
+    joints: int = 1  # number of joints of the arm
 
     @property
     def elastic(self) -> bool:
@@ -188,66 +163,44 @@ class JointConstants:
 
 @dataclass(frozen=True, kw_only=True)
 class MotionSignals:
-    """Signals of one joint, arrays (K,), or of the robot, (K, n); or CasADi symbols.
+    """Signals of one joint, arrays (K,), or of the robot, (K, n); or CasADi symbols."""
 
-    Parameters
-    ----------
-    time, session_time
-        Since the begin of the run, since power-on [s]; (K,) always.
-    run : str
-        Name of the run.
-    dt : float
-        Uniform time step [s].
-    temperature_rise
-        Housing temperature above that at which friction was identified [K]; 0 where unknown.
-    motor_position, motor_velocity, motor_acceleration
-        Reflected to the joint by the ratio [rad], [rad/s], [rad/s^2].
-    motor_direction
-        Smooth sign of the motor velocity; its mean over each sample period where links vibrate [-].
-    link_position, link_velocity, link_acceleration
-        From the motor motion and the nominal wind-up.
-    transmitted_torque
-        Nominal torque between motor and link, of the rigid bodies [N m].
-    spring_torque
-        Transmitted torque less that of the joint damping, where this is known [N m].
-    windup
-        Nominal wind-up under the spring torque [rad].
-    drive_torque, drive_torque_rate
-        Nominal prediction [N m], [N m/s].
-    asked_torque, optional
-        Torque by an actuator's law without a limit [N m]; None where torques are measured.
-    """
-
+    # time, session_time: since the begin of the run, since power-on [s]; (K,) always.
     time: Quantity
-    dt: float
+    dt: float  # uniform time step [s]
     session_time: Quantity
+    # Housing temperature above that at which friction was identified [K]; 0 where unknown.
     temperature_rise: Quantity
+    # motor_position, motor_velocity, motor_acceleration: reflected to the joint by the ratio [rad],
+    # [rad/s], [rad/s^2].
     motor_position: Quantity
     motor_velocity: Quantity
     motor_acceleration: Quantity
+    # Smooth sign of the motor velocity; its mean over each sample period where links vibrate [-].
     motor_direction: Quantity
+    # link_position, link_velocity, link_acceleration: from the motor motion and the nominal
+    # wind-up.
     link_position: Quantity
     link_velocity: Quantity
     link_acceleration: Quantity
-    transmitted_torque: Quantity
+    transmitted_torque: Quantity  # nominal torque between motor and link, of the rigid bodies [N m]
+    # Transmitted torque less that of the joint damping, where this is known [N m].
     spring_torque: Quantity
-    windup: Quantity
+    windup: Quantity  # nominal wind-up under the spring torque [rad]
+    # drive_torque, drive_torque_rate: nominal prediction [N m], [N m/s].
     drive_torque: Quantity
     drive_torque_rate: Quantity
-    run: str = ""
+    run: str = ""  # name of the run
+    # Torque by an actuator's law without a limit [N m]; None where torques are measured.
     asked_torque: Quantity | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointSignals(MotionSignals):
-    """Signals of one joint.
+    """Signals of one joint."""
 
-    Parameters
-    ----------
-    previous_position, previous_velocity, previous_acceleration
-        Motor motion of the previous joint; 0 for the first [rad], [rad/s], [rad/s^2].
-    """
-
+    # previous_position, previous_velocity, previous_acceleration: motor motion of the previous
+    # joint; 0 for the first [rad], [rad/s], [rad/s^2].
     previous_position: Quantity
     previous_velocity: Quantity
     previous_acceleration: Quantity
@@ -270,43 +223,24 @@ class JointSignals(MotionSignals):
 
 @dataclass(frozen=True, kw_only=True)
 class RobotConstants:
-    """Constants of the robot as a whole.
-
-    Parameters
-    ----------
-    links : tuple of str
-        Name of the moving link of each joint.
-    masses : array (n,)
-        Nominal masses of the links [kg].
-    centres : array (n, 3)
-        Nominal centres of mass in the joints' frames [m].
-    tool_range : array (2, 3)
-        Lowest and highest tool position in the recordings, base frame [m].
-    gravity : array (3,)
-        Stated gravity, base frame [m/s^2].
-    """
+    """Constants of the robot as a whole."""
 
     joints: tuple[JointConstants, ...]
-    links: tuple[str, ...]
-    masses: np.ndarray
-    centres: np.ndarray
+    links: tuple[str, ...]  # name of the moving link of each joint
+    masses: np.ndarray  # (n,) nominal masses of the links [kg]
+    centres: np.ndarray  # (n, 3) nominal centres of mass in the joints' frames [m]
+    # (2, 3) lowest and highest tool position in the recordings, base frame [m].
     tool_range: np.ndarray
+    # (3,) stated gravity, base frame [m/s^2].
     gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
 
 
 @dataclass(frozen=True, kw_only=True)
 class RobotSignals(MotionSignals):
-    """Signals of the whole robot.
+    """Signals of the whole robot."""
 
-    Parameters
-    ----------
-    arm : LazyArmSignals
-        Signals of the arm as a whole, which this class passes on.
-    last_link, link : int
-        Index of the last link, and of the link that an effect is located at.
-    """
-
-    arm: Any
+    arm: Any  # signals of the arm as a whole, which this class passes on
+    # last_link, link: index of the last link, and of the link that an effect is located at.
     last_link: int
     link: int
     constants: RobotConstants

@@ -36,24 +36,11 @@ _FILE_HINT = (
 def load_effects(path: str | Path) -> tuple[Effect, ...]:
     """Load the effects that a Python file defines, validated like those of the catalogue.
 
-    Parameters
-    ----------
-    path : str or Path
-        The file; it is run.
+    `path`: the file; it is run. Effects are in the order of the file.
 
-    Returns
-    -------
-    tuple of Effect
-        In the order of the file.
+    Raises `InputFileError`: the file cannot be run, defines no effect, uses a name twice or one of
+    the catalogue, or an effect is invalid: not linear in its amplitudes, out of bounds.
 
-    Raises
-    ------
-    InputFileError
-        The file cannot be run, defines no effect, uses a name twice or one of the catalogue, or
-        an effect is invalid: not linear in its amplitudes, out of bounds.
-
-    Notes
-    -----
     A term maps (signals, amplitudes, shapes) to a `Term`, with NumPy's functions. Simulation from
     commands contains those that are plain formulas of angle, speed and torque.
     """

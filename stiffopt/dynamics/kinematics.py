@@ -6,8 +6,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,47 +17,13 @@ from stiffopt.robot.frames import LinkFrame
 from stiffopt.symbolic import Quantity
 
 
-def forward_kinematics(
-    tree: BodyTree, joint: int, offset: ArrayLike = (0.0, 0.0, 0.0), rotation: object = None
-) -> ca.Function:
-    """Return q (n,) -> position (3,) [m] and rotation (3, 3) of a tool frame, in the base frame.
-
-    `joint`, from 1, carries the point at `offset` [m]; `rotation` is the tool frame in the joint
-    frame.
-    """
-    q = ca.SX.sym("q", tree.n)
-    pose = tool_pose(tree, joint, offset, rotation, q)
-    return ca.Function("forward_kinematics", [q], list(pose), ["q"], ["position", "rotation"])
-
-
-def point_kinematics(
-    tree: BodyTree, joint: int, offset: ArrayLike = (0.0, 0.0, 0.0)
-) -> ca.Function:
-    """Return q (n,) -> position (3,) [m] and Jacobian J (3, n) of a point, in base axes.
-
-    `joint`, from 1, carries the point at `offset` [m]; d position/dt = J v.
-    """
-    q = ca.SX.sym("q", tree.n)
-    return ca.Function(
-        "point_kinematics",
-        [q],
-        [point_position(tree, joint, offset, q), point_jacobian(tree, joint, offset, q)],
-        ["q"],
-        ["position", "jacobian"],
-    )
-
-
 def tool_pose(
     tree: BodyTree, joint: int, offset: ArrayLike, rotation: object, q: Quantity
 ) -> tuple[Quantity, Quantity]:
-    """Return position (3,) [m] and rotation (3, 3) of a tool frame, of SX or MX q (n,).
+    """Return position (3,) [m] and rotation (3, 3) of a tool frame, expressions of SX q (n,).
 
     With `rotation` None the tool frame is parallel to the joint frame.
     """
-    if isinstance(q, ca.MX):
-        function: Any = forward_kinematics(tree, joint, offset, rotation)
-        position, turn = function(q)
-        return position, turn
     joints = axis_joints(tree)
     frames = axis_frames(joints, q, joint)
     origin, turn = frames[joint]
@@ -71,15 +35,12 @@ def tool_pose(
 
 
 def point_position(tree: BodyTree, joint: int, offset: ArrayLike, q: Quantity) -> Quantity:
-    """Return the position (3,) [m] of a point, an expression of q (n,) (SX or MX), base axes."""
+    """Return the position (3,) [m] of a point, an expression of SX q (n,), base axes."""
     return tool_pose(tree, joint, offset, None, q)[0]
 
 
 def point_jacobian(tree: BodyTree, joint: int, offset: ArrayLike, q: Quantity) -> Quantity:
-    """Return the position Jacobian (3, n) of a point, an expression of q (n,) (SX or MX)."""
-    if isinstance(q, ca.MX):
-        function: Any = point_kinematics(tree, joint, offset)
-        return function(q)[1]
+    """Return the position Jacobian (3, n) of a point, an expression of SX q (n,)."""
     joints = axis_joints(tree)
     frames = axis_frames(joints, q, joint)
     origin, turn = frames[joint]

@@ -9,7 +9,7 @@ Hysteresis is neglected. Elastic bearings are joints of their own (`BearingJoint
 from __future__ import annotations
 
 from collections.abc import Generator, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import numpy as np
@@ -40,6 +40,9 @@ _MAX_TIME_AFTER_ARRIVAL = 1.0  # [s]
 # The static equilibrium changes slowly: computed every so many steps, linear in between.
 _EQUILIBRIUM_STRIDE = 5
 _EQUILIBRIUM_ITERATIONS = 4
+# Positions of links that are in memory at once, beside some ten arrays of their size: a weld of
+# minutes has 1e8 of them with its arms.
+_MAX_POSITIONS = 5_000_000
 _SPRING_TABLE_POINTS = 20001  # of each joint's law, equidistant in wind-up
 
 
@@ -363,14 +366,26 @@ def simulate_uncertain_arms(asked: Sequence[SimulationRequest]) -> list[ToolErro
     ----------
     asked : sequence of SimulationRequest
     """
-    core = native.core(len(asked[0].many.damping)) if asked else None
-    return [
-        each.many.tool_error(
-            each.members,
-            _integrate_numpy(each) if core is None else _integrate_compiled(core, each),
-        )
-        for each in asked
-    ]
+    return [_simulate_members(each) for each in asked]
+
+
+def _simulate_members(asked: SimulationRequest) -> ToolError:
+    """Simulate the members of one plan, as many at a time as the memory is for."""
+    many, members = asked.many, asked.members
+    core, joints = native.core(len(many.damping)), len(many.damping)
+    together = max(1, _MAX_POSITIONS // (len(many.time) * joints))
+    found = []
+    for first in range(0, len(members), together):
+        part = SimulationRequest(many, members[first : first + together])
+        links = _integrate_numpy(part) if core is None else _integrate_compiled(core, part)
+        found.append(many.tool_error(part.members, links))
+    if len(found) == 1:
+        return found[0]
+    return replace(
+        found[0],
+        position=np.concatenate([each.position for each in found]),
+        orientation=np.concatenate([each.orientation for each in found]),
+    )
 
 
 def answer_together(asking: Iterable[SimulationRequests[Result]]) -> list[Result]:

@@ -39,26 +39,14 @@ class _Operations(ctypes.Structure):
 
 
 class Batch(NamedTuple):
-    """A function's operations as arrays, which are read once and loaded in any process.
+    """A function's operations as arrays, which are read once and loaded in any process."""
 
-    Parameters
-    ----------
-    shape : array of int32
-        Numbers of inputs and outputs, 1 to recall the last calls, and places of the work vector.
-    sides : array of int32
-        Numbers of entries, and places in `sparsity`, as interpreter.c has them.
-    sparsity : array of int64
-    operations : array of int32 (4, count)
-        Operation, its two operands and where its result is written.
-    constants : array
-        Of the operations that are constants, in their order.
-    """
-
+    # Numbers of inputs and outputs, 1 to recall the last calls, and places of the work vector.
     shape: np.ndarray
-    sides: np.ndarray
+    sides: np.ndarray  # numbers of entries, and places in `sparsity`, as interpreter.c has them
     sparsity: np.ndarray
-    operations: np.ndarray
-    constants: np.ndarray
+    operations: np.ndarray  # (4, count) operation, its two operands and where its result is written
+    constants: np.ndarray  # of the operations that are constants, in their order
 
     def load(self, library: Path) -> ca.Function | None:
         """Return the function at `POINTS` points at once; None where too many are in use."""

@@ -44,17 +44,8 @@ def slowing_within_duty(
 ) -> float:
     """Return the least factor on the duration of a timing at which its duty keeps the limits.
 
-    Parameters
-    ----------
-    slowed : callable
-        The motion at a factor.
-    most : float
-        Largest factor that the problem's duration allows.
-
-    Raises
-    ------
-    ProblemError
-        A limit that no allowed factor keeps, with its value there.
+    `slowed` is the motion at a factor, `most` the largest that the problem's duration allows.
+    Raises `ProblemError` with the value of a limit that no allowed factor keeps.
     """
 
     def excess(factor: float) -> list[str]:

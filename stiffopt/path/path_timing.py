@@ -99,7 +99,14 @@ class PathDemands:
 def fastest_timing(
     robot: Robot, limits: Limits, path: JointPath, demands: PathDemands | None = None
 ) -> Trajectory:
-    """Return the fastest time law s(t) of a path within limits, at rest at its ends and stops.
+    """Return the fastest time law s(t) of a path within limits, at rest at its ends and stops."""
+    return join_motions(fastest_parts(robot, limits, path, demands))
+
+
+def fastest_parts(
+    robot: Robot, limits: Limits, path: JointPath, demands: PathDemands | None = None
+) -> list[tuple[Trajectory, float]]:
+    """Return the fastest time laws between the stops of a path, each with the rest after it [s].
 
     Joint velocity (with its map over position), acceleration, jerk, drive torque and tool speed,
     with that of each piece of the path.
@@ -116,7 +123,7 @@ def fastest_timing(
     ):
         law = _fastest_part(_PathTiming(robot, limits, part, asked.on(begin, end)), part)
         laws.append((_scaled_law(law, begin, end), dwell))
-    return join_motions(laws)
+    return laws
 
 
 def _scaled_law(law: Trajectory, begin: float, end: float) -> Trajectory:

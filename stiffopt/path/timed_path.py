@@ -15,13 +15,13 @@ from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.errors import ProblemError
 from stiffopt.path.averaged_law import averaged_law
 from stiffopt.path.path_duty import slowing_within_duty
-from stiffopt.path.path_timing import PathDemands, fastest_timing
+from stiffopt.path.path_timing import PathDemands, fastest_parts
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.duty import DutyLimits
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.solution import Baseline
-from stiffopt.result.trajectory import ForceHistory, Trajectory
+from stiffopt.result.trajectory import ForceHistory, Trajectory, join_motions
 from stiffopt.robot.batched_kinematics import tool_jacobians
 from stiffopt.transcription.constraint_back_off import backed_off
 
@@ -48,22 +48,23 @@ def timed_motion(problem: TrajectoryProblem) -> Baseline | None:
     assert path is not None
 
     @functools.cache
-    def fastest_law(margins: frozenset[tuple[str, float]]) -> Trajectory:
-        """Return the fastest law with these shares of the limits left; each window starts there."""
+    def fastest_laws(margins: frozenset[tuple[str, float]]) -> list[tuple[Trajectory, float]]:
+        """Return the fastest laws with shares of the limits left, where each window starts."""
         demands = PathDemands(
             process_force=_forces_along(problem, path),
             margin=dict(margins),
             eased=problem.boundary_acceleration == "zero",
         )
-        return fastest_timing(problem.robot, problem.active_limits, path, demands)
+        return fastest_parts(problem.robot, problem.active_limits, path, demands)
 
-    fastest = _timed_motion(problem, fastest_law, 0.0)
+    fastest = _timed_motion(problem, fastest_laws, 0.0)
     if fastest is None or not problem.leads_on_path:
         return fastest
     assert fastest.objective is not None
     for window in _AVERAGING_WINDOWS:
-        found = _timed_motion(problem, fastest_law, window)
-        allowed = _MAX_SLOWING * (fastest.objective + 2.0 * window)
+        found = _timed_motion(problem, fastest_laws, window)
+        # Every part between stops ends two windows later.
+        allowed = _MAX_SLOWING * (fastest.objective + 2.0 * window * (1 + len(path.stops)))
         if found is not None and found.objective is not None and found.objective <= allowed:
             return found
     return fastest
@@ -71,7 +72,7 @@ def timed_motion(problem: TrajectoryProblem) -> Baseline | None:
 
 def _timed_motion(
     problem: TrajectoryProblem,
-    fastest_law: Callable[[frozenset[tuple[str, float]]], Trajectory],
+    fastest_laws: Callable[[frozenset[tuple[str, float]]], list[tuple[Trajectory, float]]],
     window: float,
 ) -> Baseline | None:
     """Return the certified motion with its law averaged twice over a window [s]."""
@@ -81,11 +82,13 @@ def _timed_motion(
     shortest = problem.duration[0]
     for _ in range(_MAX_BACK_OFFS):
         try:
-            law = fastest_law(frozenset(margins.items()))
+            parts = fastest_laws(frozenset(margins.items()))
         except ProblemError:
             return None
-        if window:
-            law = averaged_law(law, window)
+        # Not across a stop, where the path may have a corner that the average would not rest at.
+        law = join_motions(
+            [(averaged_law(each, window) if window else each, rest) for each, rest in parts]
+        )
         law = law.scaled_to(shortest) if law.duration < shortest else law
         motion, assessment = _follow(problem, path, law)
         worst = assessment.worst_violation

@@ -160,7 +160,7 @@ def stage_model(
         problem.process_force,
         smoothing=smoothing.stiffness,
         sides=sides,
-        friction=(smoothing.friction, smoothing.creeping),
+        friction=(smoothing.friction, smoothing.creeping, smoothing.convexity),
     )
 
 

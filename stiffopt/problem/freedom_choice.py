@@ -24,7 +24,8 @@ class ChosenFreedom:
     path: ToolPath
     fitted: FittedPath
     remark: str  # what was chosen, and its value
-    document: dict[str, Any]  # the choice as results keep it, with a hash of all that it depends on
+    # The choice as results keep it, with a hash of all that it depends on.
+    document: dict[str, Any]
 
 
 def choose_freedom(

@@ -288,14 +288,13 @@ class PathTableSection(Section):
 
 
 class WorkFrameSection(Section):
-    """Frame in which the poses of the path are given, on the base or on a positioner."""
+    """Frame of the path's poses, on the base or on a positioner."""
 
     link: Annotated[
         str | None,
         Doc(
-            "Link of a positioner that carries the work, such as a turntable: poses, placement, "
-            "speed, deflection and force are relative to it and in its axes. Its joints are a "
-            "branch of the URDF beside the arm, each named by a [[joint]] of the robot file."
+            "Link of a positioner that carries the work; poses, speed and force are relative to it "
+            "and in its axes. Its joints are a branch of the URDF, each named by a [[joint]]."
         ),
     ] = None
     position: Annotated[Vector3, Doc("Origin, base frame or that of `link`.")] = (0.0, 0.0, 0.0)

@@ -27,6 +27,9 @@ from stiffopt.symbolic import Quantity
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
+# Step of a speed that is rounded to a constant, relative to the friction's smoothing width.
+_ROUNDING = 1e-12
+
 
 class StageModel:
     """Symbolic torques, stiffness and deflection of a robot at one instant.
@@ -40,8 +43,8 @@ class StageModel:
         Factor on every smoothing width of the stiffness model.
     sides : array (n,)
         Sign of the spring torque of joints that can keep it; 0 for the others.
-    friction : (SX or float, SX or float)
-        `friction` and `creeping` of `Smoothing`.
+    friction : (SX or float, SX or float, SX or float)
+        `friction`, `creeping` and `convexity` of `Smoothing`.
     """
 
     def __init__(
@@ -53,7 +56,7 @@ class StageModel:
         process_force: np.ndarray,
         smoothing: Quantity,
         sides: np.ndarray,
-        friction: tuple[Quantity, Quantity] = (1.0, 0.0),
+        friction: tuple[Quantity, Quantity, Quantity] = (1.0, 0.0, 0.0),
     ) -> None:
         self.robot = robot
         self.position, self.velocity, self.acceleration = position, velocity, acceleration
@@ -163,13 +166,21 @@ class StageModel:
 
         The square of the smooth law alone would reward creeping: within the smoothing width there
         is less friction than by the exact law. `creeping` removes that charge.
+
+        Where friction and the rest of the torque have one sign, the square is concave in the
+        velocity. `convexity` takes that curvature out of second derivatives; the value stays.
         """
-        widening, creeping = self.friction
+        widening, creeping, convexity = self.friction
         dry = ca.DM(self.robot.coulomb)
         width = ca.DM(dry_friction_width(self.robot.velocity_max))
-        share = ca.tanh(self.velocity / width / widening)
-        torque = self._drive_torque_without_dry_friction + self._added_drive_torque() + dry * share
-        return torque**2 + (1.0 - creeping) * dry**2 * (1.0 - share**2)
+        place = self.velocity / width / widening
+        share = ca.tanh(place)
+        rest = self._drive_torque_without_dry_friction + self._added_drive_torque()
+        # Zero, but of slope one: only second derivatives of its square differ from zero.
+        slope = place - ca.floor(place / _ROUNDING) * _ROUNDING
+        concave = 2.0 * dry * ca.fmax(rest * share, 0.0) * (1.0 - share**2)
+        bare = (rest + dry * share) ** 2 + (1.0 - creeping) * dry**2 * (1.0 - share**2)
+        return bare + convexity * concave * slope**2
 
     @property
     def _drive_torque_without_dry_friction(self) -> Quantity:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stiffopt.files import atomic_write, to_json_types, write_csv
+from stiffopt.files import to_json_types, write_csv, write_json
 from stiffopt.result.provenance import versions
 from stiffopt.result.solution import ObjectiveValue, Solution
 from stiffopt.result.status import SolveStatus
@@ -198,9 +197,8 @@ def write_cycle(
 ) -> Path:
     """Write cycle.json into `directory`; `problem` is the file's path relative to the folder."""
     document = {**cycle_document(solution), "problem": problem, "changes": list(changes)}
-    text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
     path = directory / CYCLE_FILE
-    atomic_write(path, text + "\n")
+    write_json(path, document)
     return path
 
 
@@ -217,8 +215,7 @@ def write_cycle_simulation(found: CycleSimulation, directory: Path) -> tuple[str
         "versions": versions(),
     }
     names = ("simulation.json", "simulation.csv")
-    text = json.dumps(to_json_types(document), indent=1, ensure_ascii=False, allow_nan=False)
-    atomic_write(directory / names[0], text + "\n")
+    write_json(directory / names[0], document)
     columns = ["t", *(f"deviation_{axis}" for axis in "xyz"), "distance"]
     rows = [simulated.time[:, None], simulated.error.position, simulated.distance[:, None]]
     write_csv(directory / names[1], columns, np.hstack(rows).tolist())

@@ -30,6 +30,11 @@ _STATUS_BY_RETURN_STATUS = {
     "Invalid_Number_Detected": "invalid_number",
 }
 
+# Least distances of a warm start from bounds.
+_WARM_PUSH_OPTIONS = (
+    "warm_start_bound_push", "warm_start_bound_frac", "warm_start_slack_bound_push",
+    "warm_start_slack_bound_frac", "warm_start_mult_bound_push",
+)  # fmt: skip
 # Largest step of a stationary iterate, over the tolerance.
 _STATIONARY_STEP_FACTOR = 10.0
 
@@ -172,7 +177,7 @@ class IpoptSolver:
         self._monitor = Monitor(nlp)
         self._symbols = nlp.casadi
         self._solver = self._create_solver({}, **nlp.derivatives)
-        self._warm_solvers: dict[tuple[str, float], ca.Function] = {}
+        self._other_solvers: dict[tuple[Any, ...], ca.Function] = {}
         self.build_s = time.perf_counter() - begin
 
     @property
@@ -190,6 +195,7 @@ class IpoptSolver:
         warm: Multipliers | None = None,
         barrier: Literal["monotone", "adaptive"] = "monotone",
         push: float = 1e-8,
+        tolerance: float | None = None,
         report: Callable[[Progress], object] | None = None,
         max_seconds: float | None = None,
         max_iterations: int | None = None,
@@ -210,6 +216,8 @@ class IpoptSolver:
         push : float
             Least distance of a warm start from bounds: 1e-3 halves the iterations where bounds have
             been backed off beyond the start.
+        tolerance : float, optional
+            Overrides the option.
         report : callable, optional
             Called with a `Progress` in each iteration.
         max_seconds : float, optional
@@ -227,10 +235,12 @@ class IpoptSolver:
             "lbg": nlp.lower_g,
             "ubg": nlp.upper_g,
         }
-        solver = self._solver
+        further: dict[str, Any] = {} if tolerance is None else {"tol": tolerance}
         if warm is not None:
-            solver = self._warm_solver(barrier, push)
+            further |= {"mu_strategy": barrier, "warm_start_init_point": "yes", "mu_init": 1e-6}
+            further |= dict.fromkeys(_WARM_PUSH_OPTIONS, push)
             inputs |= {"lam_x0": warm.multipliers_x, "lam_g0": warm.multipliers_g}
+        solver = self._solver_with(further)
         monitor = self._monitor
         limit = self.options.max_seconds if max_seconds is None else max_seconds
         monitor.begin(report, limit)
@@ -299,26 +309,17 @@ class IpoptSolver:
                 raise
             raise InputError(f"{str(error).splitlines()[-1]}. {_OPTIONS_HINT}") from error
 
-    def _warm_solver(self, barrier: str, push: float) -> ca.Function:
-        # IPOPT reads these options at setup; the derivatives are shared with the cold solver.
-        if (barrier, push) not in self._warm_solvers:
+    def _solver_with(self, further: dict[str, Any]) -> ca.Function:
+        # IPOPT reads its options at setup; the derivatives are shared with the first solver.
+        if not further:
+            return self._solver
+        key = tuple(further.items())
+        if key not in self._other_solvers:
             gradient, jacobian, hessian = self.derivatives
-            self._warm_solvers[barrier, push] = self._create_solver(
-                {
-                    "mu_strategy": barrier,
-                    "warm_start_init_point": "yes",
-                    "warm_start_bound_push": push,
-                    "warm_start_bound_frac": push,
-                    "warm_start_slack_bound_push": push,
-                    "warm_start_slack_bound_frac": push,
-                    "warm_start_mult_bound_push": push,
-                    "mu_init": 1e-6,
-                },
-                grad_f=gradient,
-                jac_g=jacobian,
-                hess_lag=hessian,
+            self._other_solvers[key] = self._create_solver(
+                further, grad_f=gradient, jac_g=jacobian, hess_lag=hessian
             )
-        return self._warm_solvers[barrier, push]
+        return self._other_solvers[key]
 
     def _final_multipliers(
         self, outputs: dict[str, ca.DM], p: np.ndarray

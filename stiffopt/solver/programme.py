@@ -25,10 +25,7 @@ from stiffopt.solver.exchange import keep_better
 from stiffopt.solver.ipopt import IpoptSolver, Multipliers, RawSolution
 from stiffopt.solver.monitor import FEASIBLE_VIOLATION, Progress
 from stiffopt.solver.solve_run import SolveProgress, SolveRun
-from stiffopt.solver.stage_plan import (
-    SolveStage,
-    solver_options,
-)
+from stiffopt.solver.stage_plan import SolveStage, solver_options
 from stiffopt.symbolic import array_of
 from stiffopt.transcription.build import transcribe
 from stiffopt.transcription.mesh import Mesh
@@ -141,9 +138,11 @@ def build_programme(
     transcription = transcribe(ocp, run.problem.method.transcription, mesh, scales=scales)
     if run.avoidance is not None and guess is not None:
         transcription = run.avoidance.add_rows(transcription, transcription.pack(guess))
-    near = False
-    if guess is not None and smoothing is not None:
-        near = _is_near_guess(transcription, guess, smoothing)
+    near = (
+        guess is not None
+        and smoothing is not None
+        and largest_excess(transcription, guess, smoothing) <= _NEAR_GUESS_EXCESS
+    )
     made = attach_solver(run, transcription, near=near)
     run.build_s += time.perf_counter() - begin
     return made
@@ -153,11 +152,6 @@ def attach_solver(run: SolveRun, transcription: Transcription, *, near: bool = F
     """Return a transcribed programme with its solver; `near` where it starts near the optimum."""
     options = solver_options(run.problem, near=near)
     return Programme(transcription, IpoptSolver(transcription.nlp, options))
-
-
-def _is_near_guess(transcription: Transcription, guess: Guess, smoothing: Smoothing) -> bool:
-    """Return True where a guess exceeds all rows by little."""
-    return largest_excess(transcription, guess, smoothing) <= _NEAR_GUESS_EXCESS
 
 
 def largest_excess(transcription: Transcription, guess: Guess, smoothing: Smoothing) -> float:
@@ -227,15 +221,13 @@ def solve_stage(
             warm=start,
             barrier=barrier,
             push=push,
+            tolerance=stage.tolerance,
             report=report,
             max_seconds=run.remaining,
             max_iterations=max_iterations or run.max_iterations,
         )
-        if (
-            raw.status == "stalled"
-            and raw.violation <= FEASIBLE_VIOLATION
-            and raw.objective <= enough
-        ):
+        feasible = raw.violation <= FEASIBLE_VIOLATION
+        if raw.status == "stalled" and feasible and raw.objective <= enough:
             raw = replace(raw, status="acceptable")
         run.record(stage, raw)
         if raw.status == "interrupted":

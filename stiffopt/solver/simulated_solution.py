@@ -21,9 +21,7 @@ from stiffopt.interrupts import end_deferral
 from stiffopt.problem.formulation import smoothing_stages
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import ResolvedMotion
-from stiffopt.result.simulation import (
-    Simulation,
-)
+from stiffopt.result.simulation import Simulation
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver.exchange import until_interrupted
 from stiffopt.solver.solve_run import ProgressCallback, SolveProgress

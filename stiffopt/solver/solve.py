@@ -16,10 +16,7 @@ import numpy as np
 
 from stiffopt.baseline.baselines import baselines, better_baseline, strict_baseline
 from stiffopt.certificate.collisions import with_collisions
-from stiffopt.certificate.objective_value import (
-    improvement,
-    objective_value,
-)
+from stiffopt.certificate.objective_value import improvement, objective_value
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE, describe_slips, find_slips
 from stiffopt.command.simulation import check_simulation
 from stiffopt.elastic.arm import questionable_springs
@@ -45,6 +42,7 @@ from stiffopt.solver.exchange import exchange, interrupted_outcome, until_interr
 from stiffopt.solver.initial_guess import guess_from_motion, initial_guess, perturb_guess
 from stiffopt.solver.input_shaping import Window, mark_solution_interrupted, solve_shaped
 from stiffopt.solver.programme import Outcome
+from stiffopt.solver.ringing import RingingBesideRivals
 from stiffopt.solver.robust_plan import choose_shaped_motion, robust_plan
 from stiffopt.solver.solve_run import MIN_SOLVE_TIME, ProgressCallback, SolveRun
 from stiffopt.solver.starts import BetterBaseline, best_of_starts
@@ -58,11 +56,7 @@ from stiffopt.solver.trivial_outcomes import (
     interrupted_with_baseline,
     solver_record,
 )
-from stiffopt.solver.verdict import (
-    describe_optimality,
-    judge_collisions,
-    judge_outcome,
-)
+from stiffopt.solver.verdict import describe_optimality, judge_collisions, judge_outcome
 from stiffopt.transcription.ocp import Guess
 
 # Statuses for which the duration may be too short for any motion.
@@ -172,7 +166,7 @@ def solve_with_state(
             lambda: _optimise(run, compared, notes, guess, start=start, compare=compare),
             lambda: interrupted_solution(run, compared, notes),
         )
-    solution = _name_steps_left_out(run, solution)
+    solution = name_steps_left_out(run, solution)
     if simulate:
         solution = simulated_solution.with_simulation(
             stated, solution, progress, motion, run.command, run.rivals, compare=beside_rivals
@@ -199,6 +193,7 @@ def _optimise(
     outcome = best_of_starts(run, begin)
     rivals = _all_rivals(compared, _strict_baseline_of(run, compared) if compare else None)
     outcome = exchange(run, BetterBaseline(run, rivals), outcome)
+    outcome = exchange(run, RingingBesideRivals(run, outcome), outcome)
     outcome = run.optimum = exchange(run, BetweenRivals(run, outcome), outcome)
     if problem.avoids_collisions:
         outcome = avoid_collisions(run, outcome, searches=problem.method.starts)
@@ -245,13 +240,14 @@ def _timed_motion(run: SolveRun) -> Baseline | None:
     return found
 
 
-def _name_steps_left_out(run: SolveRun, solution: Solution) -> Solution:
+def name_steps_left_out(run: SolveRun, solution: Solution) -> Solution:
     """Return the solution with the steps that the time limit ended; it is not optimal then."""
-    if not run.left_out or not solution.status.usable:
+    usable = solution.status.usable
+    if not run.left_out or not (usable or solution.status is SolveStatus.CERTIFICATE_FAILED):
         return solution
     return replace(
         solution,
-        status=SolveStatus.ACCEPTABLE,
+        status=SolveStatus.ACCEPTABLE if usable else solution.status,
         message=(
             f"{solution.message} But the time limit ended or left out: {', '.join(run.left_out)};"
             f" raise method.time_limit above {run.problem.method.time_limit:g} s."

@@ -27,6 +27,11 @@ _MIN_COARSE_START_PHASES, _COARSE_START_PHASE_INTERVALS = 8, 5
 # Factors on the smoothing width of dry friction before the last stage: from a wide one, most joints
 # reverse where the exact law is best, in a third of the iterations.
 _FRICTION_WIDENINGS = (16.0, 4.0)
+# And those with many phases on the fine mesh. Second derivatives are exact in the last stage only:
+# they have negative curvature wherever a joint is about to reverse, and the inertia correction for
+# one of a hundred phases shortens the steps of all. Tolerance of the stages before, over the number
+# of phases, each of which has that share of the objective: below it they converge linearly.
+_FINE_FRICTION_WIDENINGS, _CONVEX_STAGE_TOLERANCE = (2.0, 1.0), 1e-3
 # Initial barrier parameter of a smooth problem that starts near its optimum.
 _INITIAL_NEAR_BARRIER = 1e-4
 # Phases for which the iteration limit of a problem holds; more phases have proportionally more.
@@ -58,11 +63,14 @@ class SolveStage:
     smoothing : Smoothing
     new_mesh : bool
         New distribution of the intervals, short where the controls of the stage before change.
+    tolerance : float, optional
+        Of the solver; that of the problem if left out.
     """
 
     intervals: int
     smoothing: Smoothing
     new_mesh: bool = False
+    tolerance: float | None = None
 
 
 def plan_stages(
@@ -77,14 +85,25 @@ def plan_stages(
     widths = tuple(Smoothing(width, corners) for width in smoothing_stages(problem))
     if len(widths) == 1:
         # Smooth problems converge directly from the guess; a coarse mesh would only cost time.
-        start = intervals
-        if phases >= _MIN_COARSE_START_PHASES:
-            start = min(_COARSE_START_PHASE_INTERVALS * phases, intervals)
-        widenings: tuple[float, ...] = (1.0,) if start < intervals else ()
-        if problem.charges_dry_friction:
-            widenings = _FRICTION_WIDENINGS
-        fine = SolveStage(intervals, Smoothing(1.0), new_mesh=start < intervals)
-        return (*(SolveStage(start, Smoothing(1.0, friction=each)) for each in widenings), fine)
+        start = min(_COARSE_START_PHASE_INTERVALS * phases, intervals)
+        widenings = _FRICTION_WIDENINGS if problem.charges_dry_friction else ()
+        last = SolveStage(intervals, Smoothing(1.0))
+        if phases < _MIN_COARSE_START_PHASES or start == intervals:
+            wide = (replace(last, smoothing=Smoothing(1.0, friction=each)) for each in widenings)
+            return (*wide, last)
+        if not widenings:
+            return (replace(last, intervals=start), replace(last, new_mesh=True))
+        convex = [
+            SolveStage(
+                count,
+                Smoothing(1.0, friction=each, convexity=1.0),
+                tolerance=_CONVEX_STAGE_TOLERANCE / phases,
+            )
+            for count, wide in ((start, widenings), (intervals, _FINE_FRICTION_WIDENINGS))
+            for each in wide
+        ]
+        convex[len(widenings)] = replace(convex[len(widenings)], new_mesh=True)
+        return (*convex, last)
     if problem.plans_links:
         # Long chains of integrators converge poorly on a new mesh: one change of mesh, directly
         # with the narrow smoothing.
@@ -172,12 +191,7 @@ def finer_mesh(
 def _mesh_along_path(path: JointPath, guess: Guess, intervals: int) -> Mesh:
     """Return a mesh with nodes at the waypoints, where the rate of the path's curvature jumps.
 
-    Parameters
-    ----------
-    path : JointPath
-    guess : Guess
-        Path coordinate and its speed.
-    intervals : int
+    The guess is of the path coordinate and its speed.
     """
     at = np.linspace(0.0, 1.0, PATH_SAMPLES)
     shares = np.diff(np.interp(path.knots, guess.states(at)[:, 0], at))

@@ -23,12 +23,7 @@ from stiffopt.solver.programme import (
     solve_stage,
 )
 from stiffopt.solver.solve_run import SolveRun
-from stiffopt.solver.stage_plan import (
-    SolveStage,
-    finer_mesh,
-    initial_mesh,
-    resolving_intervals,
-)
+from stiffopt.solver.stage_plan import SolveStage, finer_mesh, initial_mesh, resolving_intervals
 from stiffopt.transcription.mesh import Mesh
 from stiffopt.transcription.ocp import Guess
 from stiffopt.transcription.transcription import Transcription
@@ -51,15 +46,7 @@ def run_stages(
 ) -> Outcome:
     """Solve the stages one after another, each from the last.
 
-    Parameters
-    ----------
-    run : SolveRun
-    plan : tuple of SolveStage
-    guess : Guess
-    margins : dict
-        Back-off of limits, as shares.
-    mesh : Mesh, optional
-        Of the first stage; uniform if left out.
+    `margins` back limits off, as shares; `mesh` is that of the first stage, else uniform.
     """
     for made, stage, raw in _iterate_stages(run, plan, guess, margins, mesh):
         last = functools.partial(certify_outcome, run, made, raw, stage.smoothing)

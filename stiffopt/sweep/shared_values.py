@@ -13,49 +13,33 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
 # Chance that any value at all is called an arm's own where all are common.
-_LEVEL = 0.05
+_TEST_LEVEL = 0.05
 # Largest deviation over the expected one of a value that the recordings tell.
 _MAX_UNTOLD = 0.7
 
 
 @dataclass(frozen=True, kw_only=True)
 class SharedValue:
-    """One value of several arms.
+    """One value of several arms."""
 
-    Parameters
-    ----------
-    joint : int or None
-        From 1; None for a value of the arm.
-    value, sd : float
-        Common to all arms, expected value included.
-    arms : tuple of (str, float, float)
-        Each arm's name, value and standard deviation.
-    p : float
-        Chance of such differences where the value is common.
-    common : bool
-        The differences are no larger than chance makes them, among all values tested.
-    """
-
-    joint: int | None
+    joint: int | None  # from 1; None for a value of the arm
     parameter: str
     unit: str
+    # Common to all arms, expected value included.
     value: float
     sd: float
+    # (str, float, float) each arm's name, value and standard deviation.
     arms: tuple[tuple[str, float, float], ...]
-    p: float
-    common: bool
+    p: float  # chance of such differences where the value is common
+    common: bool  # the differences are no larger than chance makes them, among all values tested
 
 
 def shared_values(arms: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[SharedValue]:
     """Return all values that at least two arms tell, those that differ most first.
 
-    Parameters
-    ----------
-    arms : mapping of str to sequence of mapping
-        Values by arm: `joint`, `parameter`, `unit`, `value`, `sd`, `expected`, `expected_sd`.
+    `arms`: values by arm: `joint`, `parameter`, `unit`, `value`, `sd`, `expected`, `expected_sd`.
     """
     found: dict[tuple[int | None, str], dict[str, Mapping[str, Any]]] = {}
     for arm, values in arms.items():
@@ -66,12 +50,14 @@ def shared_values(arms: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[Share
     tested.sort(key=lambda each: each.p)
     kept, common = [], False
     for k, each in enumerate(tested):
-        common = common or each.p > _LEVEL / (len(tested) - k)
+        common = common or each.p > _TEST_LEVEL / (len(tested) - k)
         kept.append(SharedValue(**vars(each) | {"common": common}))
     return kept
 
 
 def _test(place: tuple[int | None, str], own: Mapping[str, Mapping[str, Any]]) -> SharedValue:
+    from scipy.special import chdtrc  # heavy, and needed after the solves only
+
     value, sd, expected, expected_sd = (
         np.array([each[key] for each in own.values()])
         for key in ("value", "sd", "expected", "expected_sd")
@@ -90,6 +76,6 @@ def _test(place: tuple[int | None, str], own: Mapping[str, Mapping[str, Any]]) -
         value=(float(weight.sum()) * mean + prior * float(np.mean(expected))) / total,
         sd=float(total**-0.5),
         arms=tuple((arm, float(v), float(s)) for arm, v, s in zip(own, value, sd, strict=True)),
-        p=float(chi2.sf(squares, len(own) - 1)),
+        p=float(chdtrc(len(own) - 1, squares)),
         common=False,
     )

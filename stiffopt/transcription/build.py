@@ -139,7 +139,7 @@ class _NlpBuilder:
         for rows, expression, places in self.scheme.extra_rows(symbols):
             self._add_rows(rows, expression, places)
         if self.splines is not None:
-            self._add_spline_rows(symbols, durations)
+            self._add_spline_rows(symbols)
         self._add_control_rate_rows(symbols)
         self._add_waypoint_rows(symbols)
         if ocp.phases > 1:
@@ -326,10 +326,9 @@ class _NlpBuilder:
                 return order
         return len(orders)
 
-    def _add_spline_rows(self, s: Symbols, durations: ca.MX) -> None:
+    def _add_spline_rows(self, s: Symbols) -> None:
         """Add bounds of states at the nodes, and continuity of the splines between phases."""
-        assert self.splines is not None
-        assert self.coefficients is not None
+        assert s.spline_values is not None
         ocp, nodes = self.ocp, self.scheme.state_places(self.intervals)
         *orders, _ = (list(order) for order in zip(*ocp.chains, strict=True))
         last = len(nodes) - 1
@@ -344,13 +343,10 @@ class _NlpBuilder:
                 index = [own[i] for i in kept]
                 labels = [ocp.states[i] for i in index]
                 name = "position" if order == 0 else "state"
-                value = self.splines.derivative(
-                    order, nodes[columns], ca.vec(self._block_symbol(self.coefficients)), durations
-                )
+                value = s.spline_values(nodes[columns], orders=(order,))
                 scales = ocp.scales_of_states[index]
                 rows = Rows.make(name, labels, low[kept], high[kept], scales)
                 self._add_rows(rows, value[kept.tolist(), :], nodes[columns])
-        assert s.spline_values is not None
         for phase in range(ocp.phases - 1):
             ends = Places(np.array([phase]), np.ones(1)), Places(np.array([phase + 1]), np.zeros(1))
             leave, enter = (s.spline_values(place) for place in ends)

@@ -66,24 +66,19 @@ class ChainSplines:
         """Number of all coefficients."""
         return int(self.counts.sum()) * len(self.chains)
 
-    def at(self, places: Places, coefficients: ca.MX, durations: ca.MX) -> ca.MX:
+    def at(
+        self, places: Places, coefficients: ca.MX, durations: ca.MX, orders: tuple[int, ...] = ()
+    ) -> ca.MX:
         """States and controls (nx + nu, P) at places, as expressions of the coefficients.
 
-        `durations` (K,) are those of each interval's phase.
+        `durations` (K,) are those of each interval's phase. With `orders`, derivatives of these
+        orders (len(orders) n, P) of all chains instead.
         """
-        matrix, powers, _ = self._coefficient_map(places)
+        matrix, powers, _ = self._coefficient_map(places, orders)
+        height = len(orders) * len(self.chains) or self.values
         moved = ca.mtimes(_to_casadi(matrix), coefficients)
-        stretched = self._durations_at(places, durations, self.values) ** ca.DM(-powers)
-        return ca.reshape(moved * stretched, self.values, len(places))
-
-    def derivative(
-        self, order: int, places: Places, coefficients: ca.MX, durations: ca.MX
-    ) -> ca.MX:
-        """Derivative of one order of all chains (n, P), as `at`."""
-        matrix, powers, _ = self._coefficient_map(places, (order,))
-        moved = ca.mtimes(_to_casadi(matrix), coefficients)
-        stretched = self._durations_at(places, durations, len(self.chains)) ** ca.DM(-powers)
-        return ca.reshape(moved * stretched, len(self.chains), len(places))
+        stretched = self._durations_at(places, durations, height) ** ca.DM(-powers)
+        return ca.reshape(moved * stretched, height, len(places))
 
     def positions(self, places: Places, states: Sequence[int], columns: int) -> ca.DM:
         """Matrix from variables, the coefficients first, to positions, place by place."""

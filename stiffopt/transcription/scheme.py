@@ -88,8 +88,8 @@ class Symbols:
     controls: ca.MX
     durations: ca.MX  # (K,) of each interval's phase [s]
     parameters: ca.MX  # (np, 1)
-    # Places -> states and controls (nx + nu, P), where spline coefficients are variables.
-    spline_values: Callable[[Places], ca.MX] | None = None
+    # `ChainSplines.at` of the coefficients, where these are variables.
+    spline_values: Callable[..., ca.MX] | None = None
 
     @cached_property
     def first_order(self) -> list[int]:

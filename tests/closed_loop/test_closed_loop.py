@@ -23,8 +23,9 @@ from servo_sets import (
 )
 
 from stiffopt.actuator.law import ActuatorLaw
-from stiffopt.closed_loop.arm import CommandedArm, LoopPhysics, LoopSpring
+from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.parameters import Parameters, zero_parameters
+from stiffopt.closed_loop.physics import LoopPhysics, LoopSpring
 from stiffopt.closed_loop.polish import polish
 from stiffopt.closed_loop.simulation import (
     CommandedRun,

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from elastic_arms import arm, bang, there_and_stop
 
+from stiffopt.elastic import uncertain_arms
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.servo import Servo
 from stiffopt.elastic.simulate import simulate
@@ -179,3 +180,18 @@ def test_worst_servo_has_the_stated_bounds_and_typical_ones_elsewhere():
     assert worst.bandwidth == pytest.approx(0.8 * nominal.bandwidth)
     assert worst.torque_feed_forward == pytest.approx(nominal.torque_feed_forward - 0.1)
     assert (worst.feed_forward, worst.rate) == (nominal.feed_forward, nominal.rate)
+
+
+def test_members_in_parts_are_those_of_one_batch(tmp_path, monkeypatch):
+    elastic = planar(tmp_path)
+    command, plan = (made((1.0, -1.0), 0.2, (0.3, 0.4)) for made in (bang, there_and_stop))
+    box = ParameterBox(Uncertainty(), elastic.robot)
+    levels = np.random.default_rng(1).uniform(-1.0, 1.0, (5, 7))
+    members = [Member(command=command, departure=box.departure(each)) for each in levels]
+    many = UncertainArms(elastic, plan)
+    whole = many.simulate(members)
+    monkeypatch.setattr(uncertain_arms, "_MAX_POSITIONS", 2 * 2 * len(many.time))
+    parts = many.simulate(members)
+    assert parts.position.shape == whole.position.shape
+    np.testing.assert_allclose(parts.position, whole.position, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(parts.orientation, whole.orientation, rtol=1e-12, atol=1e-15)

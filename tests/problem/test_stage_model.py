@@ -108,3 +108,28 @@ def test_tool_jacobian_of_an_arm_with_a_slide(tmp_path):
         axes = pin.LOCAL_WORLD_ALIGNED
         whole = pin.computeFrameJacobian(robot.model, data, np.array(at), frame, axes)
         assert symbolic(at).full() == pytest.approx(whole[:3], abs=1e-14)
+
+
+def test_convexity_changes_second_derivatives_of_the_friction_charge_alone():
+    robot = load_robot("er3a_c60")
+    n = robot.n
+    q, v, a = (ca.SX.sym(name, n) for name in "qva")
+    charges = []
+    for convexity in (0.0, 1.0):
+        model = StageModel(robot, q, v, a, np.zeros(3), 1.0, np.zeros(n), (1.0, 0.0, convexity))
+        curvature, slope = ca.hessian(ca.sum1(model.squared_drive_torque), v)
+        given = ca.sum1(model.squared_drive_torque), slope, curvature
+        charges.append(ca.Function("charge", [q, v, a], given))
+    most = 0.0
+    width = 0.01 * robot.velocity_max
+    for position, speed, acceleration in states(robot):
+        point = position, speed * width, acceleration
+        (value, slope, curvature), (same, same_slope, convex) = (
+            [np.asarray(each) for each in charge(*point)] for charge in charges
+        )
+        assert same == pytest.approx(value, rel=1e-12)
+        assert same_slope == pytest.approx(slope, rel=1e-9, abs=1e-9)
+        added = convex - curvature
+        assert np.linalg.eigvalsh(added).min() >= -1e-6 * np.abs(curvature).max()
+        most = max(most, np.abs(added).max() / np.abs(curvature).max())
+    assert most > 0.1

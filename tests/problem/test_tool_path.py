@@ -1,9 +1,12 @@
 """Tool paths of lines and arcs: geometry, joint spline, tool speed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from small_arms import write_robot
 
+from stiffopt.elastic.uncertainty import AssumedUncertainty
 from stiffopt.errors import InputError, ProblemError
 from stiffopt.path.timed_path import timed_motion
 from stiffopt.problem.files import load_problem
@@ -328,6 +331,23 @@ def test_motion_rests_at_stops_and_keeps_the_speeds_of_its_segments(tmp_path):
     assert motion.tool_speed[before].max() == pytest.approx(0.1, rel=5e-3)
     assert motion.tool_speed[~before].max() == pytest.approx(0.2, rel=5e-3)
     assert np.max(np.abs(motion.jerk) / problem.active_limits.jerk) <= 1.005
+
+
+def test_motion_whose_motors_lead_rests_at_stops_as_well(tmp_path):
+    text = PROBLEM.replace('blend = "30 mm"', "stop = true").replace(
+        '[limits]\njerk = "none"\n', ""
+    )
+    problem = write(tmp_path, text + "\n[uncertainty]\nstiffness = 0.2\n")
+    assert problem.leads_on_path
+    motion = timed_motion(problem).assessment
+    fastest = timed_motion(replace(problem, uncertainty=AssumedUncertainty())).assessment
+    # Averaged over 40 ms twice in each of the two parts.
+    assert motion.duration == pytest.approx(fastest.duration + 4 * 0.04, abs=0.02)
+    away = np.linalg.norm(motion.tool - problem.path.corners[0], axis=1)
+    at = int(np.argmin(away))
+    assert away[at] < 2e-5
+    assert np.abs(motion.velocity[at]).max() < 1e-3
+    assert motion.tool_speed.max() > 0.15
 
 
 def test_motion_without_end_is_refused(tmp_path):

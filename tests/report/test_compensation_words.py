@@ -8,6 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from stiffopt.command.compensation import _explain_refusal
+from stiffopt.elastic.uncertainty import AssumedUncertainty, Uncertainty
 from stiffopt.report.solve.compensation import compensation_text
 from stiffopt.result.assessment import Violation
 from stiffopt.result.compensation import CompensatedMotion, Compensation, Spread, Spreads
@@ -82,3 +84,13 @@ def test_a_rival_wins_where_the_optimised_motion_has_no_command():
     assert found.ratios is None
     assert "The best rival, the quintic motion of 0.5 s, has" in compensation_text(found)
     assert compensation(refused).best_rival is None
+
+
+@pytest.mark.parametrize("uncertainty", [Uncertainty(), AssumedUncertainty()])
+def test_refusal_of_a_fastest_motion_advises_what_is_not_stated_yet(uncertainty):
+    objectives = (SimpleNamespace(name="duration"),)
+    told = _explain_refusal(
+        SimpleNamespace(objectives=objectives, uncertainty=uncertainty), (BEYOND,)
+    )
+    assert "limits.scale.jerk" in told
+    assert ("State [uncertainty]" in told) is not uncertainty.stated

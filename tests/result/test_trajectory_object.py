@@ -148,6 +148,21 @@ def test_sum_is_exact_for_breaks_microseconds_apart():
     np.testing.assert_allclose(again(times, 3), both(times, 3), rtol=1e-9, atol=1e-9)
 
 
+def test_mixed_motions_share_breaks_that_differ_by_rounding():
+    rng = np.random.default_rng(3)
+    own, other = np.array([0.0, 0.3, 0.6, 1.0]), np.array([0.0, 0.3 - 4e-17, 0.6 + 1e-15, 1.0])
+    first, second = (
+        Trajectory(times, rng.normal(size=(3, size, 2)), rng.normal(size=2), np.zeros(2))
+        for times, size in ((own, 4), (other, 6))
+    )
+    mixed = first.mixed_with(second, 0.3)
+    assert np.diff(mixed.times).min() > 0.1
+    times = np.linspace(0.0, 1.0, 98)
+    for order in range(4):
+        wanted = 0.7 * first(times, order) + 0.3 * second(times, order)
+        np.testing.assert_allclose(mixed(times, order), wanted, rtol=1e-9, atol=1e-9)
+
+
 def test_short_steps_do_not_turn_rounding_into_jerk():
     times = np.array([0.0, 1e-3, 1e-3 + 5e-6, 2e-3])
     # Far from zero, as joints are.

@@ -28,6 +28,9 @@ from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.status import SolveStatus
 from stiffopt.result.tool_error import LedError
+from stiffopt.result.trajectory import Trajectory
+from stiffopt.solver import between_rivals
+from stiffopt.solver.between_rivals import BetweenRivals
 from stiffopt.solver.ipopt import RawSolution
 from stiffopt.solver.programme import solve_stage
 from stiffopt.solver.ringing import RingingBesideRivals
@@ -190,6 +193,66 @@ def test_weight_of_the_ringing_follows_the_phase_that_is_worse_than_the_rival(
     )
     proposal = oracle.propose(last, 0)
     assert (None if proposal is None else proposal.solve()) == (weight and pytest.approx(weight))
+
+
+def straight(slope):
+    return Trajectory.from_acceleration([0.0, 1.0], np.zeros((1, 1, 1)), [0.0], [slope])
+
+
+@pytest.mark.parametrize(
+    ("best", "strongest", "share"),
+    [
+        (None, 1.0, 60),
+        (LedError(in_flight=0.3, after_arrival=9.0, shares={}), 1.0, 80),
+        (None, 0.5, 40),
+    ],
+)
+def test_motion_between_is_the_best_one_whose_motors_keep_their_limits(
+    monkeypatch, best, strongest, share
+):
+    """The error in flight falls toward the rival, that after arrival is least at half of it."""
+    oracle = BetweenRivals.__new__(BetweenRivals)
+    oracle._rivals, oracle._best, oracle.run = (
+        {"quintic": straight(1.0)},
+        best,
+        SimpleNamespace(problem=None),
+    )
+
+    def led_of(plan):
+        x = float(plan(1.0)[0])
+        return LedError(in_flight=1.1 - x, after_arrival=1.0 + 2.0 * abs(x - 0.5), shares={})
+
+    monkeypatch.setattr(oracle, "_led_error", led_of, raising=False)
+    monkeypatch.setattr(between_rivals, "follow_plan", lambda run, plan, law: plan)
+    monkeypatch.setattr(
+        between_rivals, "drive_violations", lambda *_: [SimpleNamespace(value=-1.0)]
+    )
+    monkeypatch.setattr(between_rivals, "assess", lambda problem, motors: motors)
+    # A limit that the drives do not show excludes the motion of least error.
+    monkeypatch.setattr(
+        between_rivals, "worst_flight_violation", lambda motion: float(motion(1.0)[0]) - strongest
+    )
+    monkeypatch.setattr(between_rivals, "replace", lambda last, **new: SimpleNamespace(**new))
+    last = SimpleNamespace(
+        planned=straight(0.0),
+        assessment=SimpleNamespace(led=led_of(straight(0.0))),
+        raw=SimpleNamespace(converged=True),
+        smoothing=SimpleNamespace(law=1.0),
+    )
+    proposal = oracle.propose(last, 0)
+    assert proposal.reason.startswith(f"with {share} % of the quintic motion")
+    oracle._rivals = {}
+    assert oracle.propose(last, 0) is None
+
+
+@pytest.mark.slow
+def test_soft_arm_is_no_worse_than_its_best_rival_in_either_phase(problem):
+    spring = Constant(name="spring", torque_max=60.0, stiffness=1e4)
+    robot = replace(problem.robot, chains=(Chain((Stage(spring),)), Chain((Stage(spring),))))
+    robot = robot.with_payload(1.0, (0.0, 0.0, 0.0), (1e-3, 1e-3, 1e-3))
+    found = solve(replace(problem, robot=robot), simulate=True)
+    assert found.status is SolveStatus.OPTIMAL
+    assert max(found.compensation.ratios) < 1.02
 
 
 @pytest.mark.parametrize(("wins", "status"), [(True, "acceptable"), (False, "optimal")])

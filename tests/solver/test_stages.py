@@ -11,6 +11,7 @@ from stiffopt.problem.files import load_problem
 from stiffopt.problem.formulation import Scales, formulate
 from stiffopt.problem.objective import Objective
 from stiffopt.problem.resolve import resolve
+from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.solver.initial_guess import initial_guess
 from stiffopt.solver.ipopt import IpoptSolver
 from stiffopt.solver.solve_run import SolveRun
@@ -82,7 +83,18 @@ def test_dry_friction_narrows_stage_by_stage():
         (60, 1.0),
     ]
     many = replace(problem, vias=problem.vias[:1] * 9)
-    assert [each.intervals for each in plan_stages(many, 200)] == [50, 50, 200]
+    *convex, last = plan_stages(many, 200)
+    assert [(each.intervals, each.smoothing.friction, each.new_mesh) for each in convex] == [
+        (50, 16.0, False),
+        (50, 4.0, False),
+        (200, 2.0, True),
+        (200, 1.0, False),
+    ]
+    assert all(each.smoothing.convexity == 1.0 for each in convex)
+    assert all(each.tolerance > 1e3 * problem.method.tolerance for each in convex)
+    # The optimum is that of the exact charge, to the problem's tolerance.
+    assert last.smoothing == Smoothing(1.0)
+    assert (last.intervals, last.new_mesh, last.tolerance) == (200, False, None)
 
 
 @pytest.mark.parametrize("vias", [1, 9, 99])

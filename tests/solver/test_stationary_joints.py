@@ -70,7 +70,7 @@ def test_dry_friction_is_charged_in_full_at_rest_unless_joints_may_creep():
     n = robot.n
     p, v, rest = ca.SX.sym("p", n), ca.SX.sym("v", n), ca.SX.zeros(n)
     for creeping, share in ((0.0, 1.0), (1.0, 0.0)):
-        model = StageModel(robot, p, v, rest, np.zeros(3), 1.0, np.zeros(n), (1.0, creeping))
+        model = StageModel(robot, p, v, rest, np.zeros(3), 1.0, np.zeros(n), (1.0, creeping, 0.0))
         beside = model.squared_drive_torque - model.torques.spring**2
         charged = ca.Function("charged", [p, v], [beside])(np.full(n, 0.4), 0.0)
         np.testing.assert_allclose(np.ravel(charged), share * robot.coulomb**2, atol=1e-9)

@@ -44,7 +44,7 @@ def test_splines_reproduce_a_polynomial_in_all_derivatives(splines):
     symbolic = splines.at(PLACES, ca.MX(ca.DM(found)), EACH_DURATION)
     shown = np.array(ca.evalf(symbolic)).T
     assert shown == pytest.approx(values, rel=1e-8, abs=1e-7)
-    jerk = splines.derivative(3, PLACES, ca.MX(ca.DM(found)), EACH_DURATION)
+    jerk = splines.at(PLACES, ca.MX(ca.DM(found)), EACH_DURATION, (3,))
     found_jerk = np.array(ca.evalf(jerk)).T
     assert found_jerk == pytest.approx(values[:, 6:8], rel=1e-8, abs=1e-7)
 

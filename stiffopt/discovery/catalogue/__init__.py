@@ -15,7 +15,7 @@ from stiffopt.discovery.catalogue.contacts import CONTACTS
 from stiffopt.discovery.catalogue.coupled_drive import COUPLED_DRIVE
 from stiffopt.discovery.catalogue.crosstalk import CROSSTALK
 from stiffopt.discovery.catalogue.elastic import BACKLASH, HYSTERESIS, OUTPUT_BACKLASH
-from stiffopt.discovery.catalogue.friction import FRICTION
+from stiffopt.discovery.catalogue.friction import FRICTION, QUADRATIC_DRAG, STROKE_FRICTION
 from stiffopt.discovery.catalogue.friction_drift import FRICTION_DRIFT
 from stiffopt.discovery.catalogue.gain_drift import GAIN_DRIFTS
 from stiffopt.discovery.catalogue.inertial import INERTIAL
@@ -24,11 +24,9 @@ from stiffopt.discovery.catalogue.joint_zero import JOINT_ZERO
 from stiffopt.discovery.catalogue.lubricated_friction import LUBRICATED_FRICTION
 from stiffopt.discovery.catalogue.periodic import PERIODIC
 from stiffopt.discovery.catalogue.preload_loss import PRELOAD_LOSS
-from stiffopt.discovery.catalogue.quadratic_drag import QUADRATIC_DRAG
 from stiffopt.discovery.catalogue.sensors import SENSORS
 from stiffopt.discovery.catalogue.springs import SPRINGS
 from stiffopt.discovery.catalogue.stiffness import K1_SOFTENING, STIFFNESS_LINEAR
-from stiffopt.discovery.catalogue.stroke_friction import STROKE_FRICTION
 from stiffopt.discovery.catalogue.timing import TIMING
 from stiffopt.discovery.catalogue.tool_force import TOOL_FORCES
 from stiffopt.discovery.catalogue.warmup import FRICTION_WARMUP, GAIN_WARMUP

@@ -6,6 +6,8 @@ Bittencourt and Axelsson (2014) for load and temperature.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from stiffopt.discovery.catalogue.common import (
@@ -25,6 +27,13 @@ from stiffopt.symbolic import Quantity, smooth_abs
 _LOAD_ROUNDING_SHARE, _MIN_LOAD_ROUNDING = 0.02, 0.002
 # Rounding of the magnitude of a speed over SIGN_SPEED.
 _SPEED_ROUNDING_SHARE = 0.1
+# Friction over part of the stroke: angle over which it sets in [rad].
+_EDGE_WIDTH = 0.02
+# Least and largest share of the stroke between the angles: less is a tight place, more is dry
+# friction everywhere.
+_MIN_SHARE, _MAX_SHARE = 0.1, 0.85
+# Its angles that are tried, as shares of the stroke; those beyond it leave one edge.
+_FIRST_SHARES, _LAST_SHARES = (-0.05, 0.25, 0.5, 0.75), (0.3, 0.6, 1.05)
 
 
 def rounded_speed(velocity: Quantity) -> Quantity:
@@ -66,6 +75,20 @@ def position_friction_term(signals: JointSignals, amplitudes: Values, shapes: Va
     return Term(drive_torque=amplitudes[0] * bump * signals.motor_direction)
 
 
+def stroke_friction_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
+    """Return dry friction A sg(w) between two angles, with rounded edges."""
+    first, last = shapes
+    q = signals.link_position
+    inside = 0.5 * (np.tanh((q - first) / _EDGE_WIDTH) - np.tanh((q - last) / _EDGE_WIDTH))
+    return Term(drive_torque=amplitudes[0] * inside * signals.motor_direction)
+
+
+def quadratic_drag_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
+    """Return drag D w |w|."""
+    w = signals.motor_velocity
+    return Term(drive_torque=amplitudes[0] * w * rounded_speed(w))
+
+
 def thermal_friction_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return the change by exp(-b (T - T0)) - 1 of viscous and a share of dry friction."""
     constants, w = signals.constants, signals.motor_velocity
@@ -91,6 +114,17 @@ def _is_within_stroke(shapes: Values, constants: JointConstants) -> bool:
     low, high = constants.stroke
     place, width = shapes
     return bool(low <= place <= high and width <= 0.5 * (high - low))
+
+
+def _start_angles(shares: Sequence[float], constants: JointConstants) -> tuple[float, ...]:
+    low, high = constants.stroke
+    return tuple(low + share * (high - low) for share in shares)
+
+
+def _is_part_of_stroke(shapes: Values, constants: JointConstants) -> bool:
+    low, high = constants.stroke
+    first, last = (min(max(angle, low), high) for angle in shapes)
+    return bool(_MIN_SHARE <= (last - first) / max(high - low, 1e-9) <= _MAX_SHARE)
 
 
 def is_definite_load(share: float, constants: JointConstants) -> bool:
@@ -264,6 +298,61 @@ THERMAL_FRICTION = Effect(
     report=lambda amplitudes, shapes, constants: {"b": amplitudes[0] * shapes[0]},
     separate="Repeat one motion cold and after half an hour of work: viscous friction alone stays"
     " the same.",
+)
+
+STROKE_FRICTION = Effect(
+    name="stroke_friction",
+    family="friction",
+    scope="joint",
+    equation="tau += A*sg(w) where q0 < q < q1",
+    signature="motor torque too high against the motion over one part of the stroke, alike"
+    " everywhere in it",
+    title="friction over part of the stroke",
+    phrase=(
+        "more dry friction over part of the stroke: look for a cable, seal or guard that rubs",
+        "less dry friction over part of the stroke",
+    ),
+    needs=("torque", "moves", "reverses"),
+    confused_with=("position_friction", "coulomb"),
+    term=stroke_friction_term,
+    amplitudes=(Amplitude("A", "N m", dry_friction, -1.0, 3.0),),
+    shapes=(
+        Shape("q0", "rad", lambda constants: _start_angles(_FIRST_SHARES, constants), -20.0, 20.0),
+        Shape("q1", "rad", lambda constants: _start_angles(_LAST_SHARES, constants), -20.0, 20.0),
+    ),
+    possible=_is_part_of_stroke,
+    separate="Sweep the whole stroke at one slow speed, both ways: the torque steps at the edges of"
+    " the part, and nowhere else.",
+)
+
+QUADRATIC_DRAG = Effect(
+    name="quadratic_drag",
+    family="friction",
+    scope="joint",
+    equation="tau += D*w*abs(w)",
+    signature="motor torque off against the motion by an amount that grows with the square of the"
+    " speed",
+    title="drag with the square of speed",
+    phrase=(
+        "drag that grows with the square of speed: check the oil level and grade",
+        "friction that grows less than in proportion to speed",
+    ),
+    needs=("torque", "moves", "speeds"),
+    confused_with=("viscous", "lubricated_friction"),
+    reference="BittencourtAxelsson2014",
+    term=quadratic_drag_term,
+    amplitudes=(
+        Amplitude(
+            "D",
+            "N m s^2/rad^2",
+            # Half the viscous friction at the fastest speed.
+            lambda constants: 0.5 * viscous_friction(constants) / max(constants.fastest, 1e-3),
+            -1.5,
+            10.0,
+        ),
+    ),
+    separate="Hold at least four constant speeds up to the fastest, both ways: torque over speed is"
+    " a straight line for viscous friction, a parabola for drag.",
 )
 
 FRICTION = (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
 from numpy.lib import format as npy
@@ -16,9 +17,7 @@ from stiffopt.recording.readers.columns import MAX_ENTRIES, Table, unnamed_colum
 def read_tables(path: Path) -> dict[str, Table]:
     """Read the columns of an .npy file: of a structured array by name, else "column 1", ..."""
     with path.open("rb") as stream:
-        version = npy.read_magic(stream)
-        header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
-        check_numbers(path, math.prod(header(stream)[0]), 1)
+        check_numbers(path, math.prod(read_header(stream)[0]), 1)
     array = np.load(path, allow_pickle=False)
     if array.dtype.names:
         return {"": {name: array[name].reshape(-1).astype(float) for name in array.dtype.names}}
@@ -28,3 +27,11 @@ def read_tables(path: Path) -> dict[str, Table]:
     rows = array if array.shape[0] >= array.shape[1] else array.T
     names = unnamed_columns(rows.shape[1])
     return {"": {name: rows[:, k].astype(float) for k, name in enumerate(names)}}
+
+
+def read_header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    """Read shape and type of an array from its header."""
+    version = npy.read_magic(stream)
+    header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+    shape, _, kind = header(stream)
+    return shape, kind

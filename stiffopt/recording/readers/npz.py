@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.lib import format as npy
 
 from stiffopt.errors import InputFileError
 from stiffopt.recording.readers.checks import check_numbers, require_time
 from stiffopt.recording.readers.columns import Table, columns_of_arrays, select_columns
+from stiffopt.recording.readers.npy import read_header
 from stiffopt.recording.signals import Signals
 
 
@@ -53,10 +53,7 @@ def _check_size(path: Path, archive: zipfile.ZipFile, name: str, columns: int) -
 def _read_header(archive: zipfile.ZipFile, name: str) -> tuple[tuple[int, ...], np.dtype[Any]]:
     """Return shape and type of an array, from its header."""
     with archive.open(f"{name}.npy") as stream:
-        version = npy.read_magic(stream)
-        header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
-        shape, _, kind = header(stream)
-    return shape, kind
+        return read_header(stream)
 
 
 def _as_numbers(path: Path, name: str, array: np.ndarray) -> np.ndarray:

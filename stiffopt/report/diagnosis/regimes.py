@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from stiffopt.discovery.channel import Channel
-from stiffopt.discovery.diagnosis import Diagnosis, Finding
 from stiffopt.report.common.svg import (
     BLUE,
     GREY,
@@ -24,6 +24,9 @@ from stiffopt.report.common.svg import (
 )
 from stiffopt.report.common.text import scale
 from stiffopt.units import joint_unit
+
+if TYPE_CHECKING:
+    from stiffopt.discovery.diagnosis import Diagnosis, Finding
 
 _CELL_COUNT = 14
 DIRECTION_STYLES = ((1, VERMILLION, "positive direction"), (-1, BLUE, "negative direction"))

@@ -1,0 +1,205 @@
+"""Equation of motion of a loop: forces, masses and rates by readings, spring torques and speeds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import casadi as ca
+import numpy as np
+
+from stiffopt.closed_loop.physics import LoopSignals
+from stiffopt.dynamics.newton_euler import torque_of_bodies
+
+if TYPE_CHECKING:
+    from stiffopt.closed_loop.arm import CommandedArm
+
+# Rounding of the magnitude of the torque that load friction goes with [N m].
+_LOAD_WIDTH = 0.01
+
+
+class Balance:
+    """Equation of motion of a loop in its places (readings, spring torques) and speeds."""
+
+    def __init__(
+        self,
+        loop: CommandedArm,
+        own: Mapping[str, ca.SX],
+        bodies: tuple[ca.SX, ...],
+        command: ca.SX,
+        width: ca.SX,
+    ) -> None:
+        self.loop, self.own, self.bodies, self.width = loop, own, bodies, width
+        self.n, self.command = loop.n, command
+        # By place and speed, which live as long as a step is built.
+        self._bodies_at: dict[tuple[int, int], tuple[ca.SX, ca.SX]] = {}
+        law = loop.law
+        stiffness = np.where(np.isfinite(law.stiffness), law.stiffness, 0.0)
+        self.kp = ca.DM(stiffness) * (1.0 + own["gain"])
+        self.kd = ca.DM(law.damping) * (1.0 + own["damping"])
+        count = loop.size // 2
+        self._of_link, self._of_motor = (
+            ca.sparsify(ca.DM(np.eye(count)[:, each]))
+            for each in (loop.link_sides, loop.motor_sides)
+        )
+
+    def _links(self, place: ca.SX, speed: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        """Return angles and speeds of the links, their Jacobian, and accelerations at no other."""
+        q, jacobian = place[: self.n], ca.SX(ca.DM.eye(self.n))
+        angle, rate = q - self.own["zero"], ca.mtimes(self._of_link.T, speed)
+        drift = ca.SX.zeros(self.n)
+        for k, joint in enumerate(self.loop.elastic):
+            spring = self.loop.physics.springs[joint]
+            if not spring.encoder_at_output:
+                angle[joint] -= spring.windup(place[self.n + k])
+        if self.loop.physics.displacement is not None:
+            reading = ca.SX.sym("q", self.n)
+            wound = self.loop.physics.displacement(reading)
+            by_reading = ca.jacobian(wound, reading)
+            along = ca.jtimes(ca.mtimes(by_reading, rate), reading, rate)
+            wound, by_reading, along = ca.substitute([wound, by_reading, along], [reading], [q])
+            angle, drift = angle - wound, -along
+            jacobian = jacobian - by_reading
+            rate = ca.mtimes(jacobian, rate)
+        return angle, rate, jacobian, drift
+
+    def _torque_of_links(self, gravity: np.ndarray, q: ca.SX, v: ca.SX, a: ca.SX) -> ca.SX:
+        return torque_of_bodies(self.loop.tree, gravity, q, v, a, *self.bodies)
+
+    def _inertia(self, angle: ca.SX, jacobian: ca.SX) -> ca.SX:
+        """Return the torques (n, n) of the links per acceleration, both along their readings."""
+        still, none = ca.SX.zeros(self.n), np.zeros(3)
+        columns = [self._torque_of_links(none, angle, still, jacobian[:, i]) for i in range(self.n)]
+        return ca.mtimes(jacobian.T, ca.horzcat(*columns))
+
+    def _still(self, place: ca.SX, speed: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Return the inertia (n, n) of the links, and their torques without acceleration."""
+        key = (id(place), id(speed))
+        if key not in self._bodies_at:
+            angle, rate, jacobian, drift = self._links(place, speed)
+            bias = self._torque_of_links(self.loop.tree.gravity, angle, rate, drift)
+            # Displaced links work along their readings.
+            self._bodies_at[key] = self._inertia(angle, jacobian), ca.mtimes(jacobian.T, bias)
+        return self._bodies_at[key]
+
+    def mass(self, place: ca.SX, speed: ca.SX) -> ca.SX:
+        """Return the forces of all sides per acceleration."""
+        found = ca.mtimes([self._of_link, self._still(place, speed)[0], self._of_link.T])
+        found += ca.mtimes([self._of_motor, ca.diag(self.own["armature"]), self._of_motor.T])
+        if self.loop.physics.torque is not None:
+            rate = ca.SX.sym("a", speed.shape[0])
+            added = self._added(place, speed, rate)[0]
+            found += ca.mtimes(self._of_motor, ca.jacobian(added, rate))
+        return found
+
+    def force(self, place: ca.SX, speed: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Return the forces that accelerate, and the slope of all losses by the speed."""
+        torque, losses, slope = self._drive(place, speed)
+        bias = self._still(place, speed)[1]
+        if self.loop.physics.torque is not None:
+            still = ca.SX.zeros(speed.shape[0])
+            more, by_speed = self._added(place, speed, still)
+            losses, slope = losses + more, slope + by_speed
+        found = ca.mtimes(self._of_motor, torque + self.own["offset"] - losses)
+        found -= ca.mtimes(self._of_link, bias)
+        slopes = ca.mtimes(self._of_motor, slope)
+        for k, joint in enumerate(self.loop.elastic):
+            link, motor = int(self.loop.link_sides[joint]), int(self.loop.motor_sides[joint])
+            damping = self.loop.physics.springs[joint].damping
+            carried = place[self.n + k] + damping * (speed[motor] - speed[link])
+            found[link] += carried
+            found[motor] -= carried
+            slopes[link] += damping
+            slopes[motor] += damping
+        return found, slopes
+
+    def _drive(self, place: ca.SX, speed: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Return torques of the actuators, losses of the drives and the slopes of both."""
+        own, law = self.own, self.loop.law
+        q, v = place[: self.n], ca.mtimes(self._of_motor.T, speed)
+        # An actuator damps by the speed that it reads.
+        error = _clip(self.kp * (self.command - q), law.drive_max)
+        torque = _clip(error - self.kd * speed[: self.n], law.torque_max)
+        direction = ca.tanh(v / self.width)
+        dry = own["coulomb"] + own["friction_slope"] * (q - ca.DM(self.loop.middle))
+        by_speed = own["viscous"] * v + own["drag"] * v * ca.fabs(v)
+        # Torque of the links, moved by what passes the other friction beside the own rotor.
+        inertia, bias = self._still(place, speed)
+        links = ca.diag(inertia) / (ca.diag(inertia) + own["armature"])
+        load = links * (torque + own["offset"] - dry * direction - by_speed) + (1.0 - links) * bias
+        for k, joint in enumerate(self.loop.elastic):
+            load[joint], links[joint] = place[self.n + k], 0.0
+        size = ca.sqrt(load**2 + _LOAD_WIDTH**2)
+        # Friction by the load takes its part of that torque.
+        against = 1.0 + links * own["load_friction"] * direction * load / size
+        dry += own["load_friction"] * (size - _LOAD_WIDTH) / against
+        losses = dry * direction + by_speed
+        slope = self.kd + own["viscous"] + dry / self.width * (1.0 - direction**2)
+        return torque, losses, slope
+
+    def _added(self, place: ca.SX, speed: ca.SX, rate: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Return the added torques at accelerations `rate`, and their slopes by the own speed."""
+        physics, own = self.loop.physics, self.own
+        assert physics.torque is not None
+        torque, losses, _ = self._drive(place, speed)
+        angle, link_speed, jacobian, drift = self._links(place, speed)
+        faster = ca.mtimes(self._of_motor.T, rate)
+        along = ca.mtimes(jacobian, ca.mtimes(self._of_link.T, rate)) + drift
+        spring = ca.mtimes(
+            jacobian.T, self._torque_of_links(self.loop.tree.gravity, angle, link_speed, along)
+        )
+        for k, joint in enumerate(self.loop.elastic):
+            spring[joint] = place[self.n + k]
+        # Speed and direction are one: both give the slope by which stages are stable.
+        v = ca.SX.sym("v", self.n)
+        way = ca.tanh(v / self.width)
+        drive = spring + losses + own["armature"] * faster
+        signals = LoopSignals(place[: self.n], v, faster, way, torque, spring, drive)
+        more = physics.torque(signals)
+        by_speed = ca.diag(ca.jacobian(more, v))
+        actual = ca.mtimes(self._of_motor.T, speed)
+        more, by_speed = ca.substitute([more, by_speed], [v], [actual])
+        return more, by_speed
+
+    def rates(self, place: ca.SX) -> ca.SX:
+        """Return the rates of the places per speed."""
+        found = ca.SX(place.shape[0], place.shape[0])
+        found[: self.n, : self.n] = ca.DM.eye(self.n)
+        for k, joint in enumerate(self.loop.elastic):
+            stiffness = 1.0 / self._compliance(joint, place[self.n + k])
+            found[self.n + k, int(self.loop.motor_sides[joint])] += stiffness
+            found[self.n + k, int(self.loop.link_sides[joint])] -= stiffness
+        return found
+
+    def slopes(self, place: ca.SX) -> ca.SX:
+        """Return the decrease of the forces per place, of gains and springs alone.
+
+        Gains count as if encoders were at the motors: so the stages stay symmetric.
+        """
+        count = place.shape[0]
+        found = ca.SX(count, count)
+        for joint in range(self.n):
+            found[int(self.loop.motor_sides[joint]), joint] = self.kp[joint]
+        for k, joint in enumerate(self.loop.elastic):
+            link, motor = int(self.loop.link_sides[joint]), int(self.loop.motor_sides[joint])
+            found[motor, self.n + k] += 1.0
+            found[link, self.n + k] -= 1.0
+            if self.loop.physics.springs[joint].encoder_at_output:
+                compliance = self._compliance(joint, place[self.n + k])
+                found[motor, self.n + k] += self.kp[joint] * compliance
+        return found
+
+    def _compliance(self, joint: int, torque: ca.SX) -> ca.SX:
+        load = ca.SX.sym("s")
+        slope = ca.jacobian(self.loop.physics.springs[joint].windup(load), load)
+        return ca.substitute(slope, load, torque)
+
+
+def _clip(value: ca.SX, largest: np.ndarray) -> ca.SX:
+    """Return a value within plus and minus `largest`, untouched where that is infinite."""
+    return ca.vertcat(
+        *(
+            ca.fmax(ca.fmin(value[i], most), -most) if np.isfinite(most) else value[i]
+            for i, most in enumerate(largest)
+        )
+    )
