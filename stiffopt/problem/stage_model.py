@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
 # Step of a speed that is rounded to a constant, relative to the friction's smoothing width.
-_ROUNDING = 1e-12
+_SPEED_STEP = 1e-12
 
 
 class StageModel:
@@ -177,7 +177,7 @@ class StageModel:
         share = ca.tanh(place)
         rest = self._drive_torque_without_dry_friction + self._added_drive_torque()
         # Zero, but of slope one: only second derivatives of its square differ from zero.
-        slope = place - ca.floor(place / _ROUNDING) * _ROUNDING
+        slope = place - ca.floor(place / _SPEED_STEP) * _SPEED_STEP
         concave = 2.0 * dry * ca.fmax(rest * share, 0.0) * (1.0 - share**2)
         bare = (rest + dry * share) ** 2 + (1.0 - creeping) * dry**2 * (1.0 - share**2)
         return bare + convexity * concave * slope**2

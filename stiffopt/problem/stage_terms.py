@@ -100,8 +100,8 @@ class Smoothing:
     # From 0, dry friction is charged in full at any speed, to 1, only by the smooth law, which
     # favours joints at rest, and as much those that creep.
     creeping: Quantity = 0.0
-    # From 0, exact second derivatives of the charge of dry friction, to 1, without its concave part:
-    # one joint about to reverse would else shorten the steps of all others.
+    # From 0, exact second derivatives of the charge of dry friction, to 1, without its concave
+    # part: a joint about to reverse would else shorten the steps of all others.
     convexity: Quantity = 0.0
 
     @property

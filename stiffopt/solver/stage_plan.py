@@ -121,10 +121,10 @@ def plan_stages(
             SolveStage(intervals, widths[-1], new_mesh=True),
         )
     first = [SolveStage(coarse, width) for width in widths[:2]]
-    last = [SolveStage(intervals, width) for width in widths[1:]]
+    fine = [SolveStage(intervals, width) for width in widths[1:]]
     # On the first fine mesh the intervals follow the coarse motion.
-    last[0] = replace(last[0], new_mesh=True)
-    return (*first, *last)
+    fine[0] = replace(fine[0], new_mesh=True)
+    return (*first, *fine)
 
 
 def solver_options(problem: TrajectoryProblem, *, near: bool = False) -> IpoptOptions:
