@@ -194,10 +194,15 @@ class CommandSearch:
         )
 
     def chosen_command(self) -> SimulationRequests[ExistingCommand]:
-        """Choose the command of the least worst case, or as chosen before where limits allow it."""
+        """Choose the command of the least worst case, or as chosen before where limits allow it.
+
+        Where none keeps the limits, the one of least excess, without a simulation.
+        """
         if (made := self._command_as_chosen()) is not None:
             return made
-        tried = self._candidates_within_limits()
+        tried, exceeding = self._candidates()
+        if not tried:
+            return self._least_exceeding(exceeding)
         commands = [MotorMotion.of(each.motors) for each in tried]
         arms = yield from self._worst_arms(commands[0])
         members = [Member(command=own, departure=arm) for own in commands for arm in arms]
@@ -212,17 +217,17 @@ class CommandSearch:
         for each in best:
             if self._excess_beyond_plan(each.motors) <= CERTIFICATE_TOLERANCE:
                 return each
-        return best[0]
+        return self._least_exceeding(best)
 
     def _worst_arms(self, command: MotorMotion) -> SimulationRequests[list[Departure]]:
         """Return the corners with joints alike, and the worst arms of a command."""
         worst = yield from worst_levels(self._many, command, self._box)
         return [self._box.departure(each) for each in (*self._box.alike_corners(), *worst)]
 
-    def _candidates_within_limits(self) -> list[ExistingCommand]:
-        """Return commands that keep the plan's limits on the trial grid.
+    def _candidates(self) -> tuple[list[ExistingCommand], list[ExistingCommand]]:
+        """Return commands that keep the plan's limits on the trial grid, and ones for want of them.
 
-        Where none does, the ones that lead by the nominal wind-up alone.
+        The latter lead by the nominal wind-up alone.
         """
         found, last = [], []
         for lead in map(self._lead_of, self._spacings):
@@ -232,7 +237,7 @@ class CommandSearch:
                 # The one without the servo's lag has the largest margin on a finer grid.
                 found += [kept[0], *(kept[-1:] if kept[-1] is not kept[0] else [])] if kept else []
                 last += made[-1:] if share == 1.0 else []
-        return found or last
+        return found, last
 
     def _command_as_chosen(self) -> ExistingCommand | None:
         """Return the command of the choice, None without one or where it exceeds a limit."""
@@ -288,6 +293,9 @@ class CommandSearch:
     def _keeps_plan_limits(self, motors: JointMotion) -> bool:
         """Return True where no limit that the plan keeps is exceeded, on the trial grid."""
         return self._excess_beyond_plan(motors, _TRIAL_SAMPLES) <= CERTIFICATE_TOLERANCE
+
+    def _least_exceeding(self, commands: list[ExistingCommand]) -> ExistingCommand:
+        return min(commands, key=lambda each: self._excess_beyond_plan(each.motors))
 
     def _excess_beyond_plan(self, motors: JointMotion, points: int | None = None) -> float:
         """Return the largest excess of the limits that the plan keeps."""
