@@ -22,6 +22,7 @@ import pinocchio as pin
 from common import Row, main
 from elastic_simulation import Springs
 from scipy.integrate import odeint
+from scipy.interpolate import CubicHermiteSpline
 from tool_error import STANDSTILL, Held, Motors, judge
 
 from stiffopt.command.command_search import CommandOnArms
@@ -279,16 +280,13 @@ class Simulation:
         rigid = arm.driven[~self._free]
         others = np.setdiff1d(np.arange(n), rigid)
         grid = motors.times
-        tables = [motors(grid, order) for order in (0, 1, 2)]
-
-        def motor_at(t: float, order: int) -> np.ndarray:
-            k = min(int(t / (grid[1] - grid[0])), len(grid) - 2)
-            share = (t - grid[k]) / (grid[1] - grid[0])
-            return (1.0 - share) * tables[order][k] + share * tables[order][k + 1]
+        place = CubicHermiteSpline(grid, motors(grid, 0), motors(grid, 1))
+        # With a continuous speed the integrator takes steps longer than the servo's.
+        motor_at = [place, place.derivative(), place.derivative(2)]
 
         def slope(t: float, state: np.ndarray) -> np.ndarray:
             x, v = state[:n].copy(), state[n:].copy()
-            motor, speed = motor_at(t, 0), motor_at(t, 1)
+            motor, speed = motor_at[0](t), motor_at[1](t)
             x[rigid], v[rigid] = motor[~self._free], speed[~self._free]
             torque = -arm.stiffness * x - damping * v
             own = self.torque(motor - x[arm.driven])
@@ -296,7 +294,7 @@ class Simulation:
             if not rigid.size:
                 return np.concatenate([v, pin.aba(model, data, x, v, torque)])
             a = np.zeros(n)
-            a[rigid] = motor_at(t, 2)[~self._free]
+            a[rigid] = motor_at[2](t)[~self._free]
             left = (torque - pin.rnea(model, data, x, v, a))[others]
             mass = pin.crba(model, data, x)
             mass = np.triu(mass) + np.triu(mass, 1).T
@@ -308,7 +306,7 @@ class Simulation:
         away = np.empty(len(times))
         for k, t in enumerate(times):
             x = found[k, :n].copy()
-            x[rigid] = motor_at(t, 0)[~self._free]
+            x[rigid] = place(t)[~self._free]
             rest = arm.tool_pose(self.resting(plan(np.array([t]), 0)[0]))
             away[k] = np.linalg.norm(arm.tool_pose(x).translation - rest.translation)
         return away

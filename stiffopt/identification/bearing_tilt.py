@@ -127,8 +127,8 @@ def identify_tilt(
 
 
 def _is_determined(columns: np.ndarray) -> bool:
-    """Return whether there are fewer columns than displacements without one pose."""
-    return columns.shape[2] < 3 * (len(columns) - 1)
+    """Return True where there are fewer columns than displacements without one pose."""
+    return int(columns.shape[2]) < 3 * (len(columns) - 1)
 
 
 def _predict(columns: np.ndarray, measured: np.ndarray) -> _LeftOut:
@@ -140,7 +140,7 @@ def _predict(columns: np.ndarray, measured: np.ndarray) -> _LeftOut:
 
 
 def _supported(narrower: _LeftOut, wider: _LeftOut, column: int, tried: int) -> bool:
-    """Return whether a column differs from zero and decreases the error on poses left out.
+    """Return True where a column differs from zero and decreases the error on poses left out.
 
     As torsion, by Student's t of its fits without one pose each, adjusted for the joints tried.
     """

@@ -19,6 +19,7 @@ from stiffopt.drivetrain.bearing import OutputBearing
 from stiffopt.elastic.servo import MAX_LEAD_AT_END
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import RobotError
+from stiffopt.problem.motor_model import MotorLaw
 from stiffopt.problem.resolve import resolve
 from stiffopt.report.solve.compensation import (
     compensation_section,
@@ -230,3 +231,19 @@ def test_rival_that_wins_is_handed_over_with_a_command_within_the_limits(tmp_pat
     # Those of an earlier solve go with the rival's advantage.
     write_rival(replace(found, rival_plan=None, rival_command=None), tmp_path)
     assert not list(tmp_path.glob("rival_*"))
+
+
+def test_without_a_command_within_the_limits_the_one_of_least_excess_is_taken(tmp_path):
+    problem = load(tmp_path)
+    motion = replace(planned(problem, 0.31), exceeded=())
+    arm, law = elastic_arm(problem, motion.position[0]), MotorLaw(problem.robot)
+    search = command_search.CommandSearch(problem, arm, motion, law)
+    kept, exceeding = search._candidates()
+    assert not kept
+    assert len(exceeding) > 1
+    # Nothing is simulated: the search ends before its first request.
+    with pytest.raises(StopIteration) as end:
+        next(search.chosen_command())
+    excess = [search._excess_beyond_plan(each.motors) for each in exceeding]
+    assert min(excess) < 0.9 * max(excess)
+    assert search._excess_beyond_plan(end.value.value.motors) == pytest.approx(min(excess))
