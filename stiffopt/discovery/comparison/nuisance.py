@@ -159,15 +159,16 @@ def _servo_columns(run: PreparedRun, j: int, selected: NameFilter) -> Iterator[N
     """Yield gain and damping of the servo of a joint that torques are derived from.
 
     They nearly cancel in motion: an error of either looks like viscous friction many times its
-    share of the torque that they leave.
+    share of the torque that they leave. A gain that the recordings told is as free as an unstated
+    one is: it was told without the effects.
     """
     law, signals = run.robot.recordings.actuator, run.signals
-    if law is None or not (law.scaled[j] and law.damping[j] > 0.0):
+    if law is None or not law.scaled[j]:
         return
     damping = law.damping[j] * signals.motor_velocity[:, j]
     for kind, values in ((GAIN, signals.drive_torque[:, j] + damping), (DAMPING, damping)):
-        if selected(name := ValueName(kind, j)):
-            yield NuisanceColumn(name, float(law.tolerance[j]), "torque", values)
+        if values.any() and selected(name := ValueName(kind, j)):
+            yield NuisanceColumn(name, float(law.stated_tolerance[j]), "torque", values)
 
 
 def _drive_torque_column(run: PreparedRun, kind: str, j: int) -> np.ndarray:
