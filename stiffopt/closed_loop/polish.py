@@ -38,8 +38,6 @@ class Polished:
         One standard deviation of each; 0 of those that were not fitted.
     residual : array (n,)
         Root mean square of the positions' residual in the training runs [rad].
-    evaluations : int
-        Simulations of all runs.
     places : array (m,) of int
         Fitted parameters.
     covariance : array (m, m)
@@ -53,7 +51,6 @@ class Polished:
     parameters: Parameters
     deviations: np.ndarray
     residual: np.ndarray
-    evaluations: int
     places: np.ndarray
     covariance: np.ndarray
     expected: Parameters
@@ -110,8 +107,7 @@ def polish(
         The simulation diverges with the prior.
     """
     begun = polish_leading(loop, runs, prior, deviations, say)
-    whole = _Fit(loop, runs, prior, deviations).polish(begun.parameters, say, displaced)
-    return replace(whole, evaluations=begun.evaluations + whole.evaluations)
+    return _Fit(loop, runs, prior, deviations).polish(begun.parameters, say, displaced)
 
 
 def polish_leading(
@@ -180,7 +176,6 @@ class _Fit:
         self._size = np.maximum(deviations[self.places], 1e-12)
         self._step = float(np.median(np.concatenate([np.diff(run.time) for run in runs])))
         self._stretches, self._leads, self._ends = _divide(runs, self._step)
-        self.evaluations = 0
 
     def polish(
         self,
@@ -199,6 +194,7 @@ class _Fit:
                 noise = self.noise(point)
         spread = np.zeros_like(start.values)
         covariance = self.covariance(current, point, displaced)
+        current, covariance = self._share_delay(current, covariance)
         spread[self.places] = np.sqrt(np.diag(covariance))
         residual = np.sqrt(np.nanmean(point.residual**2, axis=0))
         expected = np.zeros_like(spread)
@@ -207,7 +203,6 @@ class _Fit:
             parameters=current,
             deviations=spread,
             residual=residual,
-            evaluations=self.evaluations,
             places=self.places,
             covariance=covariance,
             expected=self._prior,
@@ -221,7 +216,6 @@ class _Fit:
     def _simulate(
         self, loop: CommandedArm, parameters: Parameters, free: np.ndarray, refinement: float = 1.0
     ) -> _Point:
-        self.evaluations += 1
         found = simulate_stretches(loop, self._stretches, parameters, free, refinement)
         residual, slopes = [], []
         for each, own, lead in zip(found, self._stretches, self._leads, strict=True):
@@ -301,6 +295,25 @@ class _Fit:
         moves = [own * moved(self._loop, _REFINEMENT_RATIO), *map(moved, displaced)]
         whole = inverse + sum(np.outer(each, each) for each in moves)
         return np.asarray(self._size[:, None] * whole * self._size)
+
+    def _share_delay(
+        self, found: Parameters, covariance: np.ndarray
+    ) -> tuple[Parameters, np.ndarray]:
+        """Return parameters and covariance with the delay of the joint that is in the middle.
+
+        Delay and lateness are one where all joints are as late.
+        """
+        late = found.place("lateness")
+        middle = late.start + int(np.argsort(found.of("lateness"))[(found.n - 1) // 2])
+        if middle not in self.places:
+            return found, covariance
+        own = self.places == middle
+        change = np.eye(len(self.places))
+        change[-1, own] = 1.0
+        change[np.ix_((self.places >= late.start) & (self.places < late.stop), own)] -= 1.0
+        values = found.values.copy()
+        values[self.places] = change @ values[self.places]
+        return replace(found, values=values), change @ covariance @ change.T
 
     def _cost(self, parameters: Parameters, point: _Point, noise: np.ndarray) -> float:
         away = self._distance(parameters)

@@ -35,6 +35,8 @@ _ROTOR_SHARE = 3.0
 _LOAD_FRICTION_DEVIATION, _ZERO_DEVIATION = 0.15, 0.03
 # Deviation of a delay [s].
 _DELAY_DEVIATION = 5e-3
+# Of the delay of one joint's commands from that of all: a cycle of a slow bus [s].
+_LATENESS_DEVIATION = 2e-3
 # Inertia of bodies besides their mass's, relative: centres of mass and masses are better known.
 _INERTIA_DEVIATION = 0.1
 # Scale of masses that nobody vouches for, one standard deviation, and parameters that go with it:
@@ -126,6 +128,7 @@ def expected_deviations(
         "drag": _DRAG_SHARE * torque / speed**2,
         "offset": _OFFSET_SHARE * torque,
         "zero": _ZERO_DEVIATION,
+        "lateness": _LATENESS_DEVIATION if robot.n > 1 else 0.0,
     }.items():
         size[found.place(name)] = value
     for key, name in DRIVE_PARAMETERS.items():

@@ -109,22 +109,10 @@ def nuisance_columns(
             if selected(name):
                 torque = run.signals.body_regressor[..., k]
                 yield NuisanceColumn(name, float(sd), "link_torque", torque)
-    law = run.robot.recordings.actuator
-    if law is not None and law.delay_deviation and selected(COMMAND_DELAY):
-        rate = command_rate(run)
-        yield NuisanceColumn(COMMAND_DELAY, law.delay_deviation, "torque", rate)
+    law, rate = run.robot.recordings.actuator, run.signals.command_rate
+    if law is not None and law.delay_deviation and rate is not None and selected(COMMAND_DELAY):
+        yield NuisanceColumn(COMMAND_DELAY, law.delay_deviation, "torque", np.asarray(rate))
     yield from joint_columns(run, tolerance, selected)
-
-
-def command_rate(run: PreparedRun) -> np.ndarray:
-    """Return the drive torque (K, n) per delay of commands [N m/s].
-
-    A command that acts later gives less torque by its rate, which is that of the motion.
-    """
-    law = run.robot.recordings.actuator
-    assert law is not None
-    gains = np.where(np.isfinite(law.stiffness), law.stiffness, 0.0)
-    return np.asarray(gains * run.signals.motor_velocity)
 
 
 def joint_columns(
