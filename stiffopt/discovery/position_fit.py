@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -35,7 +35,6 @@ from stiffopt.discovery.loop_fit import (
     nominal_parameters,
 )
 from stiffopt.discovery.progress import Say
-from stiffopt.discovery.search.uncertainty import Estimate
 from stiffopt.discovery.training import Training
 from stiffopt.errors import InputError
 from stiffopt.recording.recording_set import RecordingSet
@@ -45,6 +44,9 @@ from stiffopt.robot.batched_kinematics import frame_positions
 from stiffopt.robot.body_tree import BodyTree
 from stiffopt.robot.robot import Robot
 from stiffopt.units import joint_unit
+
+if TYPE_CHECKING:
+    from stiffopt.discovery.search.uncertainty import Estimate
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
