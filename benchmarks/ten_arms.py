@@ -1,10 +1,11 @@
 """Tool error of the commanded arm with tilting bearings and servo, on arms of many kinds.
 
-Six-axis arms with strain-wave and with RV reducers, a SCARA, a seven-axis arm and a palletiser, all
-with output bearings of catalogue size. Motion and best rival have their best commands; each is put
-on its own worst arms in flight and after arrival by a simulation that has every bearing as joints
-of its own in pinocchio, spring tables of `elastic_simulation`, and the servo that `tool_error`
-integrates. Say arms and the number of motions: `python ten_arms.py scara ur10 2`.
+Six-axis arms with strain-wave and with RV reducers, a SCARA, a seven-axis arm and a palletiser with
+output bearings of catalogue size, and an arm of planetary gearheads. Motion and best rival have
+their best commands; each is put on its own worst arms in flight and after arrival by a simulation
+that has every bearing as joints of its own in pinocchio, spring tables of `elastic_simulation`, and
+the servo that `tool_error` integrates. Say arms and the number of motions:
+`python ten_arms.py scara ur10 2`.
 """
 
 from __future__ import annotations
@@ -46,10 +47,11 @@ SLACK = 1.05
 class Arm:
     """An arm of links along given offsets: axis, offset [m], mass [kg], reducer, bearing, torque.
 
-    An axis "z slide" is a slide; motions go about the pose `middle`.
+    An axis "z slide" is a slide; motions go about the pose `middle`. A reducer is one of the
+    catalogue or a stiffness [N m/rad].
     """
 
-    joints: tuple[tuple[str, tuple[float, float, float], float, str, str, float], ...]
+    joints: tuple[tuple[str, tuple[float, float, float], float, str | float, str, float], ...]
     tool: tuple[float, float, float]
     middle: tuple[float, ...]
     payload: float
@@ -95,6 +97,20 @@ ARMS = {
         middle=(0.2, 0.2, 0.3, -0.5),
         payload=25.0,
         acceleration=4.0,
+    ),
+    # Gearheads of assumed stiffness, of the size of catalogues' 3 to 20 N m/arcmin; no play.
+    "planetary gearheads": Arm(
+        joints=(
+            ("z", (0.0, 0.0, 0.3), 12.0, 7e4, "", 220.0),
+            ("y", (0.0, 0.0, 0.1), 9.0, 7e4, "", 220.0),
+            ("y", (0.0, 0.0, 0.4), 6.0, 3.5e4, "", 110.0),
+            ("x", (0.25, 0.0, 0.0), 2.0, 1e4, "", 35.0),
+            ("y", (0.15, 0.0, 0.0), 1.0, 1e4, "", 35.0),
+        ),
+        tool=(0.12, 0.0, 0.0),
+        middle=(0.2, 0.3, 0.4, 0.2, -0.8),
+        payload=2.0,
+        acceleration=12.0,
     ),
     "RV reducers": Arm(
         joints=(
@@ -162,9 +178,14 @@ def write_arm(name: str, arm: Arm, folder: Path) -> Robot:
         size = 0.2 * arm.acceleration if slide else arm.acceleration
         text += ["[[joint]]", f'name = "joint_{j}"', f"torque_max = {torque}"]
         text += [f"acceleration_max = {size}", f"jerk_max = {30.0 * size}"]
-        if reducer:
-            text += [f'bearing = {{ catalogue = "{bearing}" }}', "[[joint.element]]"]
-            text += ['name = "reducer"', 'type = "reducer"', f'catalogue = "{reducer}"']
+        if bearing:
+            text.append(f'bearing = {{ catalogue = "{bearing}" }}')
+        if isinstance(reducer, float):
+            text += ["[[joint.element]]", 'name = "gearhead"', 'type = "constant"']
+            text.append(f"stiffness = {reducer}")
+        elif reducer:
+            text += ["[[joint.element]]", 'name = "reducer"', 'type = "reducer"']
+            text.append(f'catalogue = "{reducer}"')
     place = " ".join(f"{x:g}" for x in arm.tool)
     parts.append(
         f'<link name="tip"/><joint name="end" type="fixed"><parent link="{before}"/>'

@@ -39,6 +39,9 @@ _MotionArrays = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 # Equal steps of the certificate's grid, plus one.
 FINE_GRID_POINTS = 6001
+# Points in every interval of a motion, fewer where these would be more in all: the time law of a
+# path of minutes has steps of 3 ms.
+_POINTS_IN_INTERVAL, _MIN_POINTS_IN_INTERVAL, _MAX_POINTS = 20, 4, 120_000
 # Knots of the spline through a motion that was not planned for a lead [s]: commands of S-curves and
 # toppra's motions within the motors' limits have these.
 _LED_KNOT_SPACING = 0.02
@@ -250,8 +253,9 @@ def fine_grid(motion: JointMotion) -> np.ndarray:
     grid = np.linspace(0.0, motion.duration, FINE_GRID_POINTS)
     breaks = np.asarray(getattr(motion, "times", ()), dtype=float)
     if breaks.size:
-        # Twenty points in every interval, however short the mesh made it.
-        inner = np.linspace(breaks[:-1], breaks[1:], 21).ravel()
+        # However short the mesh made it.
+        inside = np.clip(_MAX_POINTS // len(breaks), _MIN_POINTS_IN_INTERVAL, _POINTS_IN_INTERVAL)
+        inner = np.linspace(breaks[:-1], breaks[1:], int(inside) + 1).ravel()
         grid = np.union1d(grid, np.clip(inner, 0.0, motion.duration))
     return grid[np.concatenate(([True], np.diff(grid) > 1e-9 * motion.duration))]
 

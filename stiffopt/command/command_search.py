@@ -6,6 +6,7 @@ import functools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -17,18 +18,12 @@ from stiffopt.elastic.bearing_lead import LedPlan, bearing_lead
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import REST, simulate
 from stiffopt.elastic.smooth_motion import smooth_motion
-from stiffopt.elastic.uncertain_arms import (
-    Member,
-    SimulationRequest,
-    SimulationRequests,
-    UncertainArms,
-)
+from stiffopt.elastic.uncertain_arms import Member, UncertainArms
 from stiffopt.elastic.uncertainty import Departure, ParameterBox
 from stiffopt.elastic.worst_arms import worst_levels
 from stiffopt.problem.formulation import law_smoothing
 from stiffopt.problem.motor_model import ROBUST_LEAD_SHARE, MotorLaw
 from stiffopt.result.compensation import CompensatedMotion, PartPeaks, Spread, Spreads
-from stiffopt.result.tool_error import ToolError
 from stiffopt.result.trajectory import JointMotion, Trajectory
 
 if TYPE_CHECKING:
@@ -159,32 +154,26 @@ class CommandSearch:
         if servo is None:
             self._worst = problem.uncertainty.worst_servo(problem.servo)
         self._many = UncertainArms(arm, self._plan, self._servo, self._worst)
-        self._loads: dict[tuple[JointMotion, int], np.ndarray] = {}
+        self._loads: WeakKeyDictionary[JointMotion, np.ndarray] = WeakKeyDictionary()
         self._nominal = Departure.none(arm.robot.n)
         self._box = ParameterBox(problem.uncertainty, arm.robot, servo=self._worst != self._servo)
 
-    def evaluate_command(self) -> SimulationRequests[CommandOnArms]:
-        """Choose the command and judge it on all arms."""
-        chosen = yield from self.chosen_command()
-        return (yield from self.judge_existing(chosen))
-
-    def judge_existing(self, made: ExistingCommand) -> SimulationRequests[CommandOnArms]:
+    def judge_existing(self, made: ExistingCommand) -> CommandOnArms:
         """Simulate a command on the arm as modelled, on the worst arms and as drawn."""
         follows, command = self._follows, MotorMotion.of(made.motors)
-        worst, drawn = (yield from self._worst_arms(command)), self._box.drawn()
+        worst, drawn = self._worst_arms(command), self._box.drawn()
         arms = [self._nominal, *worst, *drawn]
-        members = [
-            Member(command=own, departure=each) for own in (follows, command) for each in arms
-        ]
-        errors = yield SimulationRequest(self._many, members)
-        count = len(arms)
+        planned, led = (
+            self._many.peaks([Member(command=own, departure=each) for each in arms])
+            for own in (follows, command)
+        )
         return CommandOnArms(
             motion=self._motion,
             motors=made.motors,
-            planned=_summarise_spreads(errors, slice(count), arms, len(drawn)),
-            compensated=_summarise_spreads(errors, slice(count, None), arms, len(drawn)),
+            planned=_summarise_spreads(planned, arms, len(drawn)),
+            compensated=_summarise_spreads(led, arms, len(drawn)),
             nominal=self._nominal,
-            worst=arms[int(np.argmax(errors.peak(errors.flight)[count:]))],
+            worst=arms[int(np.argmax(led[0]["position"]))],
             spacing=made.spacing,
             share=made.share,
             servo_share=made.servo_share,
@@ -193,46 +182,48 @@ class CommandSearch:
             law=self._law,
         )
 
-    def chosen_command(self) -> SimulationRequests[ExistingCommand]:
+    def chosen_command(self) -> ExistingCommand:
         """Choose the command of the least worst case, or as chosen before where limits allow it."""
         if (made := self._command_as_chosen()) is not None:
             return made
-        tried = self._candidates_within_limits()
-        commands = [MotorMotion.of(each.motors) for each in tried]
-        arms = yield from self._worst_arms(commands[0])
-        members = [Member(command=own, departure=arm) for own in commands for arm in arms]
-        errors = yield SimulationRequest(self._many, members)
-        flight, after = (
-            errors.peak(phase).reshape(len(commands), len(arms)).max(axis=1)
-            for phase in (errors.flight, errors.after)
-        )
-        order = np.argsort(flight + after, kind="stable").tolist()
-        best: list[ExistingCommand] = [tried[k] for k in order]
-        # The trial grid may miss excesses shorter than its step, such as the jerk at an end.
-        for each in best:
-            if self._excess_beyond_plan(each.motors) <= CERTIFICATE_TOLERANCE:
-                return each
-        return best[0]
+        arms: list[Departure] = []
+        # One command at a time: each of a motion of minutes has a hundred megabytes.
+        least, kept = (np.inf, None), (np.inf, None)  # peaks and command
+        for made in self._candidates_within_limits():
+            command = MotorMotion.of(made.motors)
+            arms = arms or self._worst_arms(command)
+            members = [Member(command=command, departure=arm) for arm in arms]
+            peaks = float(self._many.position_peaks(members).max(axis=1).sum())
+            if peaks < least[0]:
+                least = peaks, made
+            # The trial grid may miss excesses shorter than its step, such as the jerk at an end.
+            if peaks < kept[0] and self._excess_beyond_plan(made.motors) <= CERTIFICATE_TOLERANCE:
+                kept = peaks, made
+        chosen = kept[1] or least[1]
+        assert chosen is not None
+        return chosen
 
-    def _worst_arms(self, command: MotorMotion) -> SimulationRequests[list[Departure]]:
+    def _worst_arms(self, command: MotorMotion) -> list[Departure]:
         """Return the corners with joints alike, and the worst arms of a command."""
-        worst = yield from worst_levels(self._many, command, self._box)
+        worst = worst_levels(self._many, command, self._box)
         return [self._box.departure(each) for each in (*self._box.alike_corners(), *worst)]
 
-    def _candidates_within_limits(self) -> list[ExistingCommand]:
-        """Return commands that keep the plan's limits on the trial grid.
+    def _candidates_within_limits(self) -> Iterator[ExistingCommand]:
+        """Commands that keep the plan's limits on the trial grid.
 
         Where none does, the ones that lead by the nominal wind-up alone.
         """
-        found, last = [], []
+        found = False
         for lead in map(self._lead_of, self._spacings):
             for share in _WINDUP_SHARES:
                 made = list(lead.commands(share))
                 kept = [each for each in made if self._keeps_plan_limits(each.motors)]
                 # The one without the servo's lag has the largest margin on a finer grid.
-                found += [kept[0], *(kept[-1:] if kept[-1] is not kept[0] else [])] if kept else []
-                last += made[-1:] if share == 1.0 else []
-        return found or last
+                yield from kept[:1] + kept[1:][-1:]
+                found = found or bool(kept)
+        if not found:
+            for lead in map(self._lead_of, self._spacings):
+                yield list(lead.commands(1.0))[-1]
 
     def _command_as_chosen(self) -> ExistingCommand | None:
         """Return the command of the choice, None without one or where it exceeds a limit."""
@@ -302,10 +293,10 @@ class CommandSearch:
         # Spring torques follow from the links' motion: the same for all shares and widths.
         link = getattr(motors, "link", None) or motors
         times = None if points is None else np.linspace(0.0, motors.duration, points)
-        known = None if points is None else self._loads.get((link, points))
+        known = None if points is None else self._loads.get(link)
         drives, loads = drive_history(self._problem, motors, times, known)
         if points is not None:
-            self._loads[link, points] = loads
+            self._loads[link] = loads
         found = find_drive_violations(self._problem, drives)
         return tuple(each for each in found if each.value > CERTIFICATE_TOLERANCE)
 
@@ -324,13 +315,12 @@ class CommandSearch:
 
 
 def _summarise_spreads(
-    errors: ToolError, chosen: slice, arms: Sequence[Departure], drawn: int
+    phases: Sequence[dict[str, np.ndarray]], arms: Sequence[Departure], drawn: int
 ) -> Spreads:
-    """Summarise the peaks of chosen members, one an arm: the nominal one first, drawn ones last."""
+    """Summarise the peaks of one command on the arms: the nominal one first, drawn ones last."""
     spreads = []
-    for phase in (errors.flight, errors.after):
-        parts = {name: peaks[chosen] for name, peaks in errors.peaks(phase).items()}
-        peak = parts.pop("position")
+    for phase in phases:
+        peak = phase["position"]
         worst = arms[int(np.argmax(peak))]
         spreads.append(
             Spread(
@@ -341,7 +331,8 @@ def _summarise_spreads(
                 draws=peak[len(arms) - drawn :],
                 parts={
                     name: PartPeaks(nominal=float(own[0]), worst=float(own.max()))
-                    for name, own in parts.items()
+                    for name, own in phase.items()
+                    if name != "position"
                 },
             )
         )

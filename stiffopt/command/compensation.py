@@ -22,7 +22,6 @@ from stiffopt.command.command_search import (
     CommandSearch,
     ExistingCommand,
 )
-from stiffopt.elastic.uncertain_arms import SimulationRequests, answer_together
 from stiffopt.problem.motor_model import MotorLaw
 from stiffopt.result.compensation import COMMAND_FILE, CompensatedMotion, Compensation
 from stiffopt.result.store import export_times
@@ -112,22 +111,22 @@ def rival_commands(
 ) -> list[CommandOnArms]:
     """Return the commands of rivals, each slowed until its command keeps the limits, if it does."""
     law = law or MotorLaw(problem.robot, problem.process_force)
-    return answer_together(
+    return [
         _command_within_limits(problem, arm, each, law) for each in _tell_each(motions, progress)
-    )
+    ]
 
 
 def _command_within_limits(
     problem: TrajectoryProblem, arm: ElasticArm, motion: PlannedMotion, law: MotorLaw
-) -> SimulationRequests[CommandOnArms]:
+) -> CommandOnArms:
     """Choose the command of a rival at the duration at which it keeps the limits, and judge it."""
     slowed = 1.0
     while True:
         search = CommandSearch(problem, arm, motion, law)
-        chosen = yield from search.chosen_command()
+        chosen = search.chosen_command()
         excess = search.motor_violations(chosen.motors)
         if not excess or motion.rival is None or slowed >= _MAX_RIVAL_SLOWDOWN:
-            return (yield from search.judge_existing(chosen))
+            return search.judge_existing(chosen)
         # Limits of the velocity scale with the duration, those of the jerk with its cube.
         over = (1.0 + excess[0].value) ** (1.0 / 3.0)
         factor = float(np.clip(over, _MIN_SLOWDOWN_STEP, _MAX_SLOWDOWN_STEP))
@@ -163,18 +162,13 @@ def judge_existing_command(
     reports.
     """
     law = MotorLaw(problem.robot, problem.process_force)
-    own, *others = motions
-    chosen = answer_together(
-        [CommandSearch(problem, arm, each, law).chosen_command() for each in others]
-    )
+    chosen = [CommandSearch(problem, arm, each, law).chosen_command() for each in motions[1:]]
     problem = problem if uncertainty is None else replace(problem, uncertainty=uncertainty)
     arm = arm if damping is None else arm.damped(damping)
-    asking = [CommandSearch(problem, arm, own, law, servo).judge_existing(made)]
-    asking += [
+    found = [
         CommandSearch(problem, arm, motion, law, servo=servo).judge_existing(command)
-        for motion, command in zip(others, chosen, strict=True)
+        for motion, command in zip(motions, [made, *chosen], strict=True)
     ]
-    found = answer_together(asking)
     return Compensation(
         motions=tuple(each.for_reports() for each in found),
         command=None,
@@ -203,10 +197,11 @@ def commands_on_arms(
     Parameters as of `compensate`; `law` is the problem's motor law, where it exists already.
     """
     law = law or MotorLaw(problem.robot, problem.process_force)
-    return answer_together(
-        CommandSearch(problem, arm, each, law, choice=choice).evaluate_command()
+    searches = (
+        CommandSearch(problem, arm, each, law, choice=choice)
         for each in _tell_each(motions, progress)
     )
+    return [search.judge_existing(search.chosen_command()) for search in searches]
 
 
 def compensate_motion(

@@ -13,14 +13,7 @@ import numpy as np
 
 from stiffopt.elastic.bearing_lead import LedPlan, bearing_lead
 from stiffopt.elastic.motor import MotorMotion
-from stiffopt.elastic.uncertain_arms import (
-    LinearizedBodies,
-    Member,
-    SimulationRequest,
-    SimulationRequests,
-    UncertainArms,
-    answer_together,
-)
+from stiffopt.elastic.uncertain_arms import Member, UncertainArms
 from stiffopt.elastic.uncertainty import ParameterBox
 from stiffopt.elastic.worst_arms import worst_levels
 from stiffopt.result.tool_error import LedError
@@ -55,20 +48,13 @@ def led_error(
     many = UncertainArms(arm, plan, worst=_ServoChange(servo, worst) if differs else None)
     box = ParameterBox(uncertainty, arm.robot, servo=differs)
     command = _ideal_command(arm, plan, uncertainty)
-    (found,) = answer_together([_worst_error(many, command, box)])
-    return found
-
-
-def _worst_error(
-    many: UncertainArms, command: MotorMotion, box: ParameterBox
-) -> SimulationRequests[LedError]:
-    worst = yield from worst_levels(many, command, box)
+    worst = worst_levels(many, command, box)
     # Beside the worst arms the nominal one, and those with one parameter at its bound.
     alone = np.tile(box.nominal, (1 + len(box.free), 1))
     alone[np.arange(1, len(alone)), box.free] = 1.0
     levels = np.concatenate([worst, alone])
     members = [Member(command=command, departure=box.departure(each)) for each in levels]
-    error = yield SimulationRequest(many, members)
+    error = many.simulate(members)
     flight, after = (error.peak(each) for each in (error.flight, error.after))
     hardest = int(np.argmax(flight[: len(worst)]))
     instant = int(np.argmax(np.where(error.flight, error.distance[hardest], -1.0)))
@@ -93,8 +79,9 @@ def _ideal_command(arm: ElasticArm, plan: JointMotion, uncertainty: Uncertainty)
     q, v, a = (np.array(plan(time, k)) for k in range(3))
     # Both ends are at rest.
     v[[0, -1]] = a[[0, -1]] = 0.0
-    sag = arm.windup(LinearizedBodies(arm, q, 0.0 * v, 0.0 * a).torque[0])
-    dynamic = arm.windup(LinearizedBodies(arm, q, v, a).torque[0]) - sag
+    pushed, bodies = np.array([arm.force_torque(row) for row in q]), arm.robot.bodies_in_motion()
+    sag = arm.windup(bodies.torque(q, 0.0 * v, 0.0 * a) - pushed)
+    dynamic = arm.windup(bodies.torque(q, v, a) - pushed) - sag
     # Dampers carry part of the torque, by which the wind-up is late.
     dynamic -= arm.lag(q[0]) * np.gradient(dynamic, time, axis=0)
     # Mean of 1 / (1 - b) and 1 / (1 + b).

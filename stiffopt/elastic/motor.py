@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -41,13 +42,6 @@ class MotorMotion:
         self.duration = float(self.time[-1]) if duration is None else duration
         self._end = float(self.time[-1])
         self._spline = scipy.interpolate.CubicHermiteSpline(self.time, position, velocity)
-        self._times = self.time.tolist()
-        # Positions, then velocities, highest power first: (4, 2 n) each.
-        c3, c2, c1, c0 = self._spline.c
-        slopes = np.stack([np.zeros_like(c3), 3.0 * c3, 2.0 * c2, c1])
-        both = np.concatenate([np.stack([c3, c2, c1, c0]), slopes], axis=2)
-        self._pieces = list(np.ascontiguousarray(both.transpose(1, 0, 2)))
-        self._joints = both.shape[2] // 2
         self._last = np.array(position[-1], dtype=float)
         self._still = np.zeros_like(self._last)
         self.ends_at_rest = bool(np.max(np.abs(velocity[-1])) < _MAX_REST_SPEED)
@@ -69,6 +63,18 @@ class MotorMotion:
             return np.asarray(value)
         return np.where((times > self._end)[..., None], 0.0, value)
 
+    @cached_property
+    def _pieces(self) -> np.ndarray:
+        """Positions, then velocities, highest power first (k, 4, 2 n)."""
+        c3, c2, c1, c0 = self._spline.c
+        slopes = np.stack([np.zeros_like(c3), 3.0 * c3, 2.0 * c2, c1])
+        both = np.concatenate([np.stack([c3, c2, c1, c0]), slopes], axis=2)
+        return np.ascontiguousarray(both.transpose(1, 0, 2))
+
+    @cached_property
+    def _times(self) -> list[float]:
+        return list(self.time.tolist())
+
     def at(self, t: float) -> tuple[np.ndarray, np.ndarray]:
         """Position and velocity (n,) at one instant."""
         if t > self._end:
@@ -76,15 +82,14 @@ class MotorMotion:
         k = min(max(bisect_right(self._times, t) - 1, 0), len(self._pieces) - 1)
         x = t - self._times[k]
         both = np.dot(np.array((x * x * x, x * x, x, 1.0)), self._pieces[k])
-        return both[: self._joints], both[self._joints :]
+        return both[: len(self._last)], both[len(self._last) :]
 
     def table(self) -> dict[str, np.ndarray | int]:
         """Break times (k + 1,), pieces (k, 4, 2 n) as in `at`, and the last position (n,)."""
-        pieces = np.array(self._pieces)
         return {
-            "pieces": len(pieces),
+            "pieces": len(self._pieces),
             "times": self.time,
-            "motion": pieces,
+            "motion": self._pieces,
             "last": self._last,
         }
 

@@ -8,9 +8,9 @@ Hysteresis is neglected. Elastic bearings are joints of their own (`BearingJoint
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -42,7 +42,9 @@ _EQUILIBRIUM_STRIDE = 5
 _EQUILIBRIUM_ITERATIONS = 4
 # Positions of links that are in memory at once, beside some ten arrays of their size: a weld of
 # minutes has 1e8 of them with its arms.
-_MAX_POSITIONS = 5_000_000
+_MAX_POSITIONS = 2_000_000
+# Steps whose bodies are linearised at once.
+_STEPS_AT_ONCE = 4096
 _SPRING_TABLE_POINTS = 20001  # of each joint's law, equidistant in wind-up
 
 
@@ -229,15 +231,18 @@ class UncertainArms:
         middle = 0.5 * (flight[:-1] + flight[1:])
         ends = [self._q[-1:], np.zeros_like(self._q[:1]), np.zeros_like(self._q[:1])]
         moving = [np.concatenate([plan(middle, k), end]) for k, end in enumerate(ends)]
-        bodies = LinearizedBodies(arm, *moving)
-        if arm.path_force is not None:
-            forces = arm.path_force(np.append(middle, self.duration))
-            tool = arm.robot.tool
-            bodies.torque[0] -= [
-                arm.bodies.jacobian(tool, q)[:3].T @ force
-                for q, force in zip(moving[0], forces, strict=True)
-            ]
-        self.steps = self._trapezoidal_matrices(bodies)
+        n = self._q.shape[1]
+        self.steps = np.empty((2, len(moving[0]), n, 3 * n + 1))
+        for first in range(0, len(moving[0]), _STEPS_AT_ONCE):
+            own = slice(first, first + _STEPS_AT_ONCE)
+            bodies = LinearizedBodies(arm, *(each[own] for each in moving))
+            if arm.path_force is not None:
+                forces = arm.path_force(np.append(middle, self.duration)[own])
+                bodies.torque[0] -= [
+                    arm.bodies.jacobian(arm.robot.tool, q)[:3].T @ force
+                    for q, force in zip(moving[0][own], forces, strict=True)
+                ]
+            self.steps[:, own] = self._trapezoidal_matrices(bodies)
         self.springs, self.damping = TabulatedSprings(arm), arm.damping
         self.rigid = np.flatnonzero(~arm.elastic)
         self._start = LinearizedWeight(arm, self._q[:1])
@@ -248,12 +253,43 @@ class UncertainArms:
             np.array([arm.bodies.jacobian(arm.robot.tool, q) for q in self._q[: count + 1]])
         )
         self._direction = path_directions(arm.tool(self._q))
-        # By command: motions behind both servos.
+        # By command: motions behind both servos, of the last batch.
         self._followed: dict[MotorMotion, np.ndarray] = {}
 
     def simulate(self, members: Sequence[Member]) -> ToolError:
-        """Simulate all members in one batch."""
-        return simulate_uncertain_arms([SimulationRequest(self, members)])[0]
+        """Simulate all members."""
+        found = list(self._simulate_in_batches(members))
+        return replace(
+            found[0],
+            position=np.concatenate([each.position for each in found]),
+            orientation=np.concatenate([each.orientation for each in found]),
+        )
+
+    def position_peaks(self, members: Sequence[Member]) -> np.ndarray:
+        """Largest position errors (2, B) of members, in flight and after arrival [m]."""
+        found = self._simulate_in_batches(members)
+        return np.concatenate([[e.peak(e.flight), e.peak(e.after)] for e in found], axis=1)
+
+    def peaks(self, members: Sequence[Member]) -> list[dict[str, np.ndarray]]:
+        """Peaks of members in flight and after arrival, as of `ToolError.peaks`."""
+        found = [(e.peaks(e.flight), e.peaks(e.after)) for e in self._simulate_in_batches(members)]
+        return [
+            {name: np.concatenate([each[name] for each in phase]) for name in phase[0]}
+            for phase in zip(*found, strict=True)
+        ]
+
+    def _simulate_in_batches(self, members: Sequence[Member]) -> Iterator[ToolError]:
+        """Simulate as many members at a time as the memory is for."""
+        made, joints = native.core(len(self.damping)), len(self.damping)
+        together = max(1, _MAX_POSITIONS // (len(self.time) * joints))
+        for first in range(0, len(members), together):
+            part = members[first : first + together]
+            links = (
+                _integrate_numpy(self, part)
+                if made is None
+                else _integrate_compiled(made, self, part)
+            )
+            yield self.tool_error(part, links)
 
     def _extend_at_rest(self, values: np.ndarray, at_rest: float | None = None) -> np.ndarray:
         """Append the last values of the flight, or `at_rest`, until the end."""
@@ -286,6 +322,7 @@ class UncertainArms:
         the worst servo to both.
         """
         different = list(dict.fromkeys(commands))
+        self._followed = {own: self._followed[own] for own in different if own in self._followed}
         places = {command: c for c, command in enumerate(different)}
         found = np.stack([self._behind_servos(command) for command in different], axis=1)
         return found, np.array([places[command] for command in commands])
@@ -345,69 +382,10 @@ class UncertainArms:
         return np.asarray((1.0 - share) * coarse[:, left] + share * coarse[:, right])
 
 
-@dataclass(frozen=True, eq=False)
-class SimulationRequest:
-    """Members to be simulated on one plan."""
-
-    many: UncertainArms
-    members: Sequence[Member]
-
-
-Result = TypeVar("Result")
-# Generator that requests simulations on its way to a result: the requests of several generators are
-# simulated together, which costs little more than one alone.
-SimulationRequests = Generator[SimulationRequest, ToolError, Result]
-
-
-def simulate_uncertain_arms(asked: Sequence[SimulationRequest]) -> list[ToolError]:
-    """Simulate the members of several plans of one arm, plan by plan in batches.
-
-    Parameters
-    ----------
-    asked : sequence of SimulationRequest
-    """
-    return [_simulate_members(each) for each in asked]
-
-
-def _simulate_members(asked: SimulationRequest) -> ToolError:
-    """Simulate the members of one plan, as many at a time as the memory is for."""
-    many, members = asked.many, asked.members
-    core, joints = native.core(len(many.damping)), len(many.damping)
-    together = max(1, _MAX_POSITIONS // (len(many.time) * joints))
-    found = []
-    for first in range(0, len(members), together):
-        part = SimulationRequest(many, members[first : first + together])
-        links = _integrate_numpy(part) if core is None else _integrate_compiled(core, part)
-        found.append(many.tool_error(part.members, links))
-    if len(found) == 1:
-        return found[0]
-    return replace(
-        found[0],
-        position=np.concatenate([each.position for each in found]),
-        orientation=np.concatenate([each.orientation for each in found]),
-    )
-
-
-def answer_together(asking: Iterable[SimulationRequests[Result]]) -> list[Result]:
-    """Return the results of several generators, simulating their requests of a round together."""
-    asked = {each: next(each) for each in asking}
-    answers: dict[SimulationRequests[Result], Result | None] = dict.fromkeys(asked)
-    while asked:
-        errors = simulate_uncertain_arms(list(asked.values()))
-        for each, own in zip(list(asked), errors, strict=True):
-            try:
-                asked[each] = each.send(own)
-            except StopIteration as ended:
-                answers[each] = ended.value
-                del asked[each]
-    return [answer for answer in answers.values() if answer is not None]
-
-
-def _integrate_compiled(core: CDLL, asked: SimulationRequest) -> np.ndarray:
+def _integrate_compiled(core: CDLL, many: UncertainArms, members: Sequence[Member]) -> np.ndarray:
     """Integrate to link positions less the plan (K, B, n)."""
-    many = asked.many
-    arms = _DepartureArrays(many.departures(asked.members))
-    moved, of = many.motors([member.command for member in asked.members])
+    arms = _DepartureArrays(many.departures(members))
+    moved, of = many.motors([member.command for member in members])
     return native.integrate_linearized(
         core,
         many.springs,
@@ -427,11 +405,10 @@ def _integrate_compiled(core: CDLL, asked: SimulationRequest) -> np.ndarray:
     )
 
 
-def _integrate_numpy(asked: SimulationRequest) -> np.ndarray:
+def _integrate_numpy(many: UncertainArms, members: Sequence[Member]) -> np.ndarray:
     """Integrate without the compiled core, to the same result."""
-    many, rigid = asked.many, asked.many.rigid
-    arms = _DepartureArrays(many.departures(asked.members))
-    moved, of = many.motors([member.command for member in asked.members])
+    arms, rigid = _DepartureArrays(many.departures(members)), many.rigid
+    moved, of = many.motors([member.command for member in members])
     damping, step, joints = arms.damping * many.damping, many.step, np.arange(len(many.damping))
     turn, e = moved[0, of, 0], many.initial_equilibrium(arms, moved[0, of, 0])
     rate, drive = np.zeros_like(e), np.zeros_like(e)

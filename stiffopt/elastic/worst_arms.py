@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.elastic.uncertain_arms import Member, SimulationRequest, SimulationRequests
+from stiffopt.elastic.uncertain_arms import Member
 
 if TYPE_CHECKING:
     from stiffopt.elastic.motor import MotorMotion
@@ -24,9 +24,7 @@ _MAX_ROUNDS = 5
 _MIN_INCREASE = 1e-3
 
 
-def worst_levels(
-    many: UncertainArms, command: MotorMotion, box: ParameterBox
-) -> SimulationRequests[np.ndarray]:
+def worst_levels(many: UncertainArms, command: MotorMotion, box: ParameterBox) -> np.ndarray:
     """Search the levels of the worst arms of a command: the worst in flight, then after arrival.
 
     Parameters
@@ -41,16 +39,14 @@ def worst_levels(
         By search, of which each phase has one from soft and one from stiff joints.
     """
 
-    def simulated(levels: np.ndarray) -> SimulationRequests[np.ndarray]:
+    def simulated(levels: np.ndarray) -> np.ndarray:
         """Peaks (2, ...) in flight and after arrival on arms of levels (..., m)."""
         flat = levels.reshape(-1, levels.shape[-1])
         members = [Member(command=command, departure=box.departure(each)) for each in flat]
-        error = yield SimulationRequest(many, members)
-        peaks = [error.peak(phase) for phase in (error.flight, error.after)]
-        return np.array(peaks).reshape(2, *levels.shape[:-1])
+        return many.position_peaks(members).reshape(2, *levels.shape[:-1])
 
     corners = box.alike_corners()
-    peaks = yield from simulated(corners)
+    peaks = simulated(corners)
     # The first half of the corners is soft, the second stiff.
     halves = np.array_split(np.arange(len(corners)), 2 if len(corners) > 1 else 1)
     chosen = [half[np.argmax(own[half])] for own in peaks for half in halves]
@@ -65,14 +61,14 @@ def worst_levels(
         # Each parameter alone, then the first, the first two, ... in order of gain.
         alone = np.repeat(levels[active, None], flips, axis=1)
         alone[:, np.arange(flips), box.free] *= -1.0
-        single = (yield from simulated(alone))[(*own, np.arange(flips))]
+        single = simulated(alone)[(*own, np.arange(flips))]
         order = np.argsort(-single, axis=1)
         turned = np.repeat(levels[active, None], flips, axis=1)
         for k in range(flips):
             turned[own[1][:, 0], k:, box.free[order[:, k]]] *= -1.0
         gaining = int(np.max(np.sum(single > worst[active, None], axis=1), initial=0))
         together = turned[:, : max(gaining, 1)]
-        joined = (yield from simulated(together))[(*own, np.arange(together.shape[1]))]
+        joined = simulated(together)[(*own, np.arange(together.shape[1]))]
         best = np.argmax(joined, axis=1)
         found = joined[np.arange(len(active)), best]
         better = found > (1.0 + _MIN_INCREASE) * worst[active]

@@ -347,7 +347,11 @@ def test_gains_of_a_real_leg_are_told_by_its_weight_or_said_not_to_be(tmp_path: 
     assert loop is not None
     gain = np.array(loop.stiffness) * (1.0 + np.array(loop.values["gain"]))
     spread = np.array(loop.stiffness) * np.array(loop.deviations["gain"])
-    assert (np.abs(gain - 20.0) < 2.0 * spread).all(), (gain, spread)
+    told = np.isnan(loop.ratios["coulomb"])
+    # The calf weighs too little: of it ratios to the gain are told alone.
+    assert told.tolist() == [True, True, False]
+    assert (np.abs(gain - 20.0) < 2.0 * spread)[told].all(), (gain, spread)
+    assert loop.ratios["coulomb"][2] > 0.0
     (run,) = found.positions
     assert float(np.sqrt(np.mean((run.after - run.measured) ** 2))) < 4e-3
 

@@ -141,6 +141,22 @@ def test_a_sprung_mass_follows_slowly_and_not_at_once() -> None:
     assert abs(steady[2]) < 0.1
 
 
+@pytest.mark.parametrize(("kind", "begin"), [("acceleration", 0.0), ("speed", 0.0), ("load", 1.0)])
+def test_hidden_masses_are_at_rest_where_a_recording_begins_in_motion(kind, begin) -> None:
+    """A load may act for ever, a joint cannot."""
+    law = Law(0, "drive_torque", (Factor(LawSource(kind, 0), "sprung", (2.0, 0.1)),))
+    names = ("motor_acceleration", "motor_velocity", "spring_torque")
+    of_robot, of_joint = (
+        SimpleNamespace(**dict.fromkeys(names, steady), dt=0.002)
+        for steady in (np.full((500, 1), 3.0), np.full(500, 3.0))
+    )
+    (found,) = law.columns(of_robot)
+    assert found[0] == pytest.approx(3.0 * begin, abs=0.05)
+    (code,) = law.formulas(code=True)
+    names_in_code = {"sprung": operators.sprung, "signals": of_joint, "f": 2.0, "z": 0.1}
+    np.testing.assert_array_equal(eval(code, names_in_code), found)
+
+
 class KnownChannel(OpenChannel):
     """Channel of unfiltered samples of a sample arm, whose content is given."""
 

@@ -115,7 +115,7 @@ def test_backlash_before_the_encoder_lets_the_motor_travel_unseen(servo: Recordi
     width, rounding = 0.05, 0.01
     own = resolve_actuator(servo, open_training_runs(servo)).recordings
     training = prepare_training(own, Settings(), None, lambda _: None, open_training_runs(servo))
-    extension = Extension(effects=(found("output_backlash", (width,), (width, rounding)),))
+    extension = Extension(effects=(found("output_backlash", (width, 0.5), (width, rounding)),))
     physics = robot_in_loop(own, extended_model(own, training.constants, extension))[1]
     (spring,) = physics.springs.values()
     assert spring.encoder_at_output

@@ -15,12 +15,7 @@ from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.response import ElasticResponse
 from stiffopt.elastic.servo import Servo
 from stiffopt.elastic.simulate import _Equations, simulate
-from stiffopt.elastic.uncertain_arms import (
-    Member,
-    SimulationRequest,
-    UncertainArms,
-    simulate_uncertain_arms,
-)
+from stiffopt.elastic.uncertain_arms import Member, UncertainArms
 from stiffopt.elastic.uncertainty import ParameterBox, Uncertainty
 from stiffopt.robot.files import load_robot
 
@@ -82,19 +77,16 @@ def test_compiled_batch_agrees_with_numpy(tmp_path, monkeypatch, soft):
     at = (0.3, 0.4)
     swinging = one_soft_joint(tmp_path) if soft == 1 else arm(tmp_path, "planar", at=at)
     unsure = Uncertainty(servo_feed_forward=0.98)
-    box, asked = ParameterBox(unsure, swinging.robot), []
+    box = ParameterBox(unsure, swinging.robot)
     for half in (0.2, 0.13):
         command, plan = (make((3.0, -4.0), half, at) for make in (bang, there_and_stop))
         arms = [box.departure(each) for each in box.alike_corners()]
         members = [Member(command=command, departure=each) for each in arms]
-        asked.append(
-            SimulationRequest(
-                UncertainArms(swinging, plan, worst=unsure.worst_servo(Servo())), members
-            )
-        )
-    quick = simulate_uncertain_arms(asked)
-    monkeypatch.setattr(native, "loaded", lambda: None)
-    for own, slow in zip(quick, simulate_uncertain_arms(asked), strict=True):
+        many = UncertainArms(swinging, plan, worst=unsure.worst_servo(Servo()))
+        own = many.simulate(members)
+        with monkeypatch.context() as patch:
+            patch.setattr(native, "loaded", lambda: None)
+            slow = many.simulate(members)
         scale = np.abs(slow.position).max()
         np.testing.assert_allclose(own.position, slow.position, atol=1e-10 * scale)
 

@@ -13,7 +13,7 @@ from stiffopt.elastic import uncertain_arms
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.servo import Servo
 from stiffopt.elastic.simulate import simulate
-from stiffopt.elastic.uncertain_arms import Member, UncertainArms, answer_together
+from stiffopt.elastic.uncertain_arms import Member, UncertainArms
 from stiffopt.elastic.uncertainty import (
     Departure,
     ParameterBox,
@@ -112,7 +112,7 @@ def test_worst_arms_are_the_worst_corners_of_all(tmp_path):
     command, unsure = MotorMotion.of(plan), Uncertainty(draws=200)
     many = UncertainArms(elastic, plan)
     box = ParameterBox(unsure, elastic.robot, servo=False)
-    (worst,) = answer_together([worst_levels(many, command, box)])
+    worst = worst_levels(many, command, box)
     every = np.zeros((16, len(box.nominal)))
     every[:, box.free] = list(product((-1.0, 1.0), repeat=4))
 
@@ -191,7 +191,14 @@ def test_members_in_parts_are_those_of_one_batch(tmp_path, monkeypatch):
     many = UncertainArms(elastic, plan)
     whole = many.simulate(members)
     monkeypatch.setattr(uncertain_arms, "_MAX_POSITIONS", 2 * 2 * len(many.time))
+    monkeypatch.setattr(uncertain_arms, "_STEPS_AT_ONCE", 7)
+    many = UncertainArms(elastic, plan)
     parts = many.simulate(members)
+    for found, phase in zip(many.peaks(members), (whole.flight, whole.after), strict=True):
+        for name, peaks in whole.peaks(phase).items():
+            np.testing.assert_allclose(found[name], peaks, rtol=1e-9)
+    own = many.position_peaks(members)
+    np.testing.assert_allclose(own, [whole.peak(whole.flight), whole.peak(whole.after)], rtol=1e-9)
     assert parts.position.shape == whole.position.shape
     np.testing.assert_allclose(parts.position, whole.position, rtol=1e-12, atol=1e-15)
     np.testing.assert_allclose(parts.orientation, whole.orientation, rtol=1e-12, atol=1e-15)

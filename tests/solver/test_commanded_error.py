@@ -271,6 +271,7 @@ def test_soft_arm_is_no_worse_than_its_best_rival_in_either_phase(problem):
     found = solve(replace(problem, robot=robot), simulate=True)
     assert found.status is SolveStatus.OPTIMAL
     assert max(found.compensation.ratios) < 1.02
+    assert any("of the quintic motion the worst arm has" in each for each in found.notes)
 
 
 @pytest.mark.parametrize(("wins", "status"), [(True, "acceptable"), (False, "optimal")])
