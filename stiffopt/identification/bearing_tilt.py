@@ -144,7 +144,7 @@ def identify_tilt(
 
 def _is_determined(columns: np.ndarray) -> bool:
     """Return whether there are fewer columns than displacements without one pose."""
-    return columns.shape[2] < 3 * (len(columns) - 1)
+    return bool(columns.shape[2] < 3 * (len(columns) - 1))
 
 
 def _predict(columns: np.ndarray, measured: np.ndarray) -> _LeftOut:
