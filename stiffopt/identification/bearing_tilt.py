@@ -19,7 +19,7 @@ import numpy as np
 
 from stiffopt.identification.robust_compliance import fit, jackknife_deviation, without_each
 from stiffopt.identification.static_rows import StaticRows
-from stiffopt.identification.torque_dependence import families
+from stiffopt.identification.torque_dependence import families, paired_test
 from stiffopt.recording.static_set import StaticSet
 from stiffopt.robot.joint_load import joint_frames, joint_wrenches
 
@@ -27,6 +27,8 @@ from stiffopt.robot.joint_load import joint_frames, joint_wrenches
 # near the distribution of robust fits: the level is well below the rate of false alarms accepted.
 MAX_CHANCE = 0.001
 MIN_GAIN = 0.02
+# Probability by chance that a rival's errors exceed those found so often: above it, both are told.
+_MAX_RIVAL_CHANCE = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,12 +43,15 @@ class BearingTilt:
         With its standard deviation by the jackknife [rad/(N m)].
     left_out : float
         Root mean square of one component on poses left out, with all bearings found [m].
+    rivals : tuple of int
+        Joints (from 1) whose bearing in its place predicts poses left out about as well.
     """
 
     joint: int
     compliance: float
     sd: float
     left_out: float
+    rivals: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -114,6 +119,12 @@ def identify_tilt(
             if not _supported(narrower, found, first + k, len(joints)):
                 found = narrower
                 del joints[k]
+
+    def _exchange(column: int, joint: int) -> np.ndarray:
+        columns = found.columns.copy()
+        columns[:, :, column] = added[:, :, joint]
+        return columns
+
     compliance, deviation = fit(found.columns, measured).value, jackknife_deviation(found.values)
     return tuple(
         BearingTilt(
@@ -121,6 +132,11 @@ def identify_tilt(
             compliance=float(compliance[first + k]),
             sd=float(deviation[first + k]),
             left_out=found.size,
+            rivals=tuple(
+                other + 1
+                for other in free
+                if _is_as_good(_predict(_exchange(first + k, other), measured), found)
+            ),
         )
         for k, j in enumerate(joints)
     )
@@ -137,6 +153,12 @@ def _predict(columns: np.ndarray, measured: np.ndarray) -> _LeftOut:
     values = np.array([fold.value for fold in folds])
     error = measured - np.einsum("kip,kp->ki", columns, values)
     return _LeftOut(columns=columns, error=error, values=values)
+
+
+def _is_as_good(rival: _LeftOut, found: _LeftOut) -> bool:
+    """Return True where poses left out do not tell a rival from what was found."""
+    worse = np.sum(rival.error**2 - found.error**2, axis=1)
+    return paired_test(worse) > _MAX_RIVAL_CHANCE
 
 
 def _supported(narrower: _LeftOut, wider: _LeftOut, column: int, tried: int) -> bool:

@@ -151,7 +151,7 @@ def torque_dependence(rows: StaticRows, kept: Sequence[int] | np.ndarray) -> Tor
             fit=_rms_error(run.whole.residual),
             left_out=_rms_error(run.error),
             gain=1.0 - _rms_error(run.error) / (_rms_error(constant.error) or 1.0),
-            chance=min(1.0, candidates * _paired_test(losses[rival] - losses[k]))
+            chance=min(1.0, candidates * paired_test(losses[rival] - losses[k]))
             if family.candidate
             else 1.0,
             value=run.whole.value,
@@ -203,7 +203,7 @@ def _select_form(fits: list[RobustFit]) -> int:
     return int(np.argmin([np.sum(loss(each.residual, scale)) for each in fits]))
 
 
-def _paired_test(drop: np.ndarray) -> float:
+def paired_test(drop: np.ndarray) -> float:
     """One-sided p-value of a decrease of the loss (Wilcoxon's signed-rank test).
 
     Ranks, since a few poses with large loads would dominate a test of the mean.

@@ -7,6 +7,7 @@ import pytest
 
 from stiffopt.identification.stiffness import identify_stiffness
 from stiffopt.recording.static_set import load_static_set
+from stiffopt.report.identification.page import tilt_sentence
 from tests.identification.static_arms import THREE, BentArm, G, measure, rodrigues
 
 TILT, NOISE = 4e-7, 2e-5
@@ -39,6 +40,7 @@ def test_tilt_of_a_bearing_is_told_from_torsion(tmp_path, arm, joint):
     assert tilt.joint == joint + 1
     assert abs(tilt.compliance - TILT) < 3.0 * tilt.sd
     assert tilt.sd < 0.1 * TILT
+    assert tilt.rivals == ()
     # Only the sensor's noise is left, within three standard deviations of 120 values.
     assert tilt.left_out == pytest.approx(NOISE, rel=0.2)
     assert found.errors.left_out > 1.3 * NOISE
@@ -64,6 +66,14 @@ def test_tilt_is_told_from_softening_torsion(tmp_path):
         softened = measure(arm, 30, 1, law=soften(arm))
         found = identify(tilted(softened, joint, TILT), tmp_path / str(joint)).tilt
         assert [each.joint for each in found] == [joint + 1]
+
+
+def test_bearing_that_acts_as_another_is_told_as_its_rival(tmp_path):
+    found = identify(tilted(measure(BentArm(), 30, 2), 1, TILT / 4.0), tmp_path)
+    (tilt,) = found.tilt
+    assert tilt.joint == 2
+    assert tilt.rivals == (1,)
+    assert "or that of J1)" in tilt_sentence(found)
 
 
 def test_softening_torsion_alone_is_not_taken_for_tilt(tmp_path):

@@ -89,7 +89,8 @@ def tilt_sentence(result: StaticStiffness) -> str:
         return "not supported by these poses."
     named = ", ".join(
         f"J{each.joint} {decades(1.0 / each.compliance)} N m/rad "
-        f"({100.0 * each.sd / each.compliance:.0f} %)"
+        f"({100.0 * each.sd / each.compliance:.0f} %"
+        + (f"; or that of J{', J'.join(map(str, each.rivals))})" if each.rivals else ")")
         for each in result.tilt
     )
     return (
