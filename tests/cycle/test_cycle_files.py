@@ -70,6 +70,7 @@ to = "home"
         (GRIP + GRIP.replace('"pick"', '"place"'), "move[2].event", "still holds the part"),
         ('[[move]]\nto = "pick"\nevent = "grip"\n', "move[1].payload", "needs the part"),
         ('[[move]]\nto = "pick"\nevent = "weld"\n', "move[1].event", "grip"),
+        (MOVES.replace('event = "release"', ""), "move[2].event", "never released"),
         ('[[move]]\nto = "pik"\n', "move[1].to", "no pose 'pik'"),
         ('[[move]]\nto = "home"\n', "move[1].to", "where it begins"),
         ('[[move]]\nto = "pick"\nstop = false\n', "move[1].stop", "last move"),
