@@ -188,18 +188,18 @@ class CommandSearch:
             return made
         arms: list[Departure] = []
         # One command at a time: each of a motion of minutes has a hundred megabytes.
-        least, kept = (np.inf, None), (np.inf, None)  # peaks and command
+        least, kept = np.inf, np.inf
+        chosen: ExistingCommand | None = None
         for made in self._candidates_within_limits():
             command = MotorMotion.of(made.motors)
             arms = arms or self._worst_arms(command)
             members = [Member(command=command, departure=arm) for arm in arms]
             peaks = float(self._many.position_peaks(members).max(axis=1).sum())
-            if peaks < least[0]:
-                least = peaks, made
             # The trial grid may miss excesses shorter than its step, such as the jerk at an end.
-            if peaks < kept[0] and self._excess_beyond_plan(made.motors) <= CERTIFICATE_TOLERANCE:
-                kept = peaks, made
-        chosen = kept[1] or least[1]
+            if peaks < kept and self._excess_beyond_plan(made.motors) <= CERTIFICATE_TOLERANCE:
+                kept, chosen = peaks, made
+            elif kept == np.inf and peaks < least:
+                least, chosen = peaks, made
         assert chosen is not None
         return chosen
 

@@ -87,6 +87,12 @@ def test_impossible_cycles_are_named_with_their_place(tmp_path, moves, place, wo
     assert words in str(caught.value)
 
 
+def test_part_too_heavy_for_the_drives_is_named_at_its_grip():
+    path = ROOT / "problems" / "ur10_cycle.toml"
+    with pytest.raises(InputFileError, match=r"move\[2\]\.payload: the drives cannot hold"):
+        load_cycle(path, ["move[2].payload.mass=5000 kg"])
+
+
 def test_command_line_refuses_with_exit_code_2(tmp_path, capsys):
     path = write_cycle_file(tmp_path, moves='[[move]]\nto = "place"\nevent = "release"\n')
     assert run(["solve", str(path), "--out", str(tmp_path / "out")]) == 2
