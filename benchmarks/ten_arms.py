@@ -1,10 +1,11 @@
 """Tool error of the commanded arm with tilting bearings and servo, on arms of many kinds.
 
-Six-axis arms with strain-wave and with RV reducers, a SCARA, a seven-axis arm and a palletiser, all
-with output bearings of catalogue size. Motion and best rival have their best commands; each is put
-on its own worst arms in flight and after arrival by a simulation that has every bearing as joints
-of its own in pinocchio, spring tables of `elastic_simulation`, and the servo that `tool_error`
-integrates. Say arms and the number of motions: `python ten_arms.py scara ur10 2`.
+Six-axis arms with strain-wave and with RV reducers, a SCARA, a seven-axis arm and a palletiser with
+output bearings of catalogue size, and an arm of planetary gearheads. Motion and best rival have
+their best commands; each is put on its own worst arms in flight and after arrival by a simulation
+that has every bearing as joints of its own in pinocchio, spring tables of `elastic_simulation`, and
+the servo that `tool_error` integrates. Say arms and the number of motions:
+`python ten_arms.py scara ur10 2`.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import pinocchio as pin
 from common import Row, main
 from elastic_simulation import Springs
 from scipy.integrate import odeint
+from scipy.interpolate import CubicHermiteSpline
 from tool_error import STANDSTILL, Held, Motors, judge
 
 from stiffopt.command.command_search import CommandOnArms
@@ -46,10 +48,11 @@ SLACK = 1.05
 class Arm:
     """An arm of links along given offsets: axis, offset [m], mass [kg], reducer, bearing, torque.
 
-    An axis "z slide" is a slide; motions go about the pose `middle`.
+    An axis "z slide" is a slide; motions go about the pose `middle`. A reducer is one of the
+    catalogue or a stiffness [N m/rad].
     """
 
-    joints: tuple[tuple[str, tuple[float, float, float], float, str, str, float], ...]
+    joints: tuple[tuple[str, tuple[float, float, float], float, str | float, str, float], ...]
     tool: tuple[float, float, float]
     middle: tuple[float, ...]
     payload: float
@@ -95,6 +98,20 @@ ARMS = {
         middle=(0.2, 0.2, 0.3, -0.5),
         payload=25.0,
         acceleration=4.0,
+    ),
+    # Gearheads of assumed stiffness, of the size of catalogues' 3 to 20 N m/arcmin; no play.
+    "planetary gearheads": Arm(
+        joints=(
+            ("z", (0.0, 0.0, 0.3), 12.0, 7e4, "", 220.0),
+            ("y", (0.0, 0.0, 0.1), 9.0, 7e4, "", 220.0),
+            ("y", (0.0, 0.0, 0.4), 6.0, 3.5e4, "", 110.0),
+            ("x", (0.25, 0.0, 0.0), 2.0, 1e4, "", 35.0),
+            ("y", (0.15, 0.0, 0.0), 1.0, 1e4, "", 35.0),
+        ),
+        tool=(0.12, 0.0, 0.0),
+        middle=(0.2, 0.3, 0.4, 0.2, -0.8),
+        payload=2.0,
+        acceleration=12.0,
     ),
     "RV reducers": Arm(
         joints=(
@@ -162,9 +179,14 @@ def write_arm(name: str, arm: Arm, folder: Path) -> Robot:
         size = 0.2 * arm.acceleration if slide else arm.acceleration
         text += ["[[joint]]", f'name = "joint_{j}"', f"torque_max = {torque}"]
         text += [f"acceleration_max = {size}", f"jerk_max = {30.0 * size}"]
-        if reducer:
-            text += [f'bearing = {{ catalogue = "{bearing}" }}', "[[joint.element]]"]
-            text += ['name = "reducer"', 'type = "reducer"', f'catalogue = "{reducer}"']
+        if bearing:
+            text.append(f'bearing = {{ catalogue = "{bearing}" }}')
+        if isinstance(reducer, float):
+            text += ["[[joint.element]]", 'name = "gearhead"', 'type = "constant"']
+            text.append(f"stiffness = {reducer}")
+        elif reducer:
+            text += ["[[joint.element]]", 'name = "reducer"', 'type = "reducer"']
+            text.append(f'catalogue = "{reducer}"')
     place = " ".join(f"{x:g}" for x in arm.tool)
     parts.append(
         f'<link name="tip"/><joint name="end" type="fixed"><parent link="{before}"/>'
@@ -258,16 +280,13 @@ class Simulation:
         rigid = arm.driven[~self._free]
         others = np.setdiff1d(np.arange(n), rigid)
         grid = motors.times
-        tables = [motors(grid, order) for order in (0, 1, 2)]
-
-        def motor_at(t: float, order: int) -> np.ndarray:
-            k = min(int(t / (grid[1] - grid[0])), len(grid) - 2)
-            share = (t - grid[k]) / (grid[1] - grid[0])
-            return (1.0 - share) * tables[order][k] + share * tables[order][k + 1]
+        place = CubicHermiteSpline(grid, motors(grid, 0), motors(grid, 1))
+        # With a continuous speed the integrator takes steps longer than the servo's.
+        motor_at = [place, place.derivative(), place.derivative(2)]
 
         def slope(t: float, state: np.ndarray) -> np.ndarray:
             x, v = state[:n].copy(), state[n:].copy()
-            motor, speed = motor_at(t, 0), motor_at(t, 1)
+            motor, speed = motor_at[0](t), motor_at[1](t)
             x[rigid], v[rigid] = motor[~self._free], speed[~self._free]
             torque = -arm.stiffness * x - damping * v
             own = self.torque(motor - x[arm.driven])
@@ -275,7 +294,7 @@ class Simulation:
             if not rigid.size:
                 return np.concatenate([v, pin.aba(model, data, x, v, torque)])
             a = np.zeros(n)
-            a[rigid] = motor_at(t, 2)[~self._free]
+            a[rigid] = motor_at[2](t)[~self._free]
             left = (torque - pin.rnea(model, data, x, v, a))[others]
             mass = pin.crba(model, data, x)
             mass = np.triu(mass) + np.triu(mass, 1).T
@@ -287,7 +306,7 @@ class Simulation:
         away = np.empty(len(times))
         for k, t in enumerate(times):
             x = found[k, :n].copy()
-            x[rigid] = motor_at(t, 0)[~self._free]
+            x[rigid] = place(t)[~self._free]
             rest = arm.tool_pose(self.resting(plan(np.array([t]), 0)[0]))
             away[k] = np.linalg.norm(arm.tool_pose(x).translation - rest.translation)
         return away

@@ -17,7 +17,6 @@ from stiffopt.budget.sources import States, ToolJacobians
 from stiffopt.formatting import listed
 
 if TYPE_CHECKING:
-    from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.solution import Solution
     from stiffopt.robot.robot import Robot
     from stiffopt.robot.tolerances import Tolerances
@@ -42,13 +41,13 @@ def geometry_floor(robot: Robot, tolerances: Tolerances, position: np.ndarray) -
     return float(np.max(found.bound(POSITION)))
 
 
-def error_floor_note(problem: TrajectoryProblem, tolerances: Tolerances, solution: Solution) -> str:
+def error_floor_note(robot: Robot, tolerances: Tolerances, solution: Solution) -> str:
     """Describe what bounds the error of a commanded motion; "" where there is no command."""
     motion, led = solution.assessment, solution.compensation
     if motion is None or motion.led is None or led is None or led.command is None:
         return ""
     chosen = np.linspace(0, len(motion.time) - 1, _INSTANT_COUNT).round().astype(int)
-    floor = geometry_floor(problem.robot, tolerances, motion.position[chosen])
+    floor = geometry_floor(robot, tolerances, motion.position[chosen])
     named = listed(
         [
             f"{kind} {100.0 * share:.0f} %"

@@ -50,11 +50,12 @@ def budget(
     """
     from stiffopt.budget.assumptions import list_assumptions
     from stiffopt.budget.budget import ErrorModel, error_budget
+    from stiffopt.budget.identified_stiffness import narrow_stiffness
     from stiffopt.budget.measurements import rank_measurements
-    from stiffopt.budget.motion import narrow_stiffness, problem_states, solved_states
     from stiffopt.budget.store import write_budget
     from stiffopt.budget.volume import volume_budget
     from stiffopt.problem.files import load_problem
+    from stiffopt.recipe.motion_states import problem_states, solved_states
     from stiffopt.recipe.stored_result import read_result
     from stiffopt.report.budget.page import print_budget, write_budget_report
     from stiffopt.units import to_si
@@ -64,12 +65,10 @@ def budget(
         raise InputError(f"--margin {margin}: must be 0 or above.")
     if source.is_dir():
         stored = read_result(source, changes=changes)
-        problem, tolerances = stored.problem, stored.tolerances
-        problem = replace(problem, uncertainty=stored.uncertainty)
+        problem = replace(stored.problem, uncertainty=stored.uncertainty)
         states, compensated = solved_states(stored), stored.command is not None
     else:
-        loaded = load_problem(source, changes)
-        problem, tolerances = loaded.problem, loaded.tolerances
+        problem = load_problem(source, changes).problem
         states, compensated = problem_states(problem), False
     if model is not None:
         from stiffopt.discovery.extended.planning import (
@@ -81,7 +80,7 @@ def budget(
         problem = extended_problem(problem, planner_model(problem.robot, read_model(model)))
     unsure = ErrorModel(
         robot=problem.robot,
-        tolerances=tolerances,
+        tolerances=problem.tolerances,
         uncertainty=problem.uncertainty,
         process_force=problem.process_force,
         compensated=compensated,

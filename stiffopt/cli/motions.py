@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -68,7 +67,6 @@ def solve(
             raise InputError("--model is of single motions: omit it for a cycle.")
         return _solve_cycle(problem, out, changes, open_report, quiet, guess)
     with defer_until_result():
-        from stiffopt.budget.floor import error_floor_note
         from stiffopt.certificate.assess import assess
         from stiffopt.problem.files import load_problem
         from stiffopt.recipe.stored_result import (
@@ -92,8 +90,7 @@ def solve(
         from stiffopt.solver.family import ProblemFamily
         from stiffopt.solver.simulated_solution import with_simulation
 
-        loaded = load_problem(problem, changes)
-        stated = loaded.problem
+        stated = load_problem(problem, changes).problem
         found = None
         if model is not None:
             from stiffopt.discovery.extended.planning import read_model, solve_extended
@@ -121,8 +118,6 @@ def solve(
                     loop = solve_extended(stated, found, progress=progress)
                     stated = loop.problem
                     solution = with_simulation(stated, loop.solution, progress)
-            note = error_floor_note(stated, loaded.tolerances, solution)
-            solution = replace(solution, notes=(*solution.notes, note)) if note else solution
             end_deferral(ended=True)
             stopped = solution.status is SolveStatus.INTERRUPTED
             if stopped and not solution.solver.iterations and (folder / RESULT_FILE).exists():

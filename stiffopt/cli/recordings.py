@@ -49,8 +49,9 @@ def diagnose(
 
     Writes diagnosis.json, extended.toml, report.html and the predictions of test and extrapolation
     runs. Ctrl-C ends the search and keeps the findings so far. For several sets, such as a fleet:
-    cases/KEY.json for each, then a table and report.html, as `stiffopt sweep`; the same command
-    resumes an interrupted one.
+    cases/KEY.json for each, then a table and report.html, as `stiffopt sweep`, with the values that
+    all arms share and each arm's own where they follow commands; the same command resumes an
+    interrupted one.
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from stiffopt.closed_loop.arm import CommandedArm
 
 # Rounding of the magnitude of the torque that load friction goes with [N m].
-_LOAD_WIDTH = 0.01
+_LOAD_WIDTH = 0.1
 
 
 class Balance:
@@ -123,15 +123,10 @@ class Balance:
         direction = ca.tanh(v / self.width)
         dry = own["coulomb"] + own["friction_slope"] * (q - ca.DM(self.loop.middle))
         by_speed = own["viscous"] * v + own["drag"] * v * ca.fabs(v)
-        # Torque of the links, moved by what passes the other friction beside the own rotor.
-        inertia, bias = self._still(place, speed)
-        links = ca.diag(inertia) / (ca.diag(inertia) + own["armature"])
-        load = links * (torque + own["offset"] - dry * direction - by_speed) + (1.0 - links) * bias
-        for k, joint in enumerate(self.loop.elastic):
-            load[joint], links[joint] = place[self.n + k], 0.0
-        size = ca.sqrt(load**2 + _LOAD_WIDTH**2)
-        # Friction by the load takes its part of that torque.
-        against = 1.0 + links * own["load_friction"] * direction * load / size
+        # What of the torque reaches the load, past friction by the load as well.
+        past = torque - dry * direction - by_speed
+        size = ca.sqrt(past**2 + _LOAD_WIDTH**2)
+        against = 1.0 + own["load_friction"] * direction * past / size
         dry += own["load_friction"] * (size - _LOAD_WIDTH) / against
         losses = dry * direction + by_speed
         slope = self.kd + own["viscous"] + dry / self.width * (1.0 - direction**2)

@@ -183,25 +183,31 @@ class CommandSearch:
         )
 
     def chosen_command(self) -> ExistingCommand:
-        """Choose the command of the least worst case, or as chosen before where limits allow it."""
+        """Choose the command of the least worst case, or as chosen before where limits allow it.
+
+        Where none keeps the limits, the one of least excess, without a simulation.
+        """
         if (made := self._command_as_chosen()) is not None:
             return made
         arms: list[Departure] = []
         # One command at a time: each of a motion of minutes has a hundred megabytes.
-        least, kept = np.inf, np.inf
-        chosen: ExistingCommand | None = None
+        least: tuple[float, ExistingCommand | None] = (np.inf, None)  # excess of limits
+        kept: tuple[float, ExistingCommand | None] = (np.inf, None)  # peaks in flight and after
         for made in self._candidates_within_limits():
             command = MotorMotion.of(made.motors)
             arms = arms or self._worst_arms(command)
             members = [Member(command=command, departure=arm) for arm in arms]
             peaks = float(self._many.position_peaks(members).max(axis=1).sum())
+            if not peaks < kept[0]:
+                continue
             # The trial grid may miss excesses shorter than its step, such as the jerk at an end.
-            if peaks < kept and self._excess_beyond_plan(made.motors) <= CERTIFICATE_TOLERANCE:
-                kept, chosen = peaks, made
-            elif kept == np.inf and peaks < least:
-                least, chosen = peaks, made
-        assert chosen is not None
-        return chosen
+            excess = self._excess_beyond_plan(made.motors)
+            if excess <= CERTIFICATE_TOLERANCE:
+                kept = peaks, made
+            elif excess < least[0]:
+                least = excess, made
+        leads = (list(lead.commands(1.0))[-1] for lead in map(self._lead_of, self._spacings))
+        return kept[1] or least[1] or min(leads, key=lambda x: self._excess_beyond_plan(x.motors))
 
     def _worst_arms(self, command: MotorMotion) -> list[Departure]:
         """Return the corners with joints alike, and the worst arms of a command."""
@@ -209,21 +215,13 @@ class CommandSearch:
         return [self._box.departure(each) for each in (*self._box.alike_corners(), *worst)]
 
     def _candidates_within_limits(self) -> Iterator[ExistingCommand]:
-        """Commands that keep the plan's limits on the trial grid.
-
-        Where none does, the ones that lead by the nominal wind-up alone.
-        """
-        found = False
+        """Commands that keep the plan's limits on the trial grid."""
         for lead in map(self._lead_of, self._spacings):
             for share in _WINDUP_SHARES:
                 made = list(lead.commands(share))
                 kept = [each for each in made if self._keeps_plan_limits(each.motors)]
                 # The one without the servo's lag has the largest margin on a finer grid.
                 yield from kept[:1] + kept[1:][-1:]
-                found = found or bool(kept)
-        if not found:
-            for lead in map(self._lead_of, self._spacings):
-                yield list(lead.commands(1.0))[-1]
 
     def _command_as_chosen(self) -> ExistingCommand | None:
         """Return the command of the choice, None without one or where it exceeds a limit."""

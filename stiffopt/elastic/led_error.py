@@ -43,9 +43,9 @@ def led_error(
     servo : Servo
         Nominal one, whose lag the command leads.
     """
-    slowest = uncertainty.worst_servo(servo)
-    differs = slowest != servo
-    many = UncertainArms(arm, plan, worst=_ServoChange(servo, slowest) if differs else None)
+    worst_servo = uncertainty.worst_servo(servo)
+    differs = worst_servo != servo
+    many = UncertainArms(arm, plan, worst=_ServoChange(servo, worst_servo) if differs else None)
     box = ParameterBox(uncertainty, arm.robot, servo=differs)
     command = _ideal_command(arm, plan, uncertainty)
     worst = worst_levels(many, command, box)

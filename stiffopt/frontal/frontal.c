@@ -403,7 +403,8 @@ void ma97_factor_d(int type, const int *ptr, const int *row, const double *val, 
 void ma97_solve_d(int job, int nrhs, double *x, int ldx, void **akeep, void **fkeep, const struct control *c,
                   struct info *info) {
   (void)job, (void)c;
-  memset(info, 0, sizeof *info);
+  /* IPOPT reads the inertia after this: without it, negative curvature passes for a singular matrix. */
+  info->flag = 0;
   Factors *f = *fkeep;
   for (int k = 0; k < nrhs; k++) solved(*akeep, f, x + (long)k * ldx, f->work);
 }

@@ -2,8 +2,13 @@
 
 The part of a joint's moment that is transverse to its axis tilts the output bearing by
 psi = M / k, alike about every transverse axis, and moves the tool by psi x r. Joints are added one
-by one, each where it predicts poses left out better than those before: a bearing whose tilt acts
-as the torsion of a neighbour does not, and stays rigid.
+by one, each where it predicts poses left out better than those before, and dropped again where
+later ones take their place: a bearing whose tilt acts as the torsion of a neighbour does not, and
+stays rigid. Torsion has the law, constant or softening, that predicts poses left out best: else
+the bearings would take what softening leaves.
+
+Encoders of motors and links turn about the axis and motor torques act about it: of all that is
+recorded of an arm, only a measured place of its tool shows a tilt, which static sets have.
 """
 
 from __future__ import annotations
@@ -12,17 +17,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stiffopt.identification.robust_compliance import (
-    RobustFit,
-    fit,
-    jackknife_deviation,
-    without_each,
-)
+from stiffopt.identification.robust_compliance import fit, jackknife_deviation, without_each
+from stiffopt.identification.static_rows import StaticRows
+from stiffopt.identification.torque_dependence import families
 from stiffopt.recording.static_set import StaticSet
-from stiffopt.robot.joint_load import joint_frames
+from stiffopt.robot.joint_load import joint_frames, joint_wrenches
 
-# Adjusted p-value below this, and error on poses left out lower by this share.
-MAX_CHANCE = 0.01
+# Adjusted p-value below this, and error on poses left out lower by this share. Student's t is only
+# near the distribution of robust fits: the level is well below the rate of false alarms accepted.
+MAX_CHANCE = 0.001
 MIN_GAIN = 0.02
 
 
@@ -37,8 +40,7 @@ class BearingTilt:
     compliance, sd : float
         With its standard deviation by the jackknife [rad/(N m)].
     left_out : float
-        Root mean square of one component on poses left out, with this bearing and those before
-        it [m].
+        Root mean square of one component on poses left out, with all bearings found [m].
     """
 
     joint: int
@@ -47,85 +49,105 @@ class BearingTilt:
     left_out: float
 
 
-def tilt_columns(recorded: StaticSet) -> np.ndarray:
-    """Return the displacement of the tool for unit tilt compliance of each joint, (m, 3, n).
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _LeftOut:
+    """Prediction of poses left out by columns (m, 3, p): errors (m, 3) and values (m, p)."""
 
-    By the force on the tool alone, in the differences of two load states.
-    """
+    columns: np.ndarray
+    error: np.ndarray
+    values: np.ndarray
+
+    @property
+    def size(self) -> float:
+        return float(np.sqrt(np.mean(np.square(self.error))))
+
+
+def tilt_columns(recorded: StaticSet) -> np.ndarray:
+    """Return the displacement of the tool for unit tilt compliance of each joint, (m, 3, n)."""
+    robot, order = recorded.robot, recorded.order
     position = np.empty_like(recorded.position)
-    position[:, recorded.order] = recorded.position
-    axes, arm = joint_frames(recorded.robot, position)
-    axis, arm = axes[..., 2][:, recorded.order], arm[:, recorded.order]
-    moment = np.cross(arm, recorded.force[:, None, :])
-    transverse = moment - np.sum(moment * axis, axis=2, keepdims=True) * axis
-    turning = ~np.asarray(recorded.prismatic)[:, None]
-    return np.asarray(np.moveaxis(turning * np.cross(transverse, arm), 1, 2))
+    position[:, order] = recorded.position
+    still = np.zeros_like(position)
+    wrench = joint_wrenches(robot, position, still, still, recorded.force[:, None, :])
+    if recorded.difference:
+        wrench = wrench - joint_wrenches(robot, position, still, still, np.zeros(3))
+    axes, arm = joint_frames(robot, position)
+    # A joint's moment balances the loads, which tilt its bearing the other way.
+    load = -np.einsum("knij,knj->kni", axes[..., :2], wrench[..., 3:5])
+    moved = np.where(robot.prismatic[:, None], 0.0, np.cross(load, arm))
+    return np.asarray(np.moveaxis(moved[:, order], 1, 2))
 
 
 def identify_tilt(
-    recorded: StaticSet, torsion: np.ndarray, folds: list[RobustFit]
+    recorded: StaticSet, rows: StaticRows, kept: np.ndarray
 ) -> tuple[BearingTilt, ...]:
-    """Return the bearings whose tilt the poses support, the most important first.
+    """Return the bearings whose tilt the poses support.
 
     Parameters
     ----------
     recorded : StaticSet
-        Of differences; with weight in the displacements no tilt is identified.
-    torsion : array (m, 3, k)
-        Columns of the identifiable joints.
-    folds : list of RobustFit
-        Of torsion alone, without one pose each.
+    rows : StaticRows
+    kept : array (k,) of int
+        Joints (from 0) whose torsion is identifiable.
     """
-    measured = recorded.displacement
-    if not recorded.difference:
+    measured, added = recorded.displacement, tilt_columns(recorded)
+    laws = [law.columns for family in families(rows, kept) for law in family.shapes]
+    tried = [_predict(columns, measured) for columns in laws if _is_determined(columns)]
+    if not tried:
         return ()
-    added, columns = tilt_columns(recorded), torsion
+    found = min(tried, key=lambda each: each.size)
+    first = found.columns.shape[2]
+    joints: list[int] = []
     free = [j for j in range(added.shape[2]) if np.any(added[:, :, j])]
-    error = np.array([measured[k] - columns[k] @ fold.value for k, fold in enumerate(folds)])
-    found: list[BearingTilt] = []
     while free:
-        tried = []
-        for j in free:
-            wider = np.concatenate([columns, added[:, :, [j]]], axis=2)
-            if wider.shape[2] < 3 * (len(measured) - 1):
-                tried.append((j, wider, *_predict_left_out(wider, measured)))
-        if not tried:
+        wider = [np.concatenate([found.columns, added[:, :, [j]]], axis=2) for j in free]
+        if not _is_determined(wider[0]):
             break
-        j, wider, narrower, values = min(tried, key=lambda each: np.sum(each[2] ** 2))
-        if not _supported(error, narrower, values[:, -1], len(free)):
+        tried = [_predict(columns, measured) for columns in wider]
+        best = int(np.argmin([each.size for each in tried]))
+        if not _supported(found, tried[best], -1, len(free)):
             break
-        found.append(
-            BearingTilt(
-                joint=j + 1,
-                compliance=float(fit(wider, measured).value[-1]),
-                sd=float(jackknife_deviation(values)[-1]),
-                left_out=float(np.sqrt(np.mean(narrower**2))),
-            )
+        found = tried[best]
+        joints.append(free.pop(best))
+        for k in range(len(joints) - 2, -1, -1):
+            narrower = _predict(np.delete(found.columns, first + k, axis=2), measured)
+            if not _supported(narrower, found, first + k, len(joints)):
+                found = narrower
+                del joints[k]
+    compliance, deviation = fit(found.columns, measured).value, jackknife_deviation(found.values)
+    return tuple(
+        BearingTilt(
+            joint=j + 1,
+            compliance=float(compliance[first + k]),
+            sd=float(deviation[first + k]),
+            left_out=found.size,
         )
-        columns, error = wider, narrower
-        free.remove(j)
-    return tuple(found)
+        for k, j in enumerate(joints)
+    )
 
 
-def _predict_left_out(columns: np.ndarray, measured: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Errors (m, 3) of poses left out, and the values (m, p) of the fits without them."""
+def _is_determined(columns: np.ndarray) -> bool:
+    """Return True where there are fewer columns than displacements without one pose."""
+    return int(columns.shape[2]) < 3 * (len(columns) - 1)
+
+
+def _predict(columns: np.ndarray, measured: np.ndarray) -> _LeftOut:
     whole = fit(columns, measured)
     folds = [fit(columns[k], measured[k], start=whole) for k in without_each(len(measured))]
     values = np.array([fold.value for fold in folds])
-    return measured - np.einsum("kip,kp->ki", columns, values), values
+    error = measured - np.einsum("kip,kp->ki", columns, values)
+    return _LeftOut(columns=columns, error=error, values=values)
 
 
-def _supported(before: np.ndarray, after: np.ndarray, tilt: np.ndarray, tried: int) -> bool:
-    """Return whether a tilt differs from zero, and errors (m, 3) on poses left out decreased.
+def _supported(narrower: _LeftOut, wider: _LeftOut, column: int, tried: int) -> bool:
+    """Return True where a column differs from zero and decreases the error on poses left out.
 
-    As torsion, by Student's t of its fits (m,) without one pose each, adjusted for the joints
-    tried.
+    As torsion, by Student's t of its fits without one pose each, adjusted for the joints tried.
     """
     from scipy.stats import t
 
-    sizes = [float(np.sqrt(np.mean(np.square(error)))) for error in (before, after)]
-    if not sizes[1] < (1.0 - MIN_GAIN) * sizes[0]:
+    if not wider.size < (1.0 - MIN_GAIN) * narrower.size:
         return False
-    deviation = float(jackknife_deviation(tilt[:, None])[0])
+    tilt = wider.values[:, column]
     factor = float(t.ppf(1.0 - MAX_CHANCE / tried, len(tilt) - 1))
-    return float(np.mean(tilt)) > factor * deviation
+    return float(np.mean(tilt)) > factor * float(jackknife_deviation(tilt[:, None])[0])

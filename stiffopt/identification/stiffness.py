@@ -94,7 +94,7 @@ def identify_stiffness(
         outliers=tuple(int(k) + 1 for k in np.flatnonzero(norm > outlying)),
         correlation=_largest_correlation(used, fitted, can, recorded.n),
         torque_dependence=dependence,
-        tilt=identify_tilt(recorded, used, folds),
+        tilt=identify_tilt(recorded, rows, kept),
         assumptions=_list_assumptions(recorded, rows),
     )
 

@@ -38,7 +38,6 @@ from stiffopt.robot.cell import Cell
 from stiffopt.robot.elements import locate_errors
 from stiffopt.robot.files import load_robot, shipped_robots
 from stiffopt.robot.robot import Robot
-from stiffopt.robot.tolerances import Tolerances
 from stiffopt.units import convert
 
 
@@ -49,7 +48,6 @@ class LoadedProblem:
     problem: TrajectoryProblem
     expected: ExpectedSection | None
     path: Path
-    tolerances: Tolerances  # for the error budget; no motion depends on them
 
 
 def load_problem(
@@ -70,7 +68,7 @@ def load_problem(
     with locate_errors(path, ""):
         problem = _build_problem(document, path, robots, choice)
     check_expected_unit(document.expected, problem.objectives, path)
-    return LoadedProblem(problem, document.expected, path, document.tolerances)
+    return LoadedProblem(problem, document.expected, path)
 
 
 def check_expected_unit(
@@ -180,6 +178,7 @@ def common_fields(document: ProblemFile, joints: JointLists) -> dict[str, Any]:
         "method": document.method,
         "uncertainty": document.uncertainty,
         "servo": document.servo,
+        "tolerances": document.tolerances,
         "title": document.title or joints.path.stem,
         "cell": None if document.cell is None else document.cell.found_in(joints.path.parent),
     }

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from stiffopt.result.duty import DutyLimits
     from stiffopt.robot.clearance import ClearanceModel
     from stiffopt.robot.robot import Robot
-
+from stiffopt.robot.tolerances import Tolerances
 
 # Largest distance from the base [m] and range of durations [s]: values beyond are input errors and
 # overflow in the solve.
@@ -207,6 +207,8 @@ class TrajectoryProblem:
         also selects among plans of about equal value (`chosen_for_robustness`).
     servo : Servo
         Servo of the motors, whose known lag the command leads.
+    tolerances : Tolerances
+        Of the geometry, for the error budget; no motion depends on them.
     cell : Cell or None
         Obstacles; None: collisions of the arm with itself, by the shapes of its URDF.
     """
@@ -228,6 +230,8 @@ class TrajectoryProblem:
     remarks: tuple[str, ...] = ()
     uncertainty: Uncertainty = field(default_factory=AssumedUncertainty)
     servo: Servo = field(default_factory=lambda: Servo(kind="industrial"))
+    # Not compared: no motion depends on them.
+    tolerances: Tolerances = field(default_factory=Tolerances, compare=False)
     cell: Cell | None = None
     duty: DutyLimits | None = None
     # Not compared: the path follows from it.

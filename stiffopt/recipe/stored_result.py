@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,6 @@ from stiffopt.result.simulation import PeakRms
 from stiffopt.result.solution import Solution
 from stiffopt.result.store import FORCE_COLUMNS, RESULT_FILE, TRAJECTORY_FILE, read_document
 from stiffopt.result.trajectory import ForceHistory, JointMotion
-from stiffopt.robot.tolerances import Tolerances
 from stiffopt.solver.family import WarmStart
 from stiffopt.transcription.prepared import read_prepared, write_prepared
 
@@ -43,9 +42,8 @@ PREPARED_FILE = "formulas.npz"
 class StoredResult:
     """Motion of a result folder with its problem."""
 
-    problem: TrajectoryProblem  # as it was solved
+    problem: TrajectoryProblem  # as it was solved, but for changed tolerances
     uncertainty: Uncertainty  # with changes; the problem's where there are none
-    tolerances: Tolerances  # likewise
     motion: ResolvedMotion
     optimised: PlannedMotion
     windup: np.ndarray  # (K, n) of the joints along the stored motion [rad]
@@ -107,9 +105,8 @@ def read_result(
         path=_read_planned_links(folder, stated.joints),
     )
     return StoredResult(
-        problem=stated,
+        problem=replace(stated, tolerances=judged.problem.tolerances),
         uncertainty=judged.problem.uncertainty,
-        tolerances=judged.tolerances,
         motion=resolve(stated),
         optimised=own,
         windup=windup,

@@ -289,9 +289,12 @@ def write_trajectory(
 
 
 def write_rival(compensation: Compensation | None, directory: Path) -> None:
-    """Write motion and command of the best rival, where it wins."""
-    if compensation is not None and compensation.rival_plan is not None:
-        write_trajectory(compensation.rival_plan, directory, RIVAL_TRAJECTORY_FILE)
+    """Write motion and command of the best rival, where it wins; else remove earlier ones."""
+    plan = None if compensation is None else compensation.rival_plan
+    if plan is None:
+        (directory / RIVAL_TRAJECTORY_FILE).unlink(missing_ok=True)
+    else:
+        write_trajectory(plan, directory, RIVAL_TRAJECTORY_FILE)
     command = None if compensation is None else compensation.rival_command
     write_motors(command, directory / RIVAL_COMMAND_FILE)
 

@@ -45,6 +45,7 @@ class BetweenRivals(OutcomeOracle):
         super().__init__(run)
         self._rivals: dict[str, Trajectory] = {}
         self._best: LedError | None = None
+        self._reason = ""
         kept = [] if run.rivals is None else [each for each in run.rivals[2] if not each.excess]
         if not kept:
             return
@@ -79,9 +80,10 @@ class BetweenRivals(OutcomeOracle):
                 found = replace(
                     last, planned=plan, trajectory=motors, assessment=assessment, arm=None
                 )
-                reason = f"with {text} the worst arm has {worse[-1] / own[-1]:.2f} times the error"
+                ratio = worse[-1] / own[-1]
+                self._reason = f"with {text} the worst arm has {ratio:.2f} times the error"
                 return Proposal(
-                    reason, functools.partial(suppress_vibration_of_links, self.run, found)
+                    self._reason, functools.partial(suppress_vibration_of_links, self.run, found)
                 )
         return None
 
@@ -93,7 +95,10 @@ class BetweenRivals(OutcomeOracle):
 
     def accepts(self, found: Outcome, best: Outcome) -> bool:
         """Return True for a better motion that collides with nothing new."""
-        return super().accepts(found, best) and (not found.collisions or bool(best.collisions))
+        better = super().accepts(found, best) and (not found.collisions or bool(best.collisions))
+        if better:
+            self.run.notes.append(f"Moved toward a rival after the optimum: {self._reason}.")
+        return better
 
     def _worse(self, led: LedError) -> Rank:
         """Return the error over the best rival's, of the phase that is worse, and its sum."""

@@ -78,8 +78,9 @@ class OutcomeOracle(Oracle["Outcome"]):
         return rank_outcome(self.run, found)
 
     def accepts(self, found: Outcome, best: Outcome) -> bool:
-        """Return True where an outcome ranks no lower and its solve has not failed."""
-        return not found.failed and self.rank(found) <= self.rank(best)
+        """Return True where an outcome ranks no lower and keeps all limits, or was solved."""
+        sound = not found.failed or found.assessment.feasible(CERTIFICATE_TOLERANCE)
+        return sound and self.rank(found) <= self.rank(best)
 
     def restore(self, best: Outcome) -> None:
         """Restore the bounds with which the outcome was solved."""

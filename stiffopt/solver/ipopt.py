@@ -177,7 +177,7 @@ class IpoptSolver:
         self._monitor = Monitor(nlp)
         self._symbols = nlp.casadi
         self._solver = self._create_solver({}, **nlp.derivatives)
-        self._other_solvers: dict[tuple[Any, ...], ca.Function] = {}
+        self._other: tuple[dict[str, Any], ca.Function] = ({}, self._solver)
         self.build_s = time.perf_counter() - begin
 
     @property
@@ -310,16 +310,15 @@ class IpoptSolver:
             raise InputError(f"{str(error).splitlines()[-1]}. {_OPTIONS_HINT}") from error
 
     def _solver_with(self, further: dict[str, Any]) -> ca.Function:
-        # IPOPT reads its options at setup; the derivatives are shared with the first solver.
+        # IPOPT reads its options at setup; the derivatives are shared with the first solver. Only
+        # the last one is kept: of a hundred phases each holds 100 MB.
         if not further:
             return self._solver
-        key = tuple(further.items())
-        if key not in self._other_solvers:
-            gradient, jacobian, hessian = self.derivatives
-            self._other_solvers[key] = self._create_solver(
-                further, grad_f=gradient, jac_g=jacobian, hess_lag=hessian
-            )
-        return self._other_solvers[key]
+        if further != self._other[0]:
+            names = ("grad_f", "jac_g", "hess_lag")
+            shared = dict(zip(names, self.derivatives, strict=True))
+            self._other = (further, self._create_solver(further, **shared))
+        return self._other[1]
 
     def _final_multipliers(
         self, outputs: dict[str, ca.DM], p: np.ndarray

@@ -41,7 +41,8 @@ _NEAR_GUESS_EXCESS = 1.0
 # A correction starts at an optimum: beyond the iterations that this took, and at least so many, it
 # is unlikely to converge.
 _MIN_CORRECTION_ITERATIONS = 150
-# Rise of the objective by a correction, relative, up to which a stalled one is acceptable.
+# Objective of a correction over the one that the multipliers predict, up to which a stalled one is
+# acceptable.
 _MAX_STALLED_RISE = 1e-2
 # Least distance from backed-off bounds of a correction's start.
 _CORRECTION_BOUND_PUSH = 1e-3
@@ -171,7 +172,7 @@ def solve_again(
 ) -> Outcome:
     """Solve the last stage again from where it ended, with other bounds or smoothing.
 
-    A correction that stalls at a feasible point of about the objective before is acceptable.
+    A correction that stalls at a feasible point of about the predicted objective is acceptable.
     """
     made, raw = Programme(before.transcription, before.solver), before.raw
     made.solver.set_bounds(nlp)
@@ -185,9 +186,17 @@ def solve_again(
         "adaptive",
         _CORRECTION_BOUND_PUSH,
         max_iterations or max(raw.iterations, _MIN_CORRECTION_ITERATIONS),
-        raw.objective + _MAX_STALLED_RISE * abs(raw.objective),
+        raw.objective + predict_rise(before, nlp) + _MAX_STALLED_RISE * abs(raw.objective),
     )
     return certify_outcome(run, made, again, smoothing)
+
+
+def predict_rise(before: Outcome, nlp: Nlp) -> float:
+    """Return the first-order rise of the optimal objective with the bounds of rows that moved."""
+    own, old = before.raw.multipliers_g, before.nlp
+    with np.errstate(invalid="ignore"):
+        closer = np.where(own > 0.0, old.upper_g - nlp.upper_g, nlp.lower_g - old.lower_g)
+    return float(nlp.objective_scale * (np.abs(own) @ np.where(np.isfinite(closer), closer, 0.0)))
 
 
 def solve_stage(

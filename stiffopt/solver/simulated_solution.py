@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stiffopt.budget.floor import error_floor_note
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.command.command_search import CommandChoice, CommandOnArms
 from stiffopt.command.compensation import compare_commands, compensate, rival_commands
@@ -115,7 +116,9 @@ def with_simulation(
     if compensation is None:
         return _add_note(solution, _COMMAND_INTERRUPTED)
     judged = _judge_beside_rivals(problem, replace(solution, compensation=compensation))
-    return with_path_notes(problem, judged)
+    judged = with_path_notes(problem, judged)
+    floor = error_floor_note(problem.robot, problem.tolerances, judged)
+    return _add_note(judged, floor) if floor else judged
 
 
 def _rivals_of(

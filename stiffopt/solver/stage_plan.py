@@ -87,12 +87,12 @@ def plan_stages(
         # Smooth problems converge directly from the guess; a coarse mesh would only cost time.
         start = min(_COARSE_START_PHASE_INTERVALS * phases, intervals)
         widenings = _FRICTION_WIDENINGS if problem.charges_dry_friction else ()
-        last = SolveStage(intervals, Smoothing(1.0))
+        exact = SolveStage(intervals, Smoothing(1.0))
         if phases < _MIN_COARSE_START_PHASES or start == intervals:
-            wide = (replace(last, smoothing=Smoothing(1.0, friction=each)) for each in widenings)
-            return (*wide, last)
+            wide = (replace(exact, smoothing=Smoothing(1.0, friction=each)) for each in widenings)
+            return (*wide, exact)
         if not widenings:
-            return (replace(last, intervals=start), replace(last, new_mesh=True))
+            return (replace(exact, intervals=start), replace(exact, new_mesh=True))
         convex = [
             SolveStage(
                 count,
@@ -103,7 +103,7 @@ def plan_stages(
             for each in wide
         ]
         convex[len(widenings)] = replace(convex[len(widenings)], new_mesh=True)
-        return (*convex, last)
+        return (*convex, exact)
     if problem.plans_links:
         # Long chains of integrators converge poorly on a new mesh: one change of mesh, directly
         # with the narrow smoothing.
@@ -145,7 +145,9 @@ def solver_options(problem: TrajectoryProblem, *, near: bool = False) -> IpoptOp
         # Steps of smooth programmes have a small residual without iterative refinement.
         extra["min_refinement_steps"] = 0
         if near:
-            extra |= {"bound_mult_init_method": "mu-based", "mu_init": _INITIAL_NEAR_BARRIER}
+            # All phases have a barrier, each has its share of the objective.
+            barrier = _INITIAL_NEAR_BARRIER * min(1.0, _ITERATION_LIMIT_PHASES / phases)
+            extra |= {"bound_mult_init_method": "mu-based", "mu_init": barrier}
     fastest = any(each.name == "duration" for each in problem.objectives)
     if fastest and not problem.plans_links:
         # Beside one duration, multipliers of 1 at thousands of bounds lead far into the interior.

@@ -212,9 +212,10 @@ def test_a_motor_behind_the_encoder_takes_the_impulses_of_its_travel():
         dt=1e-3,
         spring_torque=load,
         motor_velocity=np.ones_like(time),
+        motor_direction=np.ones_like(time),
     )
     shapes = [width, rounding / constants.torque_rated]
-    torque = effect("output_backlash").term(own, [width], shapes).drive_torque
+    torque = effect("output_backlash").term(own, [width, 0.0], shapes).drive_torque
     travel = 0.5 * width * load / np.hypot(load, rounding)
     # Impulses of the rotor from one flank to the other: as much to start it as to stop it.
     middle = slice(0, 100)

@@ -10,6 +10,7 @@ from typed_laws import typed_torque
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, LocatedEffect
 from stiffopt.discovery.extended.model import load_extended
 from stiffopt.discovery.extended.store import _describe_table, _format_effect, _format_table
+from stiffopt.discovery.law_search import find
 from stiffopt.discovery.law_search.find import MIN_KEPT_SHARE
 from stiffopt.discovery.law_search.fit_law import fit_shapes
 from stiffopt.discovery.law_search.free_function import best_sum, residual_tables, screen
@@ -139,6 +140,49 @@ def test_a_sprung_mass_follows_slowly_and_not_at_once() -> None:
     steady = operators.sprung(np.concatenate([[0.0], np.ones(4000)]), 2.0, 0.3, 0.005)
     assert steady[-1] == pytest.approx(1.0, abs=1e-6)
     assert abs(steady[2]) < 0.1
+
+
+@pytest.mark.parametrize(("kind", "begin"), [("acceleration", 0.0), ("speed", 0.0), ("load", 1.0)])
+def test_hidden_masses_are_at_rest_where_a_recording_begins_in_motion(kind, begin) -> None:
+    """A load may act for ever, a joint cannot."""
+    law = Law(0, "drive_torque", (Factor(LawSource(kind, 0), "sprung", (2.0, 0.1)),))
+    names = ("motor_acceleration", "motor_velocity", "spring_torque")
+    of_robot, of_joint = (
+        SimpleNamespace(**dict.fromkeys(names, steady), dt=0.002)
+        for steady in (np.full((500, 1), 3.0), np.full(500, 3.0))
+    )
+    (found,) = law.columns(of_robot)
+    assert found[0] == pytest.approx(3.0 * begin, abs=0.05)
+    (code,) = law.formulas(code=True)
+    names_in_code = {"sprung": operators.sprung, "signals": of_joint, "f": 2.0, "z": 0.1}
+    np.testing.assert_array_equal(eval(code, names_in_code), found)
+
+
+@pytest.mark.parametrize(
+    ("kind", "places"),
+    [("position", {"deflection": 0.002, "link_torque": 8.0}), ("load", {"deflection": 0.002})],
+)
+def test_a_law_that_the_deflection_shows_may_be_a_torque_on_the_link(
+    monkeypatch, kind, places
+) -> None:
+    """It winds up the joint, 4000 N m/rad stiff; what a spring yields under load does not."""
+    load = np.linspace(-20.0, 20.0, 50)[:, None]
+    run = SimpleNamespace(
+        signals=SimpleNamespace(spring_torque=load, windup=load / 4000.0), time=load[:, 0]
+    )
+    comparison = SimpleNamespace(
+        robot=SimpleNamespace(elastic=True, n=1),
+        runs=[run],
+        bodies=None,
+        effect_columns=lambda located: 9.0 * np.eye(2)[:, [int(located.effect.equation[0] == "T")]],
+    )
+    scored = SimpleNamespace(evidence=50.0, amplitudes=np.ones(1))
+    monkeypatch.setattr(find, "Scorer", lambda *_: SimpleNamespace(score=lambda located: scored))
+    law = Law(0, "deflection", (Factor(LawSource(kind, 0), "linear"),))
+    fitted = SimpleNamespace(law=law, fit=SimpleNamespace(amplitudes=np.array([0.002])))
+    ranked = find._State(comparison, (), ())._rank_places(comparison, [fitted])
+    sizes = {each.law.place: each.located.effect.amplitudes[0].scale for each in ranked}
+    assert sizes == pytest.approx(places)
 
 
 class KnownChannel(OpenChannel):

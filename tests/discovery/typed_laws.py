@@ -41,22 +41,25 @@ def signal_of(words: str, signals) -> np.ndarray:
     return np.array(getattr(signals, _JOINT_SIGNALS[kind])[:, j])
 
 
-def _operators(dt: float) -> dict[str, Callable]:
+def _operators(dt: float, at_rest: Callable[[np.ndarray], bool]) -> dict[str, Callable]:
     """The operators, sample by sample as the page defines them."""
 
+    def before(x):
+        return 0.0 if at_rest(x) else x[0]
+
     def lag(x, T):
-        p, y = math.exp(-dt / T), [x[0]]
-        for now in x[1:]:
+        p, y = math.exp(-dt / T), [before(x)]
+        for now in x:
             y.append(p * y[-1] + (1.0 - p) * now)
-        return np.array(y)
+        return np.array(y[1:])
 
     def second_order(x, f, z, over):
         o = math.tan(math.pi * f * dt)
-        x, y = [x[0], x[0], *x], [x[0], x[0]]
+        x, y = [before(x)] * 2 + [*x], [before(x)] * 2
         for k in range(2, len(x)):
             right = (o**2 + over * o) * x[k] + 2 * o**2 * x[k - 1] + (o**2 - over * o) * x[k - 2]
-            before = 2 * (o**2 - 1) * y[k - 1] + (1 - 2 * z * o + o**2) * y[k - 2]
-            y.append((right - before) / (1 + 2 * z * o + o**2))
+            past = 2 * (o**2 - 1) * y[k - 1] + (1 - 2 * z * o + o**2) * y[k - 2]
+            y.append((right - past) / (1 + 2 * z * o + o**2))
         return np.array(y[2:])
 
     def stop(x, r):
@@ -79,7 +82,9 @@ def typed_torque(equation: str, numbers: Sequence[str], meanings: Sequence[str],
     space: dict[str, object] = {
         name: getattr(np, name) for name in ("tanh", "exp", "log", "abs", "sqrt", "sign")
     }
-    space |= {"cos": np.cos, "sin": np.sin, "pi": math.pi, **_operators(signals.dt)}
+    moving: list[object] = []  # speeds and accelerations
+    operators = _operators(signals.dt, lambda x: any(x is each for each in moving))
+    space |= {"cos": np.cos, "sin": np.sin, "pi": math.pi, **operators}
     for line in numbers:
         name, value = re.match(r"(\w+) = (\S+)", line).groups()
         space[name] = float(value)
@@ -88,5 +93,7 @@ def typed_torque(equation: str, numbers: Sequence[str], meanings: Sequence[str],
         if re.fullmatch(r"\w+|sg\(\w+\)", symbol):
             name = f"signal{len(space)}"
             space[name] = signal_of(words, signals)
+            if words.startswith(("speed", "acceleration")):
+                moving.append(space[name])
             text = re.sub(rf"(?<!\w){re.escape(symbol)}(?!\w)", name, text)
     return eval(text, space) + 0.0 * signals.time

@@ -54,7 +54,7 @@ class TiltingArm:
             lever = at.translation - data.oMi[self.tool[0]].translation
             pushed = jacobian[:3].T @ force + jacobian[3:].T @ np.cross(lever, force)
             new = (pushed - weight)[free] / self.stiffness[free]
-            if np.max(np.abs(new - found[free])) < 1e-14:
+            if np.max(np.abs(new - found[free]), initial=0.0) < 1e-14:
                 return found
             found[free] = new
         raise AssertionError("no equilibrium")

@@ -11,6 +11,7 @@ import pytest
 from small_arms import load
 
 from stiffopt.baseline.rivals import quintic_law
+from stiffopt.budget.floor import geometry_floor
 from stiffopt.certificate import assess as certificate
 from stiffopt.connection import Constant
 from stiffopt.drivetrain.bearing import OutputBearing
@@ -26,15 +27,17 @@ from stiffopt.problem.objective import Objective
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.result.joint_path import JointPath
+from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.status import SolveStatus
 from stiffopt.result.tool_error import LedError
 from stiffopt.result.trajectory import Trajectory
+from stiffopt.robot.tolerances import Tolerances
 from stiffopt.solver import between_rivals
 from stiffopt.solver.between_rivals import BetweenRivals
 from stiffopt.solver.ipopt import RawSolution
 from stiffopt.solver.programme import solve_stage
 from stiffopt.solver.ringing import RingingBesideRivals
-from stiffopt.solver.simulated_solution import _judge_beside_rivals
+from stiffopt.solver.simulated_solution import _judge_beside_rivals, with_simulation
 from stiffopt.solver.solve import solve
 from stiffopt.solver.stage_plan import SolveStage
 
@@ -64,6 +67,21 @@ def test_value_is_the_worst_error_in_flight_plus_after_arrival(problem, solution
     assert solution.objective.name == "tool_error"
     found = led(problem, solution.trajectory.link)
     assert solution.objective.value == pytest.approx(found.whole)
+
+
+def test_floor_of_the_geometry_is_told_with_the_tolerances_of_the_problem(problem, solution):
+    fine = Tolerances(frame_position=1e-6, tool_position=1e-6, joint_zero=1e-7)
+    told = {}
+    for tolerances in (Tolerances(), fine):
+        own = replace(problem, tolerances=tolerances)
+        assert inputs_hash(own) == inputs_hash(problem)
+        simulated = with_simulation(own, solution, compare=False)
+        (note,) = [each for each in simulated.notes if "Tolerances of the geometry" in each]
+        chosen = solution.assessment.position[[0, -1]]
+        floor = 1e3 * geometry_floor(problem.robot, tolerances, chosen)
+        told[tolerances] = float(note.partition("add up to ")[2].split()[0])
+        assert told[tolerances] >= 0.99 * floor
+    assert told[fine] < 0.9 * told[Tolerances()]
 
 
 def test_least_tool_error_is_below_that_of_other_motions(problem, solution):
@@ -253,6 +271,7 @@ def test_soft_arm_is_no_worse_than_its_best_rival_in_either_phase(problem):
     found = solve(replace(problem, robot=robot), simulate=True)
     assert found.status is SolveStatus.OPTIMAL
     assert max(found.compensation.ratios) < 1.02
+    assert any("of the quintic motion the worst arm has" in each for each in found.notes)
 
 
 @pytest.mark.parametrize(("wins", "status"), [(True, "acceptable"), (False, "optimal")])

@@ -19,6 +19,7 @@ from stiffopt.drivetrain.bearing import OutputBearing
 from stiffopt.elastic.servo import MAX_LEAD_AT_END
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import RobotError
+from stiffopt.problem.motor_model import MotorLaw
 from stiffopt.problem.resolve import resolve
 from stiffopt.report.solve.compensation import (
     compensation_section,
@@ -26,6 +27,7 @@ from stiffopt.report.solve.compensation import (
 )
 from stiffopt.result.compensation import compensation_document, write_command
 from stiffopt.result.joint_path import JointPath
+from stiffopt.result.store import write_rival
 
 
 def planned(problem, duration, name="optimised"):
@@ -204,3 +206,44 @@ def test_rival_is_slowed_before_its_command_is_judged_on_drawn_arms(tmp_path, mo
     assert found.motion.time[-1] > 1.01 * fastest.duration
     assert found.excess == ()
     assert len(judged) == 1
+
+
+def test_rival_that_wins_is_handed_over_with_a_command_within_the_limits(tmp_path):
+    problem = replace(load(tmp_path), uncertainty=Uncertainty(draws=50))
+    path = JointPath.through(resolve(problem).points)
+    rival = FairRival(problem, path, "quintic", quintic_law(1.0))
+    quick = PlannedMotion.of("optimised", assess(problem, rival.at(0.4)), True)
+    calm = PlannedMotion.of_rival(rival, assess(problem, rival.at(0.6)), True)
+    arm = elastic_arm(problem, quick.position[0])
+    found = compensate(problem, arm, [quick, calm])
+    assert found.rival_wins
+    assert found.best_rival.name == "quintic"
+    # The plan ends where the motion does, and its command keeps every limit of the motors.
+    assert found.rival_plan.time[-1] == pytest.approx(0.6)
+    np.testing.assert_allclose(found.rival_plan.position[-1], quick.position[-1], atol=1e-9)
+    command = found.rival_command
+    assert max(each.value for each in command.violations) <= 5e-3
+    assert np.max(np.abs(command.position - command.link)) > 1e-5
+    write_rival(found, tmp_path)
+    for name, wanted in (("rival_command", command), ("rival_trajectory", found.rival_plan)):
+        rows = np.loadtxt(tmp_path / f"{name}.csv", delimiter=",", skiprows=1)
+        np.testing.assert_allclose(rows[:, 1:3], wanted.position, atol=1e-9)
+    # Those of an earlier solve go with the rival's advantage.
+    write_rival(replace(found, rival_plan=None, rival_command=None), tmp_path)
+    assert not list(tmp_path.glob("rival_*"))
+
+
+def test_without_a_command_within_the_limits_the_one_of_least_excess_is_taken(tmp_path):
+    problem = load(tmp_path)
+    motion = replace(planned(problem, 0.31), exceeded=())
+    arm, law = elastic_arm(problem, motion.position[0]), MotorLaw(problem.robot)
+    search = command_search.CommandSearch(problem, arm, motion, law)
+    kept, exceeding = search._candidates()
+    assert not kept
+    assert len(exceeding) > 1
+    # Nothing is simulated: the search ends before its first request.
+    with pytest.raises(StopIteration) as end:
+        next(search.chosen_command())
+    excess = [search._excess_beyond_plan(each.motors) for each in exceeding]
+    assert min(excess) < 0.9 * max(excess)
+    assert search._excess_beyond_plan(end.value.value.motors) == pytest.approx(min(excess))

@@ -4,7 +4,14 @@ from types import SimpleNamespace
 
 import pytest
 
-from stiffopt.solver.exchange import Oracle, Proposal, exchange, until_interrupted
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
+from stiffopt.solver.exchange import (
+    Oracle,
+    OutcomeOracle,
+    Proposal,
+    exchange,
+    until_interrupted,
+)
 
 
 class Listed(Oracle[float]):
@@ -84,3 +91,26 @@ def test_ctrl_c_returns_what_is_kept():
 
     assert until_interrupted(pressed, lambda: "kept") == "kept"
     assert until_interrupted(lambda: "done", pressed) == "done"
+
+
+class RankedByExcess(OutcomeOracle):
+    """Oracle of stand-ins for outcomes, ranked by their excess of a limit."""
+
+    def rank(self, found):
+        return (max(found.excess, CERTIFICATE_TOLERANCE), found.failed)
+
+
+def solved_motion(excess, *, failed):
+    kept = excess <= CERTIFICATE_TOLERANCE
+    assessment = SimpleNamespace(feasible=lambda tolerance: kept)
+    return SimpleNamespace(excess=excess, failed=failed, assessment=assessment)
+
+
+def test_stalled_motion_within_all_limits_replaces_an_optimum_that_exceeds_one():
+    oracle, optimum = RankedByExcess(None), solved_motion(0.0099, failed=False)
+    assert oracle.accepts(solved_motion(0.0012, failed=True), optimum)
+    # Its optimum is kept where a stalled one exceeds a limit too, and where both keep all.
+    assert not oracle.accepts(solved_motion(0.0060, failed=True), optimum)
+    assert not oracle.accepts(
+        solved_motion(0.0012, failed=True), solved_motion(0.0012, failed=False)
+    )

@@ -41,6 +41,9 @@ def solved_with_front(path, matrix, right):
     if flag == 0:
         at = x.ctypes.data_as(ctypes.c_void_p)
         library.ma97_solve_d(0, 1, at, len(x), *both, control, info)
+        # IPOPT reads the inertia after solving: without it, negative curvature passes for a
+        # singular matrix, and it corrects both for the rest of a solve.
+        assert (info[0], info[14]) == (0, negative)
     library.ma97_finalise_d(*both)
     assert not analysis
     assert not factors

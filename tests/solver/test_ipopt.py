@@ -3,6 +3,7 @@
 import os
 import signal
 import threading
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -12,7 +13,9 @@ import stiffopt.symbolic  # noqa: F401 - CasADi conventions
 from stiffopt.errors import InputError
 from stiffopt.solver import ipopt
 from stiffopt.solver.ipopt import IpoptOptions, IpoptSolver
+from stiffopt.solver.programme import predict_rise
 from stiffopt.transcription import Guess, OptimalControlProblem, Rows, transcribe, uniform_mesh
+from stiffopt.transcription.constraint_back_off import back_off_uniformly
 
 INF = np.inf
 
@@ -192,3 +195,16 @@ def test_one_solve_may_have_fewer_iterations_than_the_options_allow():
     one = solver(made)
     assert one.solve(x0, GRAVITY, max_iterations=3).status == "iteration_limit"
     assert one.solve(x0, GRAVITY).status == "optimal"
+
+
+def test_rise_of_the_objective_by_a_back_off_follows_from_the_multipliers():
+    made, x0 = pendulum(stage_row=lambda x, u: u / 9.0)
+    one = solver(made)
+    before = one.solve(x0, GRAVITY)
+    closer = back_off_uniformly(made.nlp, {"row": 1e-3})
+    one.set_bounds(closer)
+    after = one.solve(before.x, GRAVITY)
+    assert before.converged
+    assert after.converged
+    rise = predict_rise(SimpleNamespace(raw=before, nlp=made.nlp), closer)
+    assert rise == pytest.approx(after.objective - before.objective, rel=0.05)

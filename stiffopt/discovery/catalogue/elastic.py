@@ -42,7 +42,8 @@ def output_backlash_term(signals: JointSignals, amplitudes: Values, shapes: Valu
     """Return the torque of a motor that crosses the backlash behind the encoder of the link.
 
     Its travel and rates follow from the side of the load; dry friction turns where the crossing is
-    faster than the link, linear about the travel of the first shape.
+    faster than the link, linear about the travel of the first shape. A motor that rattles within
+    the backlash turns it all the time: on the mean a share of it is lost.
     """
     travel = backlash_term(signals, (1.0,), shapes[1:]).deflection
     speed = np.gradient(travel, signals.dt)
@@ -50,7 +51,9 @@ def output_backlash_term(signals: JointSignals, amplitudes: Values, shapes: Valu
     width = max(shapes[0], _MIN_WIDTH)
     turned = smooth_sign(link + width * speed) - smooth_sign(link)
     torque = motor_inertia(own) * np.gradient(speed, signals.dt) + viscous_friction(own) * speed
-    return Term(drive_torque=amplitudes[0] * (torque + dry_friction(own) / width * turned))
+    crossing = torque + dry_friction(own) / width * turned
+    lost = dry_friction(own) * signals.motor_direction
+    return Term(drive_torque=amplitudes[0] * crossing - amplitudes[1] * lost)
 
 
 def hysteresis_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
@@ -133,7 +136,7 @@ OUTPUT_BACKLASH = Effect(
     family="geometry",
     scope="joint",
     equation="tau += J*d2p/dt2 + Fv*dp/dt + Fc*(sg(v + dp/dt) - sg(v)),"
-    " p = width/2*s/sqrt(s^2 + e^2)",
+    " - lost*Fc*sg(v), p = width/2*s/sqrt(s^2 + e^2)",
     signature="torque in short bursts where the load of the joint changes side",
     title="backlash before the encoder",
     phrase="backlash {width} between the motor and the encoder at the output",
@@ -144,7 +147,10 @@ OUTPUT_BACKLASH = Effect(
     reference="NordinGutman2002",
     term=output_backlash_term,
     at_motor=BACKLASH,
-    amplitudes=(Amplitude("width", "rad", _TYPICAL_WIDTH, 0.0, 20.0),),
+    amplitudes=(
+        Amplitude("width", "rad", _TYPICAL_WIDTH, 0.0, 20.0, own=True),
+        Amplitude("lost", "", 1.0, 0.0, 1.0),
+    ),
     shapes=(
         Shape("about", "rad", (0.0,), 0.0, 20.0 * _TYPICAL_WIDTH, 0.0, fit="secant"),
         replace(BACKLASH.shapes[0], upper=0.5),

@@ -21,7 +21,8 @@ from stiffopt.discovery.law_search.search import (
     may_beat,
     search_channel,
 )
-from stiffopt.discovery.laws.law import LAW_FAMILY, Law, law_effect
+from stiffopt.discovery.laws.law import LAW_FAMILY, Law, Place, law_effect
+from stiffopt.discovery.laws.sources import LawSource
 from stiffopt.discovery.laws.table import ResidualTable
 from stiffopt.discovery.search.candidates import Scorer
 from stiffopt.discovery.search.joint_fit import passes_thresholds, prune_effects
@@ -315,17 +316,20 @@ class _State:
     def _rank_places(self, comparison: Comparison, fitted: Sequence[FittedLaw]) -> list[_Ranked]:
         """Return laws where they act best, with their evidence over all channels, the best first.
 
-        A torque acts on the motor, or on the link, which winds up the joint too.
+        A torque acts on the motor, or on the link, which winds up the joint too: where torques are
+        noisy, the deflection alone shows it.
         """
         scorer = Scorer(comparison, self.effects)
         found: list[_Ranked] = []
         for each in fitted:
-            places = [each.law.place]
+            places: dict[Place, float] = {each.law.place: 1.0}  # size over that of its channel
             if each.law.place == "drive_torque" and comparison.robot.elastic:
-                places.append("link_torque")
-            for place in places:
+                places["link_torque"] = 1.0
+            if each.law.place == "deflection" and not each.law.yields:
+                places["link_torque"] = _mean_stiffness(comparison, each.law.joint)
+            for place, size in places.items():
                 law = replace(each.law, place=place)
-                located = self._named(law, each.fit.amplitudes.tolist())
+                located = self._named(law, (size * each.fit.amplitudes).tolist())
                 candidate = scorer.score(located)
                 if candidate is not None:
                     rows = comparison.effect_columns(located) @ candidate.amplitudes
@@ -384,6 +388,15 @@ class _State:
 def _evidence_width(ranked: Sequence[_Ranked]) -> float:
     """Return the unit of differences of evidence among laws."""
     return tempering_width(max((each.evidence for each in ranked), default=0.0))
+
+
+def _mean_stiffness(comparison: Comparison, joint: int) -> float:
+    """Return a joint's load over its nominal wind-up, root mean squares of all runs [N m/rad]."""
+    load, windup = (
+        np.concatenate([LawSource(kind, joint).value_in(run) for run in comparison.runs])
+        for kind in ("load", "windup")
+    )
+    return float(np.linalg.norm(load) / max(float(np.linalg.norm(windup)), 1e-12))
 
 
 def _is_determined(

@@ -43,7 +43,9 @@ class Form:
     """Form of a law in one signal."""
 
     name: str
-    formulas: tuple[str, ...]  # NumPy expressions in x, dt and the shapes, one for each amplitude
+    formulas: tuple[
+        str, ...
+    ]  # NumPy expressions in x, dt, before and the shapes, each of one amplitude
     words: str  # "{x}" is the signal
     symmetry: Symmetry = "none"  # in the signal
     shapes: tuple[FormShape, ...] = ()
@@ -58,30 +60,36 @@ class Form:
 
     @cached_property
     def _functions(self) -> tuple[Callable[..., Any], ...]:
-        names = ", ".join(["x", "dt", *(s.name for s in self.shapes)])
+        names = ", ".join(["x", "dt", "before", *(s.name for s in self.shapes)])
         space = {"np": np, **{name: getattr(operators, name) for name in operators.OPERATOR_NAMES}}
         # The formulas are the constants below: one text is equation, code and function.
         return tuple(eval(f"lambda {names}: {each}", space) for each in self.formulas)
 
-    def values(self, x: Quantity, dt: float, shapes: Sequence[Quantity]) -> list[Quantity]:
+    def values(
+        self, x: Quantity, dt: float, before: float | None, shapes: Sequence[Quantity]
+    ) -> list[Quantity]:
         """Return the values (K,) of every formula."""
-        return [function(x, dt, *shapes) for function in self._functions]
+        return [function(x, dt, before, *shapes) for function in self._functions]
 
-    def derivatives(self, x: np.ndarray, dt: float, shapes: Sequence[float]) -> list[list[Any]]:
+    def derivatives(
+        self, x: np.ndarray, dt: float, before: float | None, shapes: Sequence[float]
+    ) -> list[list[Any]]:
         """Return the derivative (K,) of every formula by every shape; exact where analytic."""
         found = []
         for i, value in enumerate(shapes):
             if self.analytic:
                 moved: list[Any] = [*shapes]
                 moved[i] = value + 1j * _IMAGINARY_STEP
-                found.append([np.imag(v) / _IMAGINARY_STEP for v in self.values(x, dt, moved)])
+                found.append(
+                    [np.imag(v) / _IMAGINARY_STEP for v in self.values(x, dt, before, moved)]
+                )
                 continue
             step = _DIFFERENCE_STEP * max(abs(value), 1e-6)
             ends = []
             for side in (-step, step):
                 moved = [*shapes]
                 moved[i] = value + side
-                ends.append(self.values(x, dt, moved))
+                ends.append(self.values(x, dt, before, moved))
             found.append([(b - a) / (2.0 * step) for a, b in zip(*ends, strict=True)])
         return [list(each) for each in zip(*found, strict=True)]
 
@@ -297,35 +305,35 @@ FORMS = {
         ),
         _form_with_memory(
             "lag",
-            "lag(x, T, dt)",
+            "lag(x, T, dt, before)",
             "with the {x}, late by a time constant",
             shapes=(LAG_SHAPE,),
             resembles="a viscous coupling or a creeping material",
         ),
         _form_with_memory(
             "slip",
-            "(x - lag(x, T, dt))",
+            "(x - lag(x, T, dt, before))",
             "with the {x} relative to something that follows late by a time constant",
             shapes=(LAG_SHAPE,),
             resembles="a liquid or a loose ring that is taken along",
         ),
         _form_with_memory(
             "sprung",
-            "sprung(x, f, z, dt)",
+            "sprung(x, f, z, dt, before)",
             "with the {x} of a hidden mass on a spring",
             shapes=MODE_SHAPES,
             resembles="something loose: a pendulum, a hose or a liquid",
         ),
         _form_with_memory(
             "mode",
-            "mode(x, f, z, dt)",
+            "mode(x, f, z, dt, before)",
             "with the {x}, as it deflects a hidden mass on a spring",
             shapes=MODE_SHAPES,
             resembles="a part that bends and rings: a bracket, a cover or a liquid",
         ),
         _form_with_memory(
             "loose",
-            "(x - sprung(x, f, z, dt))",
+            "(x - sprung(x, f, z, dt, before))",
             "with the {x} relative to that of a hidden mass on a spring",
             shapes=MODE_SHAPES,
             resembles="a part of the link that is not fixed to it: a pendulum, a hose or a liquid",

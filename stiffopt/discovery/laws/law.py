@@ -52,11 +52,12 @@ class Factor:
     ) -> list[Quantity]:
         """Return the values (K,) of every formula."""
         at = self.shapes if shapes is None else shapes
-        return self.own.values(self.source.value(signals), signals.dt, at)
+        return self.own.values(self.source.value(signals), signals.dt, self.source.own.before, at)
 
     def derivatives(self, signals: RobotSignals | JointSignals) -> list[list[np.ndarray]]:
         """Return the derivative (K,) of every formula by every shape."""
-        return self.own.derivatives(self.source.value(signals), signals.dt, self.shapes)
+        x, before = self.source.value(signals), self.source.own.before
+        return self.own.derivatives(x, signals.dt, before, self.shapes)
 
     def generalised(self, extent: SignalRange) -> Factor:
         """Return the factor in its more general form, from its own shapes."""
@@ -236,12 +237,16 @@ class Law:
             words = {"x": factor.source.symbol, "dt": "dt"}
             if code:
                 words["x"] = factor.source.expression(self.joint, of_robot=self.of_robot)
-                words["dt"] = "signals.dt"
+                words |= {"dt": "signals.dt", "before": str(factor.source.own.before)}
             for shape in factor.own.shapes:
                 words[shape.name] = names.pop(0)
             parts = [_substitute(each, words) for each in factor.own.formulas]
             found = [f"{a} * {b}" if a else b for a in found for b in parts]
-        return found if code else [each.replace("np.", "").replace(", dt)", ")") for each in found]
+        return (
+            found
+            if code
+            else [each.replace("np.", "").replace(", dt, before)", ")") for each in found]
+        )
 
     @property
     def equation(self) -> str:

@@ -1,7 +1,7 @@
 """Operators with memory: linear lags, a sprung mass, and the stop element of hysteresis.
 
-Each takes a signal (K,) at equal time steps and starts at rest from the first sample. Parameters
-may be floats or complex numbers (for derivatives).
+Each takes a signal (K,) at equal time steps. Parameters may be floats or complex numbers (for
+derivatives). `before`: constant value of the signal before its first sample; None: that sample's.
 """
 
 from __future__ import annotations
@@ -18,31 +18,33 @@ from stiffopt.symbolic import Quantity
 OPERATOR_NAMES = ("lag", "sprung", "mode", "stop")
 
 
-def lag(x: Quantity, T: Quantity, dt: float) -> Quantity:
+def lag(x: Quantity, T: Quantity, dt: float, before: float | None = None) -> Quantity:
     """Return the first-order lag y of a signal, T dy/dt = x - y [unit of x]."""
     kept = np.exp(-dt / T)
-    return _filter_linear([1.0 - kept], [1.0, -kept], x)
+    return _filter_linear([1.0 - kept], [1.0, -kept], x, before)
 
 
-def sprung(x: Quantity, f: Quantity, z: Quantity, dt: float) -> Quantity:
+def sprung(
+    x: Quantity, f: Quantity, z: Quantity, dt: float, before: float | None = None
+) -> Quantity:
     """Return the acceleration of a mass on a spring and damper whose base accelerates by x.
 
     With w = 2 pi f the transfer function is (2 z w s + w^2) / (s^2 + 2 z w s + w^2), here by the
     bilinear transform with exact frequency [unit of x].
     """
-    return _filter_by_mode(x, f, z, dt, by_damper=True)
+    return _filter_by_mode(x, f, z, dt, before, by_damper=True)
 
 
-def mode(x: Quantity, f: Quantity, z: Quantity, dt: float) -> Quantity:
+def mode(x: Quantity, f: Quantity, z: Quantity, dt: float, before: float | None = None) -> Quantity:
     """Return the mode y of a hidden mass that x pushes against a spring and a damper.
 
     As `sprung`, with the transfer function w^2 / (s^2 + 2 z w s + w^2) [unit of x].
     """
-    return _filter_by_mode(x, f, z, dt, by_damper=False)
+    return _filter_by_mode(x, f, z, dt, before, by_damper=False)
 
 
 def _filter_by_mode(
-    x: Quantity, f: Quantity, z: Quantity, dt: float, *, by_damper: bool
+    x: Quantity, f: Quantity, z: Quantity, dt: float, before: float | None, *, by_damper: bool
 ) -> Quantity:
     over = np.tan(np.pi * f * dt)  # half step of the angular frequency, prewarped
     damped, square = 2.0 * z * over, over * over
@@ -50,7 +52,7 @@ def _filter_by_mode(
     b0, b1, b2 = through + square, 2.0 * square, square - through
     a0, a1, a2 = 1.0 + damped + square, 2.0 * square - 2.0, 1.0 - damped + square
     numerator, denominator = [b0 / a0, b1 / a0, b2 / a0], [a1 / a0, a2 / a0]
-    return _filter_linear(numerator, [1.0, *denominator], x)
+    return _filter_linear(numerator, [1.0, *denominator], x, before)
 
 
 def stop(x: Quantity, r: Quantity) -> Quantity:
@@ -68,13 +70,16 @@ def stop(x: Quantity, r: Quantity) -> Quantity:
     return np.array(left)
 
 
-def _filter_linear(b: Sequence[Any], a: Sequence[Any], x: np.ndarray) -> np.ndarray:
+def _filter_linear(
+    b: Sequence[Any], a: Sequence[Any], x: np.ndarray, before: float | None
+) -> np.ndarray:
     """Filter a signal that has been constant before its first sample; the gain at rest is 1.
 
     As `scipy.signal.lfilter`, whose import takes half a second: its recurrence is a triangular
     system with as many diagonals as coefficients.
     """
-    driven = np.convolve(x - x[0], b)[: len(x)]
+    start = x[0] if before is None else before
+    driven = np.convolve(x - start, b)[: len(x)]
     diagonals = np.repeat(np.array(a)[:, None], len(x), axis=1)
     (solve,) = get_lapack_funcs(("tbtrs",), (diagonals, driven))
-    return np.asarray(x[0] + solve(diagonals, driven, uplo="L")[0])
+    return np.asarray(start + solve(diagonals, driven, uplo="L")[0])

@@ -42,7 +42,7 @@ class _LawTorque:
             signal = getattr(state, _PLANNED_SIGNALS[factor.source.kind])
             x = signal[self.place[factor.source.joint]]
             # Forms without memory use no time step.
-            values = factor.own.values(x, np.nan, factor.shapes)
+            values = factor.own.values(x, np.nan, None, factor.shapes)
             found = [a * b for a in found for b in values]
         return sum(a * c for a, c in zip(self.amplitudes, found, strict=True))
 

@@ -24,6 +24,9 @@ class SourceKind:
     forms: tuple[str, ...]  # names of the forms that a law may take in it
     per_joint: bool = True  # False for a signal of the robot as a whole
     of_own_joint: bool = False  # True where only laws of that joint may depend on it
+    # Value before the first sample for forms with memory: a robot that moves has started from rest,
+    # though not in the recording. None: that of the first sample, as of the load by gravity.
+    before: float | None = None
 
 
 _PLACE_FORMS = (
@@ -60,6 +63,7 @@ SOURCE_KINDS = {
         "rad/s",
         "speed of joint {}",
         (*_SIGNED_FORMS, "lag", "slip", "sprung"),
+        before=0.0,
     ),
     "direction": SourceKind(
         "motor_direction", "sg(w_{})", "", "direction of motion of joint {}", ("linear",)
@@ -70,6 +74,7 @@ SOURCE_KINDS = {
         "rad/s^2",
         "acceleration of joint {}",
         ("linear", "magnitude", "saturating", "sprung", "mode", "loose"),
+        before=0.0,
     ),
     "load": SourceKind(
         "spring_torque",

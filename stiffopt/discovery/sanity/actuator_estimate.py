@@ -178,7 +178,9 @@ def _refine_law(
     )
     if law.delay_deviation:
         spread = max(float(fitted.deviations[-1]), _DELAY_DEVIATION)
-        refined = replace(refined, delay=fitted.parameters.delay, delay_deviation=spread)
+        # Whole microseconds: a bound is met to within rounding.
+        delay = round(fitted.parameters.delay, 6)
+        refined = replace(refined, delay=delay, delay_deviation=spread)
     return refined, fitted.parameters
 
 

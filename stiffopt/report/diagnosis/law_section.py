@@ -33,16 +33,18 @@ if TYPE_CHECKING:
 _OPERATOR_DEFINITIONS = {
     "sg": "sg(w) is tanh(w / 0.01) of a speed w in rad/s, in a sample where it reverses its mean"
     " over the sample period",
-    "lag": "lag(x, T) is y with y_0 = x_0 and y_k = p * y_(k-1) + (1 - p) * x_k, p = exp(-dt / T):"
-    " T dy/dt = x - y",
+    "lag": "lag(x, T) is y with y_k = p * y_(k-1) + (1 - p) * x_k, p = exp(-dt / T), from y_(-1)"
+    " = 0 of a speed, x_0 of a load on: T dy/dt = x - y",
     "sprung": "sprung(x, f, z) is the acceleration y of a mass on a spring and damper of frequency"
-    " f and damping ratio z whose base accelerates by x: with o = tan(pi * f * dt) and x, y"
-    " constant before the first sample, (1 + 2 * z * o + o**2) * y_k + 2 * (o**2 - 1) * y_(k-1) +"
+    " f and damping ratio z whose base accelerates by x: with o = tan(pi * f * dt), and x = y"
+    " before the first sample, zero of speeds and accelerations, x_0 of a load,"
+    " (1 + 2 * z * o + o**2) * y_k + 2 * (o**2 - 1) * y_(k-1) +"
     " (1 - 2 * z * o + o**2) * y_(k-2) = (o**2 + 2 * z * o) * x_k + 2 * o**2 * x_(k-1) +"
     " (o**2 - 2 * z * o) * x_(k-2)",
     "mode": "mode(x, f, z) is the deflection y of a mass on a spring and damper of frequency f and"
-    " damping ratio z, over that under a constant x: with o = tan(pi * f * dt) and x, y constant"
-    " before the first sample, (1 + 2 * z * o + o**2) * y_k + 2 * (o**2 - 1) * y_(k-1) +"
+    " damping ratio z, over that under a constant x: with o = tan(pi * f * dt), and x = y before"
+    " the first sample, zero of accelerations, x_0 of a load,"
+    " (1 + 2 * z * o + o**2) * y_k + 2 * (o**2 - 1) * y_(k-1) +"
     " (1 - 2 * z * o + o**2) * y_(k-2) = o**2 * (x_k + 2 * x_(k-1) + x_(k-2))",
     "stop": "stop(x, r) follows x and slides where it would leave -r to r: it is x_k - y_k with"
     " y_0 = x_0 and y_k = min(max(y_(k-1), x_k - r), x_k + r)",
