@@ -25,6 +25,7 @@ from stiffopt.baseline.rivals import fair_rivals
 from stiffopt.command.compensation import rival_commands
 from stiffopt.command.simulation import PlannedMotion, elastic_arm
 from stiffopt.cycle.solve_cycle import solve_cycle
+from stiffopt.errors import NoSolutionFound
 from stiffopt.problem.cycle import Cycle
 from stiffopt.problem.cycle_files import load_cycle
 from stiffopt.problem.limit import Limits
@@ -100,9 +101,9 @@ def led_cycle(cycle: Cycle) -> tuple[list[float], Errors, str]:
     """Durations of the legs [s] and errors of the fastest cycle whose motors lead, its status."""
     found = solve_cycle(cycle)
     led = [leg.solution.compensation for leg in found.legs]
-    if any(each is None or each.refusal for each in led):
-        return [np.inf], (np.inf, np.inf), str(found.status)
     lasted = [leg.arrival - leg.start for leg in found.legs]
+    if any(each is None or each.refusal for each in led):
+        return lasted, (np.inf, np.inf), f"{found.status}, without a command"
     return lasted, _largest(each.optimised for each in led), str(found.status)
 
 
@@ -112,7 +113,14 @@ def led_errors_at(cycle: Cycle, durations: list[float]) -> Errors:
     for leg, duration in zip(cycle.legs, durations, strict=True):
         fixed = {"objectives": (Objective(name="tool_error"),), "duration": (duration, duration)}
         problem = replace(leg.problem, **fixed)
-        led = with_simulation(problem, solve(problem)).compensation
+        try:
+            solution = solve(problem)
+        except NoSolutionFound as ended:
+            # The best motion so far, which has a command where it keeps the limits.
+            solution = ended.solution
+        led = with_simulation(problem, solution).compensation
+        if led is None or led.refusal:
+            return np.inf, np.inf
         found.append(led.optimised)
     return _largest(found)
 

@@ -41,6 +41,9 @@ def motors_with_sufficient_smoothing(
     def beyond(width: float) -> float:
         own = motors(width)
         made[width] = own, excess(own)
+        if len(made) > 2:
+            # The width found is the last one or the one before; motions of minutes are large.
+            del made[next(iter(made))]
         return made[width][1]
 
     width = narrowest_sufficient_width(beyond, smoothing, allowed)

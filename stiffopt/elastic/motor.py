@@ -66,10 +66,12 @@ class MotorMotion:
     @cached_property
     def _pieces(self) -> np.ndarray:
         """Positions, then velocities, highest power first (k, 4, 2 n)."""
-        c3, c2, c1, c0 = self._spline.c
-        slopes = np.stack([np.zeros_like(c3), 3.0 * c3, 2.0 * c2, c1])
-        both = np.concatenate([np.stack([c3, c2, c1, c0]), slopes], axis=2)
-        return np.ascontiguousarray(both.transpose(1, 0, 2))
+        powers = self._spline.c.transpose(1, 0, 2)
+        n = powers.shape[2]
+        both = np.zeros((len(powers), 4, 2 * n))
+        both[:, :, :n] = powers
+        np.multiply(powers[:, :3], np.array([3.0, 2.0, 1.0])[:, None], out=both[:, 1:, n:])
+        return both
 
     @cached_property
     def _times(self) -> list[float]:

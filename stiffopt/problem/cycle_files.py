@@ -129,7 +129,7 @@ class _CycleReader:
                 self._document.robot, load.body, load.tool, self._path, self._load_robot
             )
             if load.part is not None:
-                with locate_errors(self._path, "move.payload"):
+                with locate_errors(self._path, load.place):
                     robot = robot.with_payload(load.part.mass, load.part.com, load.part.inertia)
             self._robots[load] = robot
         return self._robots[load]
@@ -301,7 +301,6 @@ class _CycleReader:
         target = step.target
         with locate_errors(self._path, step.where):
             loads = {self._loads[k] for each in visits for k in (max(each.move - 1, 0), each.move)}
-            robots = [self._robot(load) for load in loads]
             robot = within_limits(
                 self._robot(self._loads[max(step.move - 1, 0)]),
                 limits.position_lower,
@@ -316,23 +315,37 @@ class _CycleReader:
             if target.near is not None:
                 return [solve_pose(robot, target.position, rotation, target.near)]
 
-            def admissible(q: np.ndarray) -> bool:
-                held = all(
-                    np.all(np.abs(each.rigid_bodies().gravity_torque(q)) <= limits.torque)
-                    for each in robots
-                )
-                least = self._document.cell.clearance if self._document.cell else 0.0
-                return held and (clearance is None or float(clearance.distances(q).min()) >= least)
+            def holding(q: np.ndarray) -> tuple[float, CarriedLoad]:
+                """Largest share of a torque limit that a load needs at rest, and that load."""
+                weights = {
+                    load: np.abs(self._robot(load).rigid_bodies().gravity_torque(q))
+                    for load in loads
+                }
+                shares = {load: float((w / limits.torque).max()) for load, w in weights.items()}
+                heaviest = max(shares, key=lambda load: shares[load])
+                return shares[heaviest], heaviest
 
-            found = solutions_of_pose(robot, target.position, rotation, reference, admissible)
-            if not found:
+            def free(q: np.ndarray) -> bool:
+                least = self._document.cell.clearance if self._document.cell else 0.0
+                return clearance is None or float(clearance.distances(q).min()) >= least
+
+            postures = solutions_of_pose(robot, target.position, rotation, reference, free)
+            if not postures:
                 # States the cause where the pose is out of reach.
                 solve_pose(robot, target.position, rotation, reference)
                 raise ProblemError(
-                    "in every posture that reaches this pose the arm collides, or its drives "
-                    "cannot hold it at rest. Move the pose, or lighten the payload."
+                    "in every posture that reaches this pose the arm collides. Move the pose."
                 )
-            return found
+        found = [q for q in postures if holding(q)[0] <= 1.0]
+        if not found:
+            share, load = min(map(holding, postures), key=lambda each: each[0])
+            self._fail(
+                load.place,
+                f"the drives cannot hold {load.mass:g} kg at rest in the pose of {step.where}: a "
+                f"joint needs {share:.3g} times its torque limit. Lighten the load (its mass is in "
+                "kg unless it has a unit), or move the pose.",
+            )
+        return found
 
     def _pose_name(self, step: _Step) -> str:
         if step.move == 0:

@@ -16,6 +16,7 @@ class CarriedLoad:
     body: PayloadSection | None
     part: PayloadSection | None
     tool: ToolPointSection
+    place: str = "payload"  # of its last body in the file
 
     @property
     def mass(self) -> float:
@@ -26,8 +27,8 @@ class CarriedLoad:
 def follow_loads(document: ProblemFile, path: Path) -> list[CarriedLoad]:
     """Load of each move of a cycle, and that after the last one.
 
-    Raises `InputFileError`: an event is impossible: a part that was never gripped, or is put down
-    or taken twice.
+    Raises `InputFileError`: an event is impossible: a part that was never gripped, is put down or
+    taken twice, or is never put down.
     """
     tool = document.tool
     loads = [
@@ -62,7 +63,8 @@ def follow_loads(document: ProblemFile, path: Path) -> list[CarriedLoad]:
                 raise InputFileError(
                     path, f"{where}.payload", "a grip needs the part: mass, com and inertia."
                 )
-            now, gripped_at = replace(now, part=move.payload), where
+            now = replace(now, part=move.payload, place=f"{where}.payload")
+            gripped_at = where
         elif move.event == "release":
             if now.part is None:
                 raise InputFileError(
@@ -72,7 +74,7 @@ def follow_loads(document: ProblemFile, path: Path) -> list[CarriedLoad]:
                     "put down already. Add a move with event = 'grip' and its payload before,"
                     " or leave this event out.",
                 )
-            now = replace(now, part=None)
+            now = replace(now, part=None, place=loads[0].place)
         elif move.event == "tool_change":
             if now.part is not None:
                 raise InputFileError(
@@ -81,6 +83,14 @@ def follow_loads(document: ProblemFile, path: Path) -> list[CarriedLoad]:
                     "the tool cannot be changed while the gripper holds the part that it took"
                     f" at {gripped_at}. Release it before.",
                 )
-            now = CarriedLoad(move.payload, None, move.tool or ToolPointSection())
+            new = move.tool or ToolPointSection()
+            now = CarriedLoad(move.payload, None, new, f"{where}.payload")
         loads.append(now)
+    if loads[-1].part is not None:
+        raise InputFileError(
+            path,
+            f"{gripped_at}.event",
+            "the part is never released, so that the cycle cannot be repeated. Add a move with "
+            "event = 'release' after it.",
+        )
     return loads

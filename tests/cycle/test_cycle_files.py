@@ -70,6 +70,7 @@ to = "home"
         (GRIP + GRIP.replace('"pick"', '"place"'), "move[2].event", "still holds the part"),
         ('[[move]]\nto = "pick"\nevent = "grip"\n', "move[1].payload", "needs the part"),
         ('[[move]]\nto = "pick"\nevent = "weld"\n', "move[1].event", "grip"),
+        (MOVES.replace('event = "release"', ""), "move[2].event", "never released"),
         ('[[move]]\nto = "pik"\n', "move[1].to", "no pose 'pik'"),
         ('[[move]]\nto = "home"\n', "move[1].to", "where it begins"),
         ('[[move]]\nto = "pick"\nstop = false\n', "move[1].stop", "last move"),
@@ -84,6 +85,12 @@ def test_impossible_cycles_are_named_with_their_place(tmp_path, moves, place, wo
         load_cycle(path)
     assert f"{path}, {place}" in str(caught.value)
     assert words in str(caught.value)
+
+
+def test_part_too_heavy_for_the_drives_is_named_at_its_grip():
+    path = ROOT / "problems" / "ur10_cycle.toml"
+    with pytest.raises(InputFileError, match=r"move\[2\]\.payload: the drives cannot hold"):
+        load_cycle(path, ["move[2].payload.mass=5000 kg"])
 
 
 def test_command_line_refuses_with_exit_code_2(tmp_path, capsys):
