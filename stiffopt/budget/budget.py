@@ -18,25 +18,13 @@ from stiffopt.robot.tolerances import Tolerances
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ErrorModel:
-    """An arm with everything about it that is not exactly known.
+    """An arm with everything about it that is not exactly known."""
 
-    Parameters
-    ----------
-    robot : Robot
-        With payload and tool.
-    tolerances : Tolerances
-    uncertainty : Uncertainty
-    process_force : array (3,)
-        On the tool, base axes [N].
-    compensated : bool
-        The motors lead by the wind-up of their joints.
-    """
-
-    robot: Robot
+    robot: Robot  # with payload and tool
     tolerances: Tolerances
     uncertainty: Uncertainty
-    process_force: np.ndarray
-    compensated: bool = False
+    process_force: np.ndarray  # (3,) on the tool, base axes [N]
+    compensated: bool = False  # the motors lead by the wind-up of their joints
 
     def errors(self, states: States) -> tuple[list[ErrorSource], list[KnownError]]:
         """Return the sources of error and the mean errors; the same sources in any states."""
@@ -59,19 +47,10 @@ class ErrorModel:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ErrorBudget:
-    """Error of the tool in K states.
-
-    Parameters
-    ----------
-    states : States
-    place : array (K, 3)
-        Of the tool [m].
-    sources : tuple of ErrorSource
-    known : tuple of KnownError
-    """
+    """Error of the tool in K states."""
 
     states: States
-    place: np.ndarray
+    place: np.ndarray  # (K, 3) of the tool [m]
     sources: tuple[ErrorSource, ...]
     known: tuple[KnownError, ...]
 
@@ -89,10 +68,7 @@ class ErrorBudget:
     def bound(self, rows: slice) -> np.ndarray:
         """Return the 95 % bound (K,) of the displacement or of the rotation.
 
-        Parameters
-        ----------
-        rows : slice
-            `POSITION` or `ORIENTATION`.
+        `rows`: `POSITION` or `ORIENTATION`.
         """
         return magnitude_bound(self.mean[:, rows], self.covariance[:, rows, rows])
 

@@ -32,16 +32,8 @@ def elastic_errors(
 ) -> Iterator[ErrorSource | KnownError]:
     """Yield errors by wind-up and bearings: their mean, by uncertain stiffness and payload.
 
-    Parameters
-    ----------
-    tool : ToolJacobians
-    states : States
-    uncertainty : Uncertainty
-    force : array (3,)
-        On the tool, base axes [N].
-    compensated : bool
-        The motors lead by the wind-up and, where joints reach, against the bearings: these are
-        then no error.
+    `force` (3,): on the tool, base axes [N]. `compensated`: the motors lead by the wind-up and,
+    where joints reach, against the bearings: these are then no error.
     """
     robot = tool.robot
     windup = _windups(robot, tool, states, force)

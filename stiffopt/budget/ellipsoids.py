@@ -11,16 +11,7 @@ CONFIDENCE = 0.95
 def semi_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return semi-axes of the ellipsoids that hold 95 % of the errors about their mean.
 
-    Parameters
-    ----------
-    covariance : array (K, 3, 3)
-
-    Returns
-    -------
-    lengths : array (K, 3)
-        The longest first.
-    directions : array (K, 3, 3)
-        As columns.
+    `covariance` (K, 3, 3). `lengths` (K, 3): the longest first. `directions` (K, 3, 3): as columns.
     """
     from scipy.stats import chi2
 
@@ -32,16 +23,9 @@ def semi_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def magnitude_bound(mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """Return the 95 % quantile (K,) of the length of errors of this mean and covariance.
 
-    Parameters
-    ----------
-    mean : array (K, 3)
-    covariance : array (K, 3, 3)
-
-    Notes
-    -----
-    The squared length is a quadratic form of normal variables. A shifted chi-squared variable
-    takes its first three cumulants (Pearson 1959, Imhof 1961); the 95 % quantile of the length
-    then has an error below 1 %.
+    `mean` (K, 3). `covariance` (K, 3, 3). The squared length is a quadratic form of normal
+    variables. A shifted chi-squared variable takes its first three cumulants (Pearson 1959, Imhof
+    1961); the 95 % quantile of the length then has an error below 1 %.
     """
     from scipy.stats import chi2
 

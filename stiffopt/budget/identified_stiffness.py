@@ -19,16 +19,8 @@ _STIFFNESS_FILE = "stiffness.json"
 def narrow_stiffness(model: ErrorModel, folder: Path) -> Uncertainty:
     """Return the uncertainty with the standard deviations of an identified stiffness.
 
-    Parameters
-    ----------
-    model : ErrorModel
-    folder : Path
-        Of `stiffopt identify-stiffness`.
-
-    Raises
-    ------
-    InputFileError
-        The folder has no stiffness of this arm.
+    `folder`: of `stiffopt identify-stiffness`. Raises `InputFileError`: the folder has no stiffness
+    of this arm.
     """
     check_result(folder, _STIFFNESS_FILE)
     path = folder / _STIFFNESS_FILE

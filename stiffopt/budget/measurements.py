@@ -27,20 +27,11 @@ _LOAD_SHARE = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class Measurement:
-    """A measurement, and the bound of the position that it would leave.
-
-    Parameters
-    ----------
-    name : str
-    bound : float
-        Largest 95 % bound of the position along the motion after it [m].
-    gain : float
-        Share by which that is below the bound before.
-    """
+    """A measurement, and the bound of the position that it would leave."""
 
     name: str
-    bound: float
-    gain: float
+    bound: float  # largest 95 % bound of the position along the motion after it [m]
+    gain: float  # share by which that is below the bound before
 
 
 def rank_measurements(model: ErrorModel, budget: ErrorBudget) -> list[Measurement]:

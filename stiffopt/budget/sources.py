@@ -24,19 +24,11 @@ GROUPS: tuple[Group, ...] = (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ErrorSource:
-    """One independent cause of error, normally distributed.
+    """One independent cause of error, normally distributed."""
 
-    Parameters
-    ----------
-    name : str
-        Of the quantity: "frame of joint_2, position".
-    group : str
-    effect : array (K, 6)
-        Displacement [m] and rotation [rad] of the tool by one standard deviation, base axes.
-    """
-
-    name: str
+    name: str  # of the quantity: "frame of joint_2, position"
     group: Group
+    # (K, 6) displacement [m] and rotation [rad] of the tool by one standard deviation, base axes.
     effect: np.ndarray
 
 
@@ -50,23 +42,14 @@ class KnownError:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class States:
-    """States of an arm, along a motion or at rest.
+    """States of an arm, along a motion or at rest."""
 
-    Parameters
-    ----------
-    time : array (K,)
-        [s]; zeros at rest.
-    position, velocity, acceleration : array (K, n)
-        Of the joints [rad], [rad/s], [rad/s^2].
-    lag : array (K, n)
-        Motor position less command with the worst servo [rad].
-    """
-
-    time: np.ndarray
+    time: np.ndarray  # (K,) [s]; zeros at rest
+    # (K, n) of the joints [rad], [rad/s], [rad/s^2].
     position: np.ndarray
     velocity: np.ndarray
     acceleration: np.ndarray
-    lag: np.ndarray
+    lag: np.ndarray  # (K, n) motor position less command with the worst servo [rad]
 
     @classmethod
     def at_rest(cls, position: np.ndarray) -> States:
@@ -83,29 +66,13 @@ class States:
 
 @dataclass(frozen=True, eq=False)
 class ToolJacobians:
-    """Poses and Jacobians of the tool in K states.
-
-    Parameters
-    ----------
-    robot : Robot
-    position : array (K, n)
-        Of the joints.
-
-    Attributes
-    ----------
-    place : array (K, 3)
-        Tool in the base [m].
-    axes : array (K, 3, 3)
-        Of the tool, as columns.
-    jacobian : array (K, 6, n)
-        Of displacement and rotation, base axes.
-    """
+    """Poses and Jacobians of the tool in K states."""
 
     robot: Robot
-    position: np.ndarray
-    place: np.ndarray = field(init=False)
-    axes: np.ndarray = field(init=False)
-    jacobian: np.ndarray = field(init=False)
+    position: np.ndarray  # (K, n) of the joints
+    place: np.ndarray = field(init=False)  # (K, 3) tool in the base [m]
+    axes: np.ndarray = field(init=False)  # (K, 3, 3) of the tool, as columns
+    jacobian: np.ndarray = field(init=False)  # (K, 6, n) of displacement and rotation, base axes
 
     def __post_init__(self) -> None:
         bodies, tool = self.robot.rigid_bodies(), self.robot.tool
@@ -129,15 +96,8 @@ def rigid_shifts(
 ) -> Iterator[ErrorSource]:
     """Yield the sources of a frame: three displacements and three rotations.
 
-    Parameters
-    ----------
-    name, group : str
-    axes : array (K, 3, 3)
-        Of the frame, as columns in the base.
-    arm : array (K, 3)
-        From the frame to the tool [m].
-    sizes : (float, float)
-        Standard deviation of each displacement [m] and rotation [rad].
+    `axes` (K, 3, 3): of the frame, as columns in the base. `arm` (K, 3): from the frame to the tool
+    [m]. `sizes` (float, float): standard deviation of each displacement [m] and rotation [rad].
     """
     for kind, size in zip(("position", "orientation"), sizes, strict=True):
         for k in range(3 if size > 0.0 else 0):

@@ -20,31 +20,17 @@ _POSITION_TOLERANCE = 1e-7
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class VolumeBudget:
-    """Error budget at rest over a box.
+    """Error budget at rest over a box."""
 
-    Parameters
-    ----------
-    budget : ErrorBudget
-        Of the points that the tool reaches.
-    unreached : array (m, 3)
-        Other points [m].
-    """
-
-    budget: ErrorBudget
-    unreached: np.ndarray
+    budget: ErrorBudget  # of the points that the tool reaches
+    unreached: np.ndarray  # (m, 3) other points [m]
 
 
 def volume_budget(model: ErrorModel, motion: ErrorBudget, margin: float) -> VolumeBudget:
     """Return the budget at rest over the box of a motion and a margin around it.
 
     The tool has the orientation of the nearest point of the motion, the joints are near those.
-
-    Parameters
-    ----------
-    model : ErrorModel
-    motion : ErrorBudget
-    margin : float
-        [m]
+    `margin` [m].
     """
     low, high = motion.place.min(axis=0) - margin, motion.place.max(axis=0) + margin
     axes = [np.linspace(a, b, _GRID_POINTS) for a, b in zip(low, high, strict=True)]

@@ -33,20 +33,10 @@ def budget(
 
     Writes budget.json, budget.csv and report.html: along the motion of a solve, or the quintic
     motion of a problem, and at rest over the box around it. [tolerances] and [uncertainty] of the
-    problem file say what is not exactly known.
-
-    Parameters
-    ----------
-    source
-        Problem file, or folder of a solve.
-    out
-        Folder for the results; default: out/NAME-budget.
-    model
-        extended.toml of a diagnosis of this arm, whose findings replace the nominal robot.
-    stiffness
-        Folder of identify-stiffness of this arm, whose confidence replaces that of [uncertainty].
-    margin
-        Of the box around the motion.
+    problem file say what is not exactly known. `source`: problem file, or folder of a solve. `out`:
+    folder for the results; default: out/NAME-budget. `model`: extended.toml of a diagnosis of this
+    arm, whose findings replace the nominal robot. `stiffness`: folder of identify-stiffness of this
+    arm, whose confidence replaces that of [uncertainty]. `margin`: of the box around the motion.
     """
     from stiffopt.budget.assumptions import list_assumptions
     from stiffopt.budget.budget import ErrorModel, error_budget

@@ -223,12 +223,7 @@ def view(
 ) -> int:
     """Show a solved motion in the browser: scene.html, which needs no network.
 
-    Parameters
-    ----------
-    result
-        Folder of a solve.
-    out
-        Folder for the page; default: the folder of the solve.
+    `result`: folder of a solve. `out`: folder for the page; default: the folder of the solve.
     """
     from stiffopt.recipe.stored_result import read_result
     from stiffopt.report.scene.poses import stored_poses
@@ -265,14 +260,9 @@ def modes(
     """Compute the elastic modes of an arm: frequencies, damping ratios and mode shapes.
 
     Poses: start, vias and end of a problem file; --at of a robot, by default the start of its
-    starter problem; along the motion of a solve, which writes modes.csv and modes.svg.
-
-    Parameters
-    ----------
-    source
-        Robot (shipped name, robot file, URDF or MJCF), problem file, or folder of a solve.
-    out
-        Folder for the results of a solve's motion; default: the folder of the solve.
+    starter problem; along the motion of a solve, which writes modes.csv and modes.svg. `source`:
+    robot (shipped name, robot file, URDF or MJCF), problem file, or folder of a solve. `out`:
+    folder for the results of a solve's motion; default: the folder of the solve.
     """
     from stiffopt.elastic.arm import questionable_springs
     from stiffopt.elastic.modes import modes_along, modes_at, write_modes_csv

@@ -106,13 +106,8 @@ def check(
 
     The header of the file has hashes of motion, robot, payload and limits. They are compared with
     the result, whose motion is certified and sampled again; every number of the file must match.
-
-    Parameters
-    ----------
-    file
-        File of `stiffopt export` of a motion.
-    result
-        Folder of the solve; default: the folder of the file.
+    `file`: file of `stiffopt export` of a motion. `result`: folder of the solve; default: the
+    folder of the file.
     """
     from stiffopt.export.check import check_file
 

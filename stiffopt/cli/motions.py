@@ -201,14 +201,9 @@ def preload(
 ) -> int:
     """Optimise the preloads of bolts and pins: preloads, tightening torques, active limits.
 
-    Writes study.json, study.csv and report.html with its figures.
-
-    Parameters
-    ----------
-    study
-        Preload study file (TOML).
-    out
-        Folder for the results; default: out/NAME of the study file, with the changes of --set.
+    Writes study.json, study.csv and report.html with its figures. `study`: preload study file
+    (TOML). `out`: folder for the results; default: out/NAME of the study file, with the changes of
+    --set.
     """
     from stiffopt.preload.files import load_study
     from stiffopt.preload.store import write_curves, write_study
@@ -240,13 +235,8 @@ def verify(problems: Path, *more: Path, changes: Changes = (), quiet: Quiet = Fa
     """Solve problem and study files again and compare with their expected values.
 
     With --set the expected values remain those of the file, to see the effect of a change.
-
-    Parameters
-    ----------
-    problems
-        Trajectory problem or preload study file, or a folder of them.
-    more
-        Further files or folders.
+    `problems`: trajectory problem or preload study file, or a folder of them. `more`: further files
+    or folders.
     """
     from stiffopt import verify as verification
     from stiffopt.report.solve.terminal import (
@@ -288,16 +278,10 @@ def stiffness(
 ) -> int:
     """Compute joint stiffness over torque, with and without contacts.
 
-    Writes stiffness.csv and stiffness.html with its figures.
-
-    Parameters
-    ----------
-    robot
-        Shipped robot (er3a_c60, er3a_c60_contact, ur10), robot file (TOML), URDF or MJCF.
-    out
-        Folder for the results; default: out/stiffness_NAME, with the changes of --set.
-    drivetrain
-        Robot file (TOML) with the drivetrain of a URDF or MJCF.
+    Writes stiffness.csv and stiffness.html with its figures. `robot`: shipped robot (er3a_c60,
+    er3a_c60_contact, ur10), robot file (TOML), URDF or MJCF. `out`: folder for the results;
+    default: out/stiffness_NAME, with the changes of --set. `drivetrain`: robot file (TOML) with the
+    drivetrain of a URDF or MJCF.
     """
     from stiffopt.report.stiffness.page import write_stiffness_report
     from stiffopt.robot.files import load_robot
@@ -350,12 +334,8 @@ def replay(folder: Path, *, quiet: Quiet = False) -> int:
     """Solve a stored result again by its recipe, and say whether the answer is the same.
 
     Every stage has to end in the same objective to 1e-9, else the first one that differs is named,
-    with versions that do. Exit code 1 where the answer differs.
-
-    Parameters
-    ----------
-    folder
-        Folder of `stiffopt solve`.
+    with versions that do. Exit code 1 where the answer differs. `folder`: folder of `stiffopt
+    solve`.
     """
     from stiffopt.recipe.replay import replay as solve_again
 
@@ -370,12 +350,8 @@ def replay(folder: Path, *, quiet: Quiet = False) -> int:
 def report(folder: Path, *, open_report: Open = False) -> int:
     """Draw report.html of a solve that was made with --no-report.
 
-    Nothing is solved: the stored motion is compared with simulated rivals.
-
-    Parameters
-    ----------
-    folder
-        Folder of `stiffopt solve --no-report`.
+    Nothing is solved: the stored motion is compared with simulated rivals. `folder`: folder of
+    `stiffopt solve --no-report`.
     """
     from stiffopt.recipe.stored_result import read_stored_solution
     from stiffopt.report.solve.page import REPORT_FILE, write_solve_report

@@ -192,16 +192,9 @@ def check(
     """Check a recording set: content, missing signals, identifiable effects.
 
     The exit code is 2 where `stiffopt diagnose` (of a static set: `identify-stiffness`) cannot use
-    it, and where units, signs or orders contradict the recordings.
-
-    Parameters
-    ----------
-    recordings
-        Folder with a recordings.toml or a static.toml, or that file.
-    effects
-        Python file of effects beside those of the catalogue.
-    json
-        Print JSON instead of text.
+    it, and where units, signs or orders contradict the recordings. `recordings`: folder with a
+    recordings.toml or a static.toml, or that file. `effects`: Python file of effects beside those
+    of the catalogue. `json`: print JSON instead of text.
     """
     from stiffopt.discovery.catalogue import CATALOGUE
     from stiffopt.discovery.identifiable import effect_checks
@@ -327,15 +320,9 @@ def rollout(
 
     Writes rollout.json, and for each run its positions as CSV and a picture of command, measured
     and simulated positions. A simulation sees the commands and the first position of a run alone.
-
-    Parameters
-    ----------
-    recordings
-        Recording set with commands: its folder or its recordings.toml.
-    model
-        extended.toml of a diagnosis of this arm from commands.
-    out
-        Folder for the results; default: out/NAME-rollout of the set's folder.
+    `recordings`: recording set with commands: its folder or its recordings.toml. `model`:
+    extended.toml of a diagnosis of this arm from commands. `out`: folder for the results; default:
+    out/NAME-rollout of the set's folder.
     """
     from stiffopt.discovery.extended.model import load_extended
     from stiffopt.discovery.rollout import roll_out, write_rollout

@@ -23,10 +23,7 @@ def schema(
 ) -> int:
     """Print the JSON Schema of a kind of file, for editors.
 
-    Parameters
-    ----------
-    kind
-        Kind of file.
+    `kind`: kind of file.
     """
     from stiffopt.report.file_reference import file_schema
 
@@ -38,10 +35,7 @@ def schema(
 def explain(key: str) -> int:
     """Explain a key of a file: description, allowed values, unit and default.
 
-    Parameters
-    ----------
-    key
-        Name or path of a key, such as prepressure, motion.duration or limits.jerk.
+    `key`: name or path of a key, such as prepressure, motion.duration or limits.jerk.
     """
     from stiffopt.report.common.terminal import print_lines
     from stiffopt.report.file_reference import explain_key
@@ -59,12 +53,8 @@ def catalogue(
 ) -> int:
     """List the shipped catalogues with the sources of their numbers.
 
-    Parameters
-    ----------
-    kind
-        Catalogue to list; without it, the available catalogues.
-    own
-        User catalogue file, whose entries are added.
+    `kind`: catalogue to list; without it, the available catalogues. `own`: user catalogue file,
+    whose entries are added.
     """
     from contextlib import nullcontext
 
@@ -85,12 +75,8 @@ def catalogue(
 def compare(first: Path, second: Path, *, changes: NoChanges = ()) -> int:
     """Compare two result folders and list every entry that differs.
 
-    Parameters
-    ----------
-    first
-        Folder of a solve, a preload study or a diagnosis.
-    second
-        Another folder of the same kind.
+    `first`: folder of a solve, a preload study or a diagnosis. `second`: another folder of the same
+    kind.
     """
     from stiffopt.report.common.terminal import print_lines, print_table
     from stiffopt.report.compare import compare_results

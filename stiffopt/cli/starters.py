@@ -44,14 +44,9 @@ def robot(
 ) -> int:
     """Write a robot file for a URDF or MJCF: limits and candidate reducers, estimates marked.
 
-    Parameters
-    ----------
-    urdf
-        URDF or MJCF of the arm; joints that do not lead to the tip, such as fingers, are fixed.
-    tip
-        Last link of the arm; default: the link from which fingers branch off.
-    catalogue
-        User catalogue file, whose reducers are candidates too.
+    `urdf`: URDF or MJCF of the arm; joints that do not lead to the tip, such as fingers, are fixed.
+    `tip`: last link of the arm; default: the link from which fingers branch off. `catalogue`: user
+    catalogue file, whose reducers are candidates too.
     """
     from stiffopt.starter.robot_file import robot_text
     from stiffopt.starter.writing import write_new
@@ -74,10 +69,7 @@ def robot(
 def problem(source: str, *, out: File = None, changes: NoChanges = ()) -> int:
     """Write a first trajectory problem for a robot.
 
-    Parameters
-    ----------
-    source
-        Shipped robot, robot file (TOML), URDF or MJCF.
+    `source`: shipped robot, robot file (TOML), URDF or MJCF.
     """
     from stiffopt.robot.files import load_robot, shipped_robots
     from stiffopt.starter.problem_file import problem_text
@@ -112,19 +104,11 @@ def recording(
     """Write a recording set for recorded tables or bags; inferred entries are listed.
 
     Reads text tables, JSON, NPZ, Parquet, LeRobot datasets, MATLAB, Excel, HDF5, MCAP, rosbag2 and
-    the text of `ros2 topic echo`.
-
-    Parameters
-    ----------
-    data
-        Files or folders; the last of several is held out for validation, a single one is split.
-    urdf
-        URDF, MJCF or robot file of the arm, or the name of a shipped robot; limits and masses that
-        it lacks are estimated.
-    rate
-        Sampling rate [Hz], where the data have no time column.
-    tip
-        Last link of the recorded arm, where the URDF has further links.
+    the text of `ros2 topic echo`. `data`: files or folders; the last of several is held out for
+    validation, a single one is split. `urdf`: URDF, MJCF or robot file of the arm, or the name of a
+    shipped robot; limits and masses that it lacks are estimated. `rate`: sampling rate [Hz], where
+    the data have no time column. `tip`: last link of the recorded arm, where the URDF has further
+    links.
     """
     from stiffopt.starter.recording_set import start_recording_set
 

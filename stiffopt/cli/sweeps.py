@@ -33,18 +33,10 @@ def sweep(
     """Solve a file for grids, lists and Latin hypercubes of its entries and tabulate the results.
 
     Writes cases/KEY.json for each case, then table.csv, table.parquet (with pyarrow), sweep.json
-    and report.html. The same command resumes an interrupted sweep.
-
-    Parameters
-    ----------
-    file
-        Sweep file (TOML).
-    out
-        Folder for the results; default: out/NAME of the sweep file.
-    workers
-        Number of processes; default one per core, 1 solves in the main process.
-    scheduler
-        Address of a Dask scheduler, tcp://HOST:PORT; its workers need access to the same files.
+    and report.html. The same command resumes an interrupted sweep. `file`: sweep file (TOML).
+    `out`: folder for the results; default: out/NAME of the sweep file. `workers`: number of
+    processes; default one per core, 1 solves in the main process. `scheduler`: address of a Dask
+    scheduler, tcp://HOST:PORT; its workers need access to the same files.
     """
     from stiffopt.files import check_file
 

@@ -33,24 +33,15 @@ _MAX_RIVAL_CHANCE = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class BearingTilt:
-    """Tilt compliance of one joint's output bearing.
+    """Tilt compliance of one joint's output bearing."""
 
-    Parameters
-    ----------
-    joint : int
-        From 1.
-    compliance, sd : float
-        With its standard deviation by the jackknife [rad/(N m)].
-    left_out : float
-        Root mean square of one component on poses left out, with all bearings found [m].
-    rivals : tuple of int
-        Joints (from 1) whose bearing in its place predicts poses left out about as well.
-    """
-
-    joint: int
+    joint: int  # from 1
+    # With its standard deviation by the jackknife [rad/(N m)].
     compliance: float
     sd: float
+    # Root mean square of one component on poses left out, with all bearings found [m].
     left_out: float
+    # Joints (from 1) whose bearing in its place predicts poses left out about as well.
     rivals: tuple[int, ...] = ()
 
 
@@ -88,12 +79,7 @@ def identify_tilt(
 ) -> tuple[BearingTilt, ...]:
     """Return the bearings whose tilt the poses support.
 
-    Parameters
-    ----------
-    recorded : StaticSet
-    rows : StaticRows
-    kept : array (k,) of int
-        Joints (from 0) whose torsion is identifiable.
+    `kept` (k,): joints (from 0) whose torsion is identifiable.
     """
     measured, added = recorded.displacement, tilt_columns(recorded)
     laws = [law.columns for family in families(rows, kept) for law in family.shapes]

@@ -37,48 +37,29 @@ _DEFAULT_BOUND = 0.2
 
 @dataclass(frozen=True, kw_only=True)
 class JointComparison:
-    """One joint in all sets and in the model.
+    """One joint in all sets and in the model."""
 
-    Parameters
-    ----------
-    joint : int
-        From 1.
-    name : str
-    stiffness, sd : tuple of float or None
-        By set [N m/rad, N/m for a prismatic joint]; None where a set does not identify it.
-    pooled, pooled_sd : float or None
-        Compliance-weighted mean of the sets, with the larger of its own and the sets' scatter.
-    spread : float or None
-        Largest difference of two sets, in standard deviations.
-    model : float or None
-        Secant stiffness of the drivetrain at the median torque of the first set that identifies
-        the joint.
-    difference : float or None
-        Identified less modelled compliance, in standard deviations.
-    element, factor : str, float or None
-        Element that a difference points to, and the factor on its compliance that explains it.
-    bound : float or None
-        Relative bound of the modelled stiffness that covers what was identified.
-    tilt : tuple of float or None
-        Moment stiffness of the output bearing by set; None where its tilt is not supported.
-    modelled_tilt : float or None
-        Moment stiffness of the robot file [N m/rad].
-    """
-
-    joint: int
+    joint: int  # from 1
     name: str
+    # By set [N m/rad, N/m for a prismatic joint]; None where a set does not identify it.
     stiffness: tuple[float | None, ...]
     sd: tuple[float | None, ...]
+    # Compliance-weighted mean of the sets, with the larger of its own and the sets' scatter.
     pooled: float | None = None
     pooled_sd: float | None = None
-    spread: float | None = None
+    spread: float | None = None  # largest difference of two sets, in standard deviations
+    # Secant stiffness of the drivetrain at the median torque of the first set that identifies the
+    # joint.
     model: float | None = None
-    difference: float | None = None
+    difference: float | None = None  # identified less modelled compliance, in standard deviations
+    # Element that a difference points to, and the factor on its compliance that explains it.
     element: str = ""
     factor: float | None = None
+    # Relative bound of the modelled stiffness that covers what was identified.
     bound: float | None = None
+    # Moment stiffness of the output bearing by set; None where its tilt is not supported.
     tilt: tuple[float | None, ...] = ()
-    modelled_tilt: float | None = None
+    modelled_tilt: float | None = None  # moment stiffness of the robot file [N m/rad]
 
 
 def compare_stiffness(
@@ -86,12 +67,7 @@ def compare_stiffness(
 ) -> tuple[JointComparison, ...]:
     """Compare the joints of several sets of one type of arm, and with its drivetrains.
 
-    Parameters
-    ----------
-    results : sequence of StaticStiffness
-        Joints belong together by their number.
-    robot : Robot, optional
-        With the drivetrains of all joints.
+    `results`: joints belong together by their number. `robot`: with the drivetrains of all joints.
     """
     count = min(len(each.joints) for each in results)
     found = []
@@ -193,12 +169,7 @@ def describe_difference(joint: JointComparison) -> str:
 def write_comparison(names: Sequence[str], joints: Sequence[JointComparison], folder: Path) -> None:
     """Write comparison.json, comparison.csv and, beside a model, uncertainty.toml.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Of the sets.
-    joints : sequence of JointComparison
-    folder : Path
+    `names`: of the sets.
     """
     document = {"sets": list(names), "joints": [asdict(joint) for joint in joints]}
     atomic_write(folder / COMPARISON_FILE, json.dumps(document, indent=1))

@@ -21,126 +21,71 @@ Status = Literal["identified", "lower_bound", "not_loaded", "confounded"]
 
 @dataclass(frozen=True, kw_only=True)
 class JointStiffness:
-    """Identified stiffness of one joint [N m/rad, N/m for a prismatic joint].
+    """Identified stiffness of one joint [N m/rad, N/m for a prismatic joint]."""
 
-    Parameters
-    ----------
-    joint : int
-        From 1.
-    name : str
-    unit : str
-    status : str
-        "identified"; "lower_bound": a rigid joint is not excluded; "not_loaded" and "confounded":
-        not identifiable alone.
-    reason : str
-        A sentence; empty if identified.
-    stiffness, sd : float or None
-        Estimate and its standard deviation.
-    lower, upper : float or None
-        95 % confidence interval; an upper end of None is rigid.
-    least_squares : float or None
-        Estimate of unweighted least squares.
-    compliance : float or None
-        [rad/(N m)]
-    compliance_sd, compliance_sd_alike, compliance_sd_bootstrap : float or None
-        By the jackknife; by the covariance of equal independent errors; by the bootstrap. The
-        larger of the first two determines `sd` and the interval.
-    bootstrap_lower, bootstrap_upper : float or None
-        95 % bootstrap interval.
-    nominal : float or None
-    z_nominal : float or None
-        Identified less nominal compliance, in standard deviations.
-    torque : tuple of 3 float
-        5, 50 and 95 % quantiles of the magnitude of the joint's torque [N m].
-    leverage : float
-        Displacement of the tool by this joint over that by the joint of the largest, at equal
-        stiffness.
-    """
-
-    joint: int
+    joint: int  # from 1
     name: str
     unit: str
+    # "identified"; "lower_bound": a rigid joint is not excluded; "not_loaded" and "confounded": not
+    # identifiable alone.
     status: Status
-    reason: str
+    reason: str  # a sentence; empty if identified
+    # Estimate and its standard deviation.
     stiffness: float | None
     sd: float | None
+    # 95 % confidence interval; an upper end of None is rigid.
     lower: float | None
     upper: float | None
-    least_squares: float | None
-    compliance: float | None
+    least_squares: float | None  # estimate of unweighted least squares
+    compliance: float | None  # [rad/(N m)]
+    # By the jackknife; by the covariance of equal independent errors; by the bootstrap. The larger
+    # of the first two determines `sd` and the interval.
     compliance_sd: float | None
     compliance_sd_alike: float | None
     compliance_sd_bootstrap: float | None
+    # 95 % bootstrap interval.
     bootstrap_lower: float | None
     bootstrap_upper: float | None
     nominal: float | None
-    z_nominal: float | None
+    z_nominal: float | None  # identified less nominal compliance, in standard deviations
+    # 5, 50 and 95 % quantiles of the magnitude of the joint's torque [N m].
     torque: tuple[float, float, float]
+    # Displacement of the tool by this joint over that by the joint of the largest, at equal
+    # stiffness.
     leverage: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class Errors:
-    """Root mean square of one component of the displacement or of its error [m].
+    """Root mean square of one component of the displacement or of its error [m]."""
 
-    Parameters
-    ----------
-    displacement : float
-        Measured.
-    fit, left_out : float
-        Of the robust fit on its own poses; on poses left out one at a time.
-    least_squares, least_squares_left_out : float
-        The same by plain least squares.
-    nominal : float or None
-        With the nominal stiffness.
-    """
-
-    displacement: float
+    displacement: float  # measured
+    # Of the robust fit on its own poses; on poses left out one at a time.
     fit: float
     left_out: float
+    # The same by plain least squares.
     least_squares: float
     least_squares_left_out: float
-    nominal: float | None
+    nominal: float | None  # with the nominal stiffness
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StaticStiffness:
-    """Answer of `identify_stiffness`.
-
-    Parameters
-    ----------
-    source : StaticSet
-    rows : StaticRows
-    joints : tuple of JointStiffness
-    errors : Errors
-    predicted, left_out : array (m, 3)
-        Displacement by the fit, and by the fit without that pose [m].
-    weight : array (m,)
-        Huber weight of each pose.
-    scale : float
-        Robust standard deviation of one component [m].
-    outliers : tuple of int
-        Numbers of outlying poses, from 1.
-    correlation : array (n, n)
-        Of the compliances; nan for joints that are not identifiable.
-    torque_dependence : TorqueDependence
-    tilt : tuple of BearingTilt
-        Bearings whose tilt the poses support.
-    assumptions : tuple of str
-    """
+    """Answer of `identify_stiffness`."""
 
     source: StaticSet
     rows: StaticRows
     joints: tuple[JointStiffness, ...]
     errors: Errors
+    # (m, 3) displacement by the fit, and by the fit without that pose [m].
     predicted: np.ndarray
     left_out: np.ndarray
-    weight: np.ndarray
-    scale: float
-    outliers: tuple[int, ...]
-    correlation: np.ndarray
+    weight: np.ndarray  # (m,) huber weight of each pose
+    scale: float  # robust standard deviation of one component [m]
+    outliers: tuple[int, ...]  # numbers of outlying poses, from 1
+    correlation: np.ndarray  # (n, n) of the compliances; nan for joints that are not identifiable
     torque_dependence: TorqueDependence
-    tilt: tuple[BearingTilt, ...]
+    tilt: tuple[BearingTilt, ...]  # bearings whose tilt the poses support
     assumptions: tuple[str, ...]
 
 

@@ -21,24 +21,12 @@ _MAX_REWEIGHTING_STEPS = 60
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RobustFit:
-    """Compliances fitted to displacements.
+    """Compliances fitted to displacements."""
 
-    Parameters
-    ----------
-    value : array (p,)
-        One per column, not negative.
-    weight : array (m,)
-        Huber weight of each pose, 1 at most.
-    residual : array (m, 3)
-        Measured less fitted [m].
-    scale : float
-        Robust standard deviation of one component [m].
-    """
-
-    value: np.ndarray
-    weight: np.ndarray
-    residual: np.ndarray
-    scale: float
+    value: np.ndarray  # (p,) one per column, not negative
+    weight: np.ndarray  # (m,) huber weight of each pose, 1 at most
+    residual: np.ndarray  # (m, 3) measured less fitted [m]
+    scale: float  # robust standard deviation of one component [m]
 
 
 def fit(
@@ -50,24 +38,9 @@ def fit(
 ) -> RobustFit:
     """Non-negative least squares with Huber's weights by pose.
 
-    Parameters
-    ----------
-    columns : array (m, 3, p)
-        Displacement for a value of one [m].
-    displacement : array (m, 3)
-        [m]
-    robust : bool
-        False: plain least squares, all weights one.
-    start : RobustFit, optional
-        Initial values.
-
-    Returns
-    -------
-    RobustFit
-
-    Notes
-    -----
-    Huber, P. J.: Robust Estimation of a Location Parameter (1964); reweighted least squares.
+    `columns` (m, 3, p): displacement for a value of one [m]. `displacement` (m, 3) [m]. `robust`:
+    False: plain least squares, all weights one. `start`: initial values. Returns RobustFit. Huber,
+    P. J.: Robust Estimation of a Location Parameter (1964); reweighted least squares.
     """
     size = np.sqrt(np.mean(np.square(columns), axis=(0, 1)))
     size[size == 0.0] = 1.0
@@ -149,8 +122,6 @@ def bootstrap(
 def bootstrap_interval(drawn: np.ndarray, poses: int, confidence: float) -> tuple[float, float]:
     """Confidence interval of the true value from bootstrap values (draws,).
 
-    Notes
-    -----
     Hesterberg, T. C.: What Teachers Should Know About the Bootstrap, The American Statistician
     (2015): plain percentiles of few poses are too narrow, like a normal interval with divisor m in
     place of Student's with m - 1; the levels are widened accordingly. Rank r of B draws has the

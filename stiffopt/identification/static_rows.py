@@ -19,27 +19,14 @@ Windup = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StaticRows:
-    """Loads and measured displacements of all poses.
+    """Loads and measured displacements of all poses."""
 
-    Parameters
-    ----------
-    jacobian : array (m, 3, n)
-        Of the tool's position, base frame [m/rad].
-    pull : array (m, n)
-        Joint torque of the force on the tool, J^T f [N m].
-    weight : array (m, n) or None
-        Torque that holds the weight of the links, g(q) [N m]; None without masses.
-    displacement : array (m, 3)
-        Measured [m].
-    difference : bool
-        Displacements are differences of two load states, with and without the force.
-    """
-
-    jacobian: np.ndarray
-    pull: np.ndarray
+    jacobian: np.ndarray  # (m, 3, n) of the tool's position, base frame [m/rad]
+    pull: np.ndarray  # (m, n) joint torque of the force on the tool, J^T f [N m]
+    # (m, n) torque that holds the weight of the links, g(q) [N m]; None without masses.
     weight: np.ndarray | None
-    displacement: np.ndarray
-    difference: bool
+    displacement: np.ndarray  # (m, 3) measured [m]
+    difference: bool  # displacements are differences of two load states, with and without the force
 
     @property
     def load(self) -> np.ndarray:
@@ -58,17 +45,8 @@ class StaticRows:
     def windup_columns(self, windup: Windup, *, on_weight: bool) -> np.ndarray:
         """Displacement of the tool for a wind-up law, per joint.
 
-        Parameters
-        ----------
-        windup : function (m, n) -> (m, n)
-            Odd in the torque [N m].
-        on_weight : bool
-            The difference is taken about the gravity torque of the pose; else about
-            an unloaded joint.
-
-        Returns
-        -------
-        array (m, 3, n)
+        `windup` (m, n) -> (m, n): odd in the torque [N m]. `on_weight`: the difference is taken
+        about the gravity torque of the pose; else about an unloaded joint. Returns array (m, 3, n).
         """
         if self.difference and on_weight and self.weight is not None:
             moved = windup(self.weight) - windup(self.weight - self.pull)
@@ -80,10 +58,8 @@ class StaticRows:
 def static_rows(recorded: StaticSet) -> StaticRows:
     """Rows of a static set.
 
-    Raises
-    ------
-    InputFileError
-        Too few poses, or displacements that include the weight of links without mass.
+    Raises `InputFileError`: too few poses, or displacements that include the weight of links
+    without mass.
     """
     m, n = recorded.position.shape
     if m < 3 or 3 * m <= n:
@@ -125,31 +101,18 @@ MIN_LEVERAGE = 1e-3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Identifiable:
-    """Identifiability of joint compliances from the columns of a static set.
+    """Identifiability of joint compliances from the columns of a static set."""
 
-    Parameters
-    ----------
-    leverage : array (n,)
-        Size of each joint's column over the largest [-].
-    loaded : array (n,) of bool
-    group : array (n,) of int
-        Joints with the same number above 0 are confounded; 0: not confounded.
-    kept : array (k,) of int
-        Joints of a full-rank subset, without one of each confounded direction.
-    """
-
-    leverage: np.ndarray
-    loaded: np.ndarray
-    group: np.ndarray
-    kept: np.ndarray
+    leverage: np.ndarray  # (n,) size of each joint's column over the largest [-]
+    loaded: np.ndarray  # (n,)
+    group: np.ndarray  # (n,) joints with the same number above 0 are confounded; 0: not confounded
+    kept: np.ndarray  # (k,) joints of a full-rank subset, without one of each confounded direction
 
 
 def identifiable(columns: np.ndarray) -> Identifiable:
     """Analyse rank and leverage of the compliance columns.
 
-    Parameters
-    ----------
-    columns : array (m, 3, n)
+    `columns` (m, 3, n).
     """
     n = columns.shape[2]
     rows = columns.reshape(-1, n)

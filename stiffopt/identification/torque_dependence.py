@@ -31,66 +31,37 @@ TANH_TORQUE_SHARES = (0.05, 0.1, 0.2, 0.5)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Compared:
-    """One model compared with constant compliance.
-
-    Parameters
-    ----------
-    name : str
-    formula : str
-    candidate : bool
-        Depends on torque; else an alternative explanation without torque dependence.
-    shape : str
-        Form chosen on all poses.
-    parameters : int
-    fit, left_out : float
-        Root mean square of one component on its own poses, on poses left out [m].
-    gain : float
-        Share by which the error on poses left out is below that of constant compliance; negative
-        if above.
-    chance : float
-        Probability of so much gain by chance, one-sided signed-rank test over poses, adjusted for
-        the number of models tried; 1 for rivals.
-    value : array (p,)
-        Parameters on all poses.
-    error : array (m, 3)
-        Of the poses left out [m].
-    """
+    """One model compared with constant compliance."""
 
     name: str
     formula: str
-    candidate: bool
-    shape: str
+    candidate: bool  # depends on torque; else an alternative explanation without torque dependence
+    shape: str  # form chosen on all poses
     parameters: int
+    # Root mean square of one component on its own poses, on poses left out [m].
     fit: float
     left_out: float
+    # Share by which the error on poses left out is below that of constant compliance; negative if
+    # above.
     gain: float
+    # Probability of so much gain by chance, one-sided signed-rank test over poses, adjusted for the
+    # number of models tried; 1 for rivals.
     chance: float
-    value: np.ndarray
-    error: np.ndarray
+    value: np.ndarray  # (p,) parameters on all poses
+    error: np.ndarray  # (m, 3) of the poses left out [m]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TorqueDependence:
-    """Verdict on torque-dependent compliance.
+    """Verdict on torque-dependent compliance."""
 
-    Parameters
-    ----------
-    verdict : str
-        "supported", "weak" (predicts better, not decisively), "not supported", "not tested".
-    sentence : str
-    models : tuple of Compared
-        Constant compliance first.
-    best : str
-        Name of the torque-dependent model that predicts best; empty if none was tried.
-    secant : dict
-        Of the supported model: joint (from 1) -> stiffness [N m/rad] at the torques that 5, 50
-        and 95 % of the poses do not exceed.
-    """
-
+    # "supported", "weak" (predicts better, not decisively), "not supported", "not tested".
     verdict: Verdict
     sentence: str
-    models: tuple[Compared, ...]
-    best: str
+    models: tuple[Compared, ...]  # constant compliance first
+    best: str  # name of the torque-dependent model that predicts best; empty if none was tried
+    # Of the supported model: joint (from 1) -> stiffness [N m/rad] at the torques that 5, 50 and 95
+    # % of the poses do not exceed.
     secant: dict[int, tuple[float, float, float]]
 
 
@@ -109,15 +80,7 @@ class _FamilyFit:
 def torque_dependence(rows: StaticRows, kept: Sequence[int] | np.ndarray) -> TorqueDependence:
     """Compare nested models of the joints' wind-up by predicting poses left out.
 
-    Parameters
-    ----------
-    rows : StaticRows
-    kept : sequence of int (k,)
-        Joints (from 0) whose compliances are identifiable.
-
-    Returns
-    -------
-    TorqueDependence
+    `kept` (k,): joints (from 0) whose compliances are identifiable. Returns TorqueDependence.
     """
     kept = np.asarray(kept)
     m = len(rows.displacement)
@@ -264,20 +227,11 @@ def _secant_range(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WindupForm:
-    """One form of a model, selected by the poses that it is fitted to.
-
-    Parameters
-    ----------
-    label : str
-    columns : array (m, 3, p)
-        All columns, those of the constant compliances first.
-    windup : function or None
-        Added wind-up for a factor of one.
-    """
+    """One form of a model, selected by the poses that it is fitted to."""
 
     label: str
-    columns: np.ndarray
-    windup: Windup | None = None
+    columns: np.ndarray  # (m, 3, p) all columns, those of the constant compliances first
+    windup: Windup | None = None  # added wind-up for a factor of one
 
 
 @dataclass(frozen=True)
@@ -293,11 +247,7 @@ class Family:
 def families(rows: StaticRows, kept: np.ndarray) -> list[Family]:
     """Constant compliance, its alternative with sensor offset, and torque-dependent candidates.
 
-    Parameters
-    ----------
-    rows : StaticRows
-    kept : array (k,) of int
-        Joints (from 0) that get parameters.
+    `kept` (k,): joints (from 0) that get parameters.
     """
     constant = rows.compliance_columns()[:, :, kept]
     m = len(constant)

@@ -35,21 +35,11 @@ class Proposal(Generic[State]):
 
 
 class Oracle(Generic[State]):
-    """Judge of solved motions, which proposes what to solve next.
+    """Judge of solved motions, which proposes what to solve next."""
 
-    Attributes
-    ----------
-    step : str
-        Name in the log, and among the steps that the time limit left out.
-    rounds : int
-        Largest number of solves.
-    explores : bool
-        Continue from a motion that is not accepted.
-    """
-
-    step: ClassVar[str]
-    rounds: int
-    explores: ClassVar[bool] = True
+    step: ClassVar[str]  # name in the log, and among the steps that the time limit left out
+    rounds: int  # largest number of solves
+    explores: ClassVar[bool] = True  # continue from a motion that is not accepted
 
     def propose(self, last: State, number: int) -> Proposal[State] | None:
         """Return what to solve after the motion of round `number`, None without an objection."""
@@ -148,10 +138,7 @@ def keep_better(run: SolveRun, outcome: Outcome) -> Outcome:
 def interrupted_outcome(run: SolveRun) -> Outcome:
     """Return the best outcome before Ctrl-C, that of the last stage where none was finished.
 
-    Raises
-    ------
-    KeyboardInterrupt
-        No stage has started yet.
+    Raises `KeyboardInterrupt`: no stage has started yet.
     """
     outcome = run.best
     if outcome is None:

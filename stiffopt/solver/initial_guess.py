@@ -99,12 +99,8 @@ def _retime_guess(guess: Guess, skew: float) -> Guess:
 def _smooth_motion_guess(source: Assessment) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Smooth a motion by five moving averages, compressed before to keep its duration.
 
-    Returns
-    -------
-    s : array (m,)
-        Scaled time.
-    states, controls : array (m, 5 n), (m, n)
-        Position and its derivatives up to snap, and the fifth.
+    `s` (m,): scaled time. `states, controls` (m, 5 n), (m, n): position and its derivatives up to
+    snap, and the fifth.
     """
     s = np.linspace(0.0, 1.0, _SMOOTHED_INTERVALS + 1)
     window = 2 * (_SMOOTHED_INTERVALS // (2 * _WINDOWS_PER_DURATION)) + 1

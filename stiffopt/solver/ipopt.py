@@ -45,36 +45,20 @@ _OPTIONS_HINT = (
 
 @dataclass(frozen=True, kw_only=True)
 class IpoptOptions:
-    """Options of IPOPT; all others stay at IPOPT's defaults.
+    """Options of IPOPT; all others stay at IPOPT's defaults."""
 
-    Parameters
-    ----------
-    tol : float
-        Relative tolerance of "optimal".
-    acceptable_tol : float
-        Tolerance of "acceptable".
-    max_iterations : int
-    max_seconds : float
-        Wall clock for one solve [s].
-    linear_solver : str
-        "auto" for the package's frontal solver, MUMPS without the compiled core; "mumps", or
-        "spral" with its environment variables set.
-    print_level : int
-        0 (silent) to 12.
-    patience : int
-        Iterations after which a solve without a nearly feasible point (1 % of each row's scale)
-        ends with "iteration_limit"; 0 for never.
-    extra : mapping
-        Further options of IPOPT by their own names.
-    """
-
-    tol: float = 1e-8
-    acceptable_tol: float = 1e-6
+    tol: float = 1e-8  # relative tolerance of "optimal"
+    acceptable_tol: float = 1e-6  # tolerance of "acceptable"
     max_iterations: int = 500
-    max_seconds: float = float("inf")
+    max_seconds: float = float("inf")  # wall clock for one solve [s]
+    # "auto" for the package's frontal solver, MUMPS without the compiled core; "mumps", or "spral"
+    # with its environment variables set.
     linear_solver: str = "auto"
-    print_level: int = 0
+    print_level: int = 0  # 0 (silent) to 12
+    # Iterations after which a solve without a nearly feasible point (1 % of each row's scale) ends
+    # with "iteration_limit"; 0 for never.
     patience: int = 0
+    # Further options of IPOPT by their own names.
     extra: Mapping[str, Any] = field(default_factory=dict)
 
     def for_ipopt(self) -> dict[str, Any]:
@@ -111,47 +95,27 @@ class RawSolution:
 
     After "optimal" and "acceptable" the values are those IPOPT ends with; after any other end they
     are those of the best iterate (least violation, then lowest objective).
-
-    Attributes
-    ----------
-    status : str
-        optimal, acceptable, infeasible, iteration_limit, time_limit, interrupted, invalid_number
-        or stalled (no progress from a point that is neither optimal nor infeasible).
-    reason : str
-        IPOPT's return status, or the row without a finite value.
-    x, g : array
-        Scaled NLP variables and rows.
-    objective : float
-        In the problem's unit.
-    violation : float
-        Worst row, relative to its scale.
-    worst_rows : list of RowViolation
-    conflicts : list of NlpEntry
-        After "infeasible": the limits and boundary values that cannot hold together.
-    iteration : int
-        Iteration that the values are of.
-    iterations : int
-        Number of iterations.
-    multipliers_x, multipliers_g : array
-        Of the last iterate; pass the solution as `warm` to start another solve from them.
-    history : list of Progress
-    build_s, solve_s : float
-        Seconds.
     """
 
+    # optimal, acceptable, infeasible, iteration_limit, time_limit, interrupted, invalid_number or
+    # stalled (no progress from a point that is neither optimal nor infeasible).
     status: str
-    reason: str
+    reason: str  # IPOPT's return status, or the row without a finite value
+    # Scaled NLP variables and rows.
     x: np.ndarray
     g: np.ndarray
-    objective: float
-    violation: float
+    objective: float  # in the problem's unit
+    violation: float  # worst row, relative to its scale
     worst_rows: list[RowViolation]
+    # After "infeasible": the limits and boundary values that cannot hold together.
     conflicts: list[NlpEntry]
-    iteration: int
-    iterations: int
+    iteration: int  # iteration that the values are of
+    iterations: int  # number of iterations
+    # Of the last iterate; pass the solution as `warm` to start another solve from them.
     multipliers_x: np.ndarray
     multipliers_g: np.ndarray
     history: list[Progress]
+    # Seconds.
     build_s: float
     solve_s: float
 
@@ -162,13 +126,7 @@ class RawSolution:
 
 
 class IpoptSolver:
-    """Solver of one NLP with exact derivatives.
-
-    Parameters
-    ----------
-    nlp : Nlp
-    options : IpoptOptions
-    """
+    """Solver of one NLP with exact derivatives."""
 
     def __init__(self, nlp: Nlp, options: IpoptOptions | None = None) -> None:
         self.nlp = nlp
@@ -377,23 +335,10 @@ def _translate_status(word: str) -> str:
 def kkt_residual(nlp: Nlp, raw: RawSolution, parameters: np.ndarray | None = None) -> float:
     """Return the largest residual of the Karush-Kuhn-Tucker conditions of a solve.
 
-    Parameters
-    ----------
-    nlp : Nlp
-    raw : RawSolution
-        Ended at its last iterate ("optimal" or "acceptable").
-    parameters : array (np,), optional
-
-    Returns
-    -------
-    float
-        The largest of: gradient of the Lagrangian, excess of a bound or row, product of a
-        multiplier and the distance to its bound; in the NLP's own scaling [-].
-
-    Notes
-    -----
-    Computed from fresh derivatives, independently of the solver. For a convex problem a residual of
-    zero proves the global optimum.
+    `raw`: ended at its last iterate ("optimal" or "acceptable"). `parameters` (np,). The largest
+    of: gradient of the Lagrangian, excess of a bound or row, product of a multiplier and the
+    distance to its bound; in the NLP's own scaling [-]. Computed from fresh derivatives,
+    independently of the solver. For a convex problem a residual of zero proves the global optimum.
     """
     p = nlp.parameters(parameters)
     lagrangian = type(nlp.x).sym("lam", nlp.g.numel())

@@ -50,39 +50,19 @@ _CORRECTION_BOUND_PUSH = 1e-3
 
 @dataclass(frozen=True)
 class Outcome:
-    """End of one staged solve: the last NLP with its certified motion.
-
-    Parameters
-    ----------
-    raw : RawSolution
-    transcription : Transcription
-    planned : Trajectory
-        As integrated by the transcription, of the links or of the path parameter.
-    trajectory : Trajectory
-    assessment : Assessment
-    objective_gap : float
-        Relative excess of the certified objective over the one at the nodes.
-    solver : IpoptSolver
-    smoothing : Smoothing
-        Of the last stage.
-    nlp : Nlp
-        With the bounds of this solve.
-    problem : TrajectoryProblem
-    arm : SimulatedMotors, optional
-        Simulated arm, of motors that suppress its vibration.
-    """
+    """End of one staged solve: the last NLP with its certified motion."""
 
     raw: RawSolution
     transcription: Transcription
-    planned: Trajectory
+    planned: Trajectory  # as integrated by the transcription, of the links or of the path parameter
     trajectory: Trajectory
     assessment: Assessment
-    objective_gap: float
+    objective_gap: float  # relative excess of the certified objective over the one at the nodes
     solver: IpoptSolver
-    smoothing: Smoothing
-    nlp: Nlp
+    smoothing: Smoothing  # of the last stage
+    nlp: Nlp  # with the bounds of this solve
     problem: TrajectoryProblem
-    arm: SimulatedMotors | None = None
+    arm: SimulatedMotors | None = None  # simulated arm, of motors that suppress its vibration
 
     @property
     def failed(self) -> bool:
@@ -107,19 +87,11 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Programme:
-    """A transcribed problem with its solver.
-
-    Parameters
-    ----------
-    transcription : Transcription
-    solver : IpoptSolver
-    near : ActiveSetSolver, optional
-        For problems similar to a solved one.
-    """
+    """A transcribed problem with its solver."""
 
     transcription: Transcription
     solver: IpoptSolver
-    near: ActiveSetSolver | None = None
+    near: ActiveSetSolver | None = None  # for problems similar to a solved one
 
 
 def build_programme(
@@ -213,12 +185,8 @@ def solve_stage(
 ) -> RawSolution:
     """Solve one stage; after a stall once more from the best point without multipliers.
 
-    A stall at a feasible point whose objective is `enough` or less is acceptable.
-
-    Raises
-    ------
-    KeyboardInterrupt
-        Ctrl-C during the solve.
+    A stall at a feasible point whose objective is `enough` or less is acceptable. Raises
+    `KeyboardInterrupt`: Ctrl-C during the solve.
     """
     report = _progress_reporter(
         run, f"{text}, {stage.intervals} intervals, smoothing {stage.smoothing.stiffness:g}"

@@ -128,13 +128,8 @@ def solve_with_state(
 ) -> tuple[Solution, tuple[SolveRun, Outcome] | None]:
     """Solve a problem and return its solver state too, None where there was no programme.
 
-    Parameters
-    ----------
-    problem, progress, guess, simulate, start : as of `solve`
-    compare : bool
-        Also search the baseline that keeps every limit.
-    beside_rivals : bool
-        Simulate rivals too.
+    `compare`: also search the baseline that keeps every limit. `beside_rivals`: simulate rivals
+    too.
     """
     stated, motion = problem, resolve(problem)
     problem = with_bounded_travel(stated, motion)

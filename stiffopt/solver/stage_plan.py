@@ -55,22 +55,13 @@ PATH_SAMPLES, _MIN_PIECE_SHARE = 20001, 1e-2
 
 @dataclass(frozen=True)
 class SolveStage:
-    """One NLP solve.
-
-    Parameters
-    ----------
-    intervals : int
-    smoothing : Smoothing
-    new_mesh : bool
-        New distribution of the intervals, short where the controls of the stage before change.
-    tolerance : float, optional
-        Of the solver; that of the problem if left out.
-    """
+    """One NLP solve."""
 
     intervals: int
     smoothing: Smoothing
+    # New distribution of the intervals, short where the controls of the stage before change.
     new_mesh: bool = False
-    tolerance: float | None = None
+    tolerance: float | None = None  # of the solver; that of the problem if left out
 
 
 def plan_stages(
