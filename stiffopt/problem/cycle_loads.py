@@ -86,11 +86,4 @@ def follow_loads(document: ProblemFile, path: Path) -> list[CarriedLoad]:
             new = move.tool or ToolPointSection()
             now = CarriedLoad(move.payload, None, new, f"{where}.payload")
         loads.append(now)
-    if loads[-1].part is not None:
-        raise InputFileError(
-            path,
-            f"{gripped_at}.event",
-            "the part is never released, so that the cycle cannot be repeated. Add a move with "
-            "event = 'release' after it.",
-        )
     return loads
