@@ -211,7 +211,7 @@ COMMANDED_EFFECTS = {
     "gravity_spring": CommandedEffect(_gravity_spring, _SPRING_EFFECTS),
     "cable_spring": CommandedEffect(_cable_spring, _SPRING_EFFECTS),
     "saturation": CommandedEffect(_saturation, ("saturation",)),
-    "time_delay": CommandedEffect(_delay, ("time_delay",)),
+    "time_delay": CommandedEffect(_delay, ("command_delay",)),
     "wrist_coupling": CommandedEffect(_wrist_coupling, ("wrist_coupling",), first=1),
     "external_contact": CommandedEffect(_contact, ("external_contact",), at_joint=False),
 }

@@ -9,6 +9,8 @@ import numpy as np
 
 # Largest relative standard deviation of an estimated gain that gives torque its scale.
 MAX_GAIN_DEVIATION = 0.1
+# Of a gain that nobody states, relative, about the value that a recording told.
+_UNSTATED_GAIN_DEVIATION = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,6 +45,13 @@ class ActuatorLaw:
         guessed = np.zeros(len(self.stiffness), bool) if self.estimated is None else self.estimated
         loose = guessed & (self.tolerance > MAX_GAIN_DEVIATION)
         return np.asarray(np.isfinite(self.stiffness) & ~loose)
+
+    @property
+    def stated_tolerance(self) -> np.ndarray:
+        """Return one standard deviation (n,) of each gain before any recording, relative."""
+        if self.estimated is None:
+            return self.tolerance
+        return np.where(self.estimated, _UNSTATED_GAIN_DEVIATION, self.tolerance)
 
     def reordered(self, order: Sequence[int] | np.ndarray) -> ActuatorLaw:
         """Return the law of the joints in another order."""

@@ -7,7 +7,6 @@ light links need no shorter steps. Its Jacobian here holds the actuators and fri
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
@@ -25,21 +24,6 @@ from stiffopt.robot.body_tree import BodyTree
 # Inputs of a step that all lanes share: parameters.
 _SHARED_INPUTS = (2,)
 _STAGE_WEIGHT = 1.0 + 1.0 / np.sqrt(2.0)
-
-
-@dataclass(frozen=True, eq=False)
-class LoopSymbols:
-    """Symbols of one step: state (2 n,), command (n,), parameters (p,), width, step, next state.
-
-    At the width, a speed [rad/s], dry friction reaches 76 % (tanh 1).
-    """
-
-    state: ca.SX
-    command: ca.SX
-    parameters: ca.SX
-    width: ca.SX
-    step: ca.SX
-    next: ca.SX
 
 
 class CommandedArm:
@@ -137,23 +121,25 @@ class CommandedArm:
         return self._steps[key]
 
     def _build_step(self, free: np.ndarray) -> ca.Function:
-        s = self._symbols()
+        state, command, parameters, width, h, following = self._symbols()
         n, m = self.n, len(free)
         sensitivity, slope = ca.SX.sym("S", self.size, m + 1), ca.SX.sym("slope", n)
-        by_state, by_command = ca.jacobian(s.next, s.state), ca.jacobian(s.next, s.command)
-        by_parameter = ca.densify(ca.jacobian(s.next, s.parameters))[:, [int(k) for k in free]]
+        by_state, by_command = (ca.jacobian(following, each) for each in (state, command))
+        by_parameter = ca.densify(ca.jacobian(following, parameters))
+        late = list(JOINT_PARAMETERS).index("lateness") * n
+        by_parameter[:, late : late + n] = ca.mtimes(by_command, ca.diag(slope))
         after = ca.mtimes(by_state, sensitivity) + ca.horzcat(
-            by_parameter, ca.mtimes(by_command, slope)
+            by_parameter[:, [int(k) for k in free]], ca.mtimes(by_command, slope)
         )
         return ca.Function(
             "step",
             [
-                ca.vertcat(s.state, ca.vec(sensitivity)),
-                ca.vertcat(s.command, slope),
-                ca.vertcat(s.parameters, s.width),
-                s.step,
+                ca.vertcat(state, ca.vec(sensitivity)),
+                ca.vertcat(command, slope),
+                ca.vertcat(parameters, width),
+                h,
             ],
-            [ca.densify(ca.vertcat(s.next, ca.vec(after)))],
+            [ca.densify(ca.vertcat(following, ca.vec(after)))],
         )
 
     @property
@@ -167,8 +153,12 @@ class CommandedArm:
         own = dict(zip(JOINT_PARAMETERS, columns, strict=True))
         return own, self._bodies(parameters[joints : self._parameter_count - 1])
 
-    def _symbols(self) -> LoopSymbols:
-        """Return one step of ROS2 in symbols."""
+    def _symbols(self) -> tuple[ca.SX, ...]:
+        """Return one step of ROS2 in symbols, and what it depends on.
+
+        State (2 n,), command (n,), parameters (p,), width, step and next state. At the width, a
+        speed [rad/s], dry friction reaches 76 % (tanh 1).
+        """
         n, elastic = self.n, len(self.elastic)
         state, command = ca.SX.sym("x", self.size), ca.SX.sym("u", n)
         parameters = ca.SX.sym("p", self._parameter_count)
@@ -207,7 +197,7 @@ class CommandedArm:
             for before, one, two in zip((place, speed), first, second, strict=True)
         )
         after = ca.vertcat(q, v, s, w)
-        return LoopSymbols(state, command, parameters, width, h, after)
+        return state, command, parameters, width, h, after
 
     def _bodies(self, changes: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Return masses, first moments and inertias with changes (7 n,), body by body."""

@@ -18,15 +18,15 @@ JOINT_PARAMETERS = {
     "drag": "N m s^2/rad^2",  # of friction with the square of the velocity
     "offset": "N m",
     "zero": "rad",  # reading of the encoder less the angle of the bodies
+    "lateness": "s",  # of the command, beyond the delay of all
 }
 # Parameters over the actuator's gain, and units of the ratios.
 RATIO_UNITS = {"armature": "s^2", "viscous": "s", "coulomb": "rad"}
 # Those that decide how an arm follows, and that a fit begins with: the rest refines.
-LEADING_PARAMETERS = ("gain", "damping", "armature", "viscous", "coulomb", "offset")
+LEADING_PARAMETERS = ("gain", "damping", "armature", "viscous", "coulomb", "offset", "lateness")
 # Of each body, as changes: mass, relative, with its moments in proportion; first moment and inertia
 # about its axis frame besides.
 BODY_PARAMETERS = ("mass", "mcx", "mcy", "mcz", "Ixx", "Iyy", "Izz")
-BODY_UNITS = ("1", *("kg m",) * 3, *("kg m^2",) * 3)
 DELAY = "delay"
 # Not below zero.
 _BOUNDED_PARAMETERS = ("armature", "viscous", "coulomb", "load_friction", "drag", DELAY)
@@ -58,12 +58,6 @@ class Parameters:
         own = [(name, joint) for name in JOINT_PARAMETERS for joint in self.joints]
         bodies = [(name, joint) for joint in self.joints for name in BODY_PARAMETERS]
         return (*own, *bodies, (DELAY, ""))
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """Units of all parameters, of revolute joints."""
-        own = [unit for unit in JOINT_PARAMETERS.values() for _ in self.joints]
-        return (*own, *BODY_UNITS * self.n, "s")
 
     @property
     def lower(self) -> np.ndarray:

@@ -38,8 +38,6 @@ class Polished:
         One standard deviation of each; 0 of those that were not fitted.
     residual : array (n,)
         Root mean square of the positions' residual in the training runs [rad].
-    evaluations : int
-        Simulations of all runs.
     places : array (m,) of int
         Fitted parameters.
     covariance : array (m, m)
@@ -53,7 +51,6 @@ class Polished:
     parameters: Parameters
     deviations: np.ndarray
     residual: np.ndarray
-    evaluations: int
     places: np.ndarray
     covariance: np.ndarray
     expected: Parameters
@@ -82,6 +79,7 @@ def polish(
     prior: Parameters,
     deviations: np.ndarray,
     say: Callable[[str], object] = lambda _: None,
+    displaced: Sequence[CommandedArm] = (),
 ) -> Polished:
     """Fit the parameters that have a deviation to the positions of some runs.
 
@@ -100,6 +98,8 @@ def polish(
         One standard deviation of each; 0 fixes a parameter.
     say : callable
         Called with a sentence at every iteration.
+    displaced : sequence of CommandedArm
+        With physics that the fit holds moved by one standard deviation each, as far as it goes.
 
     Raises
     ------
@@ -107,8 +107,7 @@ def polish(
         The simulation diverges with the prior.
     """
     begun = polish_leading(loop, runs, prior, deviations, say)
-    whole = _Fit(loop, runs, prior, deviations).polish(begun.parameters, say)
-    return replace(whole, evaluations=begun.evaluations + whole.evaluations)
+    return _Fit(loop, runs, prior, deviations).polish(begun.parameters, say, displaced)
 
 
 def polish_leading(
@@ -177,9 +176,13 @@ class _Fit:
         self._size = np.maximum(deviations[self.places], 1e-12)
         self._step = float(np.median(np.concatenate([np.diff(run.time) for run in runs])))
         self._stretches, self._leads, self._ends = _divide(runs, self._step)
-        self.evaluations = 0
 
-    def polish(self, start: Parameters, say: Callable[[str], object]) -> Polished:
+    def polish(
+        self,
+        start: Parameters,
+        say: Callable[[str], object],
+        displaced: Sequence[CommandedArm] = (),
+    ) -> Polished:
         """Return the fit that begins with some parameters; its noise is estimated in rounds."""
         current, point = start, self.evaluate(start)
         if not np.isfinite(point.slopes).all():
@@ -190,8 +193,11 @@ class _Fit:
             if last < _NOISE_ROUNDS - 1:
                 noise = self.noise(point)
         spread = np.zeros_like(start.values)
-        covariance = self.covariance(current, point, self.noise(point))
-        spread[self.places] = np.sqrt(np.diag(covariance))
+        covariance = self.covariance(current, point, displaced)
+        if not (np.diag(covariance) > 0.0).all():  # derivatives that grow without bound
+            raise FloatingPointError("the simulation diverges")
+        current, covariance = self._share_delay(current, covariance)
+        spread[self.places] = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         residual = np.sqrt(np.nanmean(point.residual**2, axis=0))
         expected = np.zeros_like(spread)
         expected[self.places] = self._size
@@ -199,23 +205,27 @@ class _Fit:
             parameters=current,
             deviations=spread,
             residual=residual,
-            evaluations=self.evaluations,
             places=self.places,
             covariance=covariance,
             expected=self._prior,
             expected_deviations=expected,
         )
 
-    def evaluate(self, parameters: Parameters, refinement: float = 1.0) -> _Point:
+    def evaluate(self, parameters: Parameters) -> _Point:
         """Simulate all runs by stretches."""
-        self.evaluations += 1
-        found = simulate_stretches(self._loop, self._stretches, parameters, self._free, refinement)
+        return self._simulate(self._loop, parameters, self._free)
+
+    def _simulate(
+        self, loop: CommandedArm, parameters: Parameters, free: np.ndarray, refinement: float = 1.0
+    ) -> _Point:
+        found = simulate_stretches(loop, self._stretches, parameters, free, refinement)
         residual, slopes = [], []
         for each, own, lead in zip(found, self._stretches, self._leads, strict=True):
             measured = own.run.position[own.begin + lead : own.end + 1]
             residual.append(each.position[lead:] - measured)
             slopes.append(each.slopes[lead:])
-        return _Point(np.vstack(residual), np.concatenate(slopes) * self._size)
+        size = self._size if len(free) else 1.0
+        return _Point(np.vstack(residual), np.concatenate(slopes) * size)
 
     def noise(self, point: _Point) -> np.ndarray:
         """Return the standard deviation (n,) that a residual has as if rows were independent."""
@@ -262,18 +272,50 @@ class _Fit:
                 break
         return parameters, point
 
-    def covariance(self, parameters: Parameters, point: _Point, noise: np.ndarray) -> np.ndarray:
+    def covariance(
+        self, parameters: Parameters, point: _Point, displaced: Sequence[CommandedArm]
+    ) -> np.ndarray:
         """Return the covariance (m, m) of the fitted parameters.
 
         How sharply dry friction changes its direction is not known, and steps are finite: where
         the fit would go with both halved, twice as far as it would go with neither, is a deviation.
+        So is where it would go with displaced physics; physics that no loop would be stable with is
+        that of no recording.
         """
-        finer = self.evaluate(parameters, _REFINEMENT_RATIO)
-        hessian, before = self._normal_equations(parameters, point, noise)
-        after = self._normal_equations(parameters, finer, noise)[1]
-        inverse = np.linalg.inv(hessian)
-        moved = _REFINEMENT_RATIO / (_REFINEMENT_RATIO - 1.0) * inverse @ (after - before)
-        return np.asarray(self._size[:, None] * (inverse + np.outer(moved, moved)) * self._size)
+        noise = self.noise(point)
+        hessian, _ = self._normal_equations(parameters, point, noise)
+        inverse, weighted = np.linalg.inv(hessian), point.slopes / noise[:, None]
+
+        def moved(loop: CommandedArm, refinement: float = 1.0) -> np.ndarray:
+            other = self._simulate(loop, parameters, np.zeros(0, dtype=int), refinement).residual
+            away = np.where(np.isfinite(point.residual), (other - point.residual) / noise, 0.0)
+            if not np.isfinite(away).all():
+                return np.zeros(len(inverse))
+            return np.asarray(inverse @ np.einsum("kjm,kj->m", weighted, away))
+
+        own = _REFINEMENT_RATIO / (_REFINEMENT_RATIO - 1.0)
+        moves = [own * moved(self._loop, _REFINEMENT_RATIO), *map(moved, displaced)]
+        whole = inverse + sum(np.outer(each, each) for each in moves)
+        return np.asarray(self._size[:, None] * whole * self._size)
+
+    def _share_delay(
+        self, found: Parameters, covariance: np.ndarray
+    ) -> tuple[Parameters, np.ndarray]:
+        """Return parameters and covariance with the delay of the joint that is in the middle.
+
+        Delay and lateness are one where all joints are as late.
+        """
+        late = found.place("lateness")
+        middle = late.start + int(np.argsort(found.of("lateness"))[(found.n - 1) // 2])
+        if middle not in self.places:
+            return found, covariance
+        own = self.places == middle
+        change = np.eye(len(self.places))
+        change[-1, own] = 1.0
+        change[np.ix_((self.places >= late.start) & (self.places < late.stop), own)] -= 1.0
+        values = found.values.copy()
+        values[self.places] = change @ values[self.places]
+        return replace(found, values=values), change @ covariance @ change.T
 
     def _cost(self, parameters: Parameters, point: _Point, noise: np.ndarray) -> float:
         away = self._distance(parameters)

@@ -121,7 +121,8 @@ def _simulate_together(
     """Simulate as many stretches as a call has lanes for."""
     n, m = loop.n, len(free) + 1
     lanes, function = loop.lanes(free, _CALL_STEPS)
-    drives = [_drive(own, parameters.delay, _MAX_STEP / refinement) for own in stretches]
+    late = parameters.delay + parameters.of("lateness")
+    drives = [_drive(own, late, _MAX_STEP / refinement) for own in stretches]
     calls = -(-max(len(drive.width) for drive in drives) // _CALL_STEPS)
     # Steps of no width change nothing: they fill lanes up.
     given = np.zeros((calls * _CALL_STEPS, lanes, 2 * n))
@@ -162,14 +163,18 @@ class _Drive:
     ends: np.ndarray
 
 
-def _drive(own: Stretch, delay: float, max_step: float) -> _Drive:
-    """Return the steps of a stretch: rows are divided evenly."""
+def _drive(own: Stretch, delays: np.ndarray, max_step: float) -> _Drive:
+    """Return the steps of a stretch, by delays (n,) of commands: rows are divided evenly."""
     run = own.run
     time = run.time[own.begin : own.end + 1]
     steps = np.maximum(np.ceil(np.diff(time) / max_step - 1e-9).astype(int), 1)
     width = np.repeat(np.diff(time) / steps, steps)
     grid = time[0] + np.concatenate([[0.0], np.cumsum(width)])
-    command, rate = mean_command(run.time, run.command, grid[:-1] - delay, grid[1:] - delay)
+    means = [
+        mean_command(run.time, own_command[:, None], grid[:-1] - delay, grid[1:] - delay)
+        for own_command, delay in zip(run.command.T, delays, strict=True)
+    ]
+    command, rate = (np.hstack(each) for each in zip(*means, strict=True))
     return _Drive(np.hstack([command, -rate]), width, np.cumsum(steps))
 
 

@@ -253,6 +253,16 @@ def _with_loop_value(recordings: RecordingSet, model: ClosedLoopModel, finding: 
     value = float(model.fitted.of(name)[place]) - nominal
     sd = float(np.hypot(model.deviations[model.fitted.place(name)][place], tolerance))
     own, *others = finding.parameters
-    if value * own.value <= 0.0 or sd == 0.0:
+    if sd == 0.0:
+        return finding
+    if not finding.located.calibrated:
+        # What reverses or vanishes where reversals are simulated was an error of filtered torques.
+        chance = (
+            float(special.erfc(abs(value) / sd / np.sqrt(2.0))) if value * own.value > 0.0 else 1.0
+        )
+        misfit = max(finding.misfit, _null_share(chance))
+        share = (1.0 - misfit) / max(1.0 - finding.misfit, 1e-12)
+        finding = replace(finding, misfit=misfit, probability=share * finding.probability)
+    if value * own.value <= 0.0:
         return finding
     return replace(finding, parameters=(replace(own, value=value, sd=sd), *others))

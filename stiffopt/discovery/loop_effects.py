@@ -38,7 +38,11 @@ _FLANK_FREQUENCY = 300.0
 # Vibration on the flanks decays by itself, over critical damping.
 _FLANK_DAMPING = 0.3
 # Effects whose amplitude is a parameter of every loop, which a fit refines.
-LOOP_VALUES = {"load_friction": "load_friction", "quadratic_drag": "drag"}
+LOOP_VALUES = {
+    "load_friction": "load_friction",
+    "quadratic_drag": "drag",
+    "command_delay": "lateness",
+}
 _SIGNAL_NAMES = tuple(each.name for each in fields(LoopSignals))
 
 

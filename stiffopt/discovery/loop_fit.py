@@ -33,10 +33,10 @@ _DRY_SHARE, _VISCOUS_SHARE, _DRAG_SHARE, _SLOPE_SHARE, _OFFSET_SHARE = 0.3, 0.3,
 _ROTOR_SHARE = 3.0
 # Friction over torque of a gear in good repair, and error of an encoder's zero [rad].
 _LOAD_FRICTION_DEVIATION, _ZERO_DEVIATION = 0.15, 0.03
-# Of a gain that nobody states, relative, about the value that a fit begins with.
-_GAIN_DEVIATION = 1.0
 # Deviation of a delay [s].
 _DELAY_DEVIATION = 5e-3
+# Of the delay of one joint's commands from that of all: a cycle of a slow bus [s].
+_LATENESS_DEVIATION = 2e-3
 # Inertia of bodies besides their mass's, relative: centres of mass and masses are better known.
 _INERTIA_DEVIATION = 0.1
 # Scale of masses that nobody vouches for, one standard deviation, and parameters that go with it:
@@ -117,11 +117,8 @@ def expected_deviations(
     inertia = _joint_inertias(robot, loop.middle)
     found = zero_parameters(robot.joint_names)
     size = found.values
-    gain = law.tolerance
-    if law.estimated is not None:
-        gain = np.where(law.estimated, _GAIN_DEVIATION, gain)
     for name, value in {
-        "gain": gain,
+        "gain": law.stated_tolerance,
         "damping": np.where(law.damping > 0.0, law.tolerance, 0.0),
         "armature": _ROTOR_SHARE * inertia,
         "viscous": _VISCOUS_SHARE * torque / speed,
@@ -131,6 +128,7 @@ def expected_deviations(
         "drag": _DRAG_SHARE * torque / speed**2,
         "offset": _OFFSET_SHARE * torque,
         "zero": _ZERO_DEVIATION,
+        "lateness": _LATENESS_DEVIATION if robot.n > 1 else 0.0,
     }.items():
         size[found.place(name)] = value
     for key, name in DRIVE_PARAMETERS.items():
@@ -177,8 +175,11 @@ def fit_loop(
     leading: bool = False,
     tree: BodyTree | None = None,
     physics: LoopPhysics | None = None,
+    displaced: Sequence[tuple[BodyTree, LoopPhysics]] = (),
 ) -> tuple[CommandedArm, Polished] | None:
     """Fit a closed loop to training runs, beginning with a prior; or the leading parameters alone.
+
+    `displaced`: bodies and physics moved by one standard deviation each.
 
     None where a joint has no gain, which would not be held, or no command, and where the simulation
     diverges with the prior.
@@ -191,9 +192,13 @@ def fit_loop(
         return None
     loop = build_loop(recordings, commanded, tree or recordings.robot.tree, physics)
     deviations = expected_deviations(recordings, commanded, loop, prior)
-    fit = polish_leading if leading else polish
+    moved = [CommandedArm(own, loop.law, loop.middle, other) for own, other in displaced]
+    limited = _limit_motion(commanded)
     try:
-        found = fit(loop, _limit_motion(commanded), prior, deviations, say)
+        if leading:
+            found = polish_leading(loop, limited, prior, deviations, say)
+        else:
+            found = polish(loop, limited, prior, deviations, say, moved)
     except FloatingPointError:
         return None
     if recordings.tolerance.mass is None and not leading:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,10 +22,11 @@ from stiffopt.closed_loop.physics import LoopPhysics
 from stiffopt.closed_loop.polish import Polished
 from stiffopt.closed_loop.simulation import simulate
 from stiffopt.discovery.comparison.located_effect import Extension
+from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.extended.model import ExtendedModel
 from stiffopt.discovery.extended.schema import ClosedLoopSection
 from stiffopt.discovery.extended.value_changes import extended_model
-from stiffopt.discovery.loop_effects import robot_in_loop
+from stiffopt.discovery.loop_effects import LOOP_VALUES, robot_in_loop
 from stiffopt.discovery.loop_fit import (
     DRIVE_PARAMETERS,
     commanded_run,
@@ -40,8 +41,12 @@ from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
 from stiffopt.recording.state_pair import StatePair
 from stiffopt.robot.batched_kinematics import frame_positions
+from stiffopt.robot.body_tree import BodyTree
 from stiffopt.robot.robot import Robot
 from stiffopt.units import joint_unit
+
+if TYPE_CHECKING:
+    from stiffopt.discovery.search.uncertainty import Estimate
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,20 +90,28 @@ def fit_positions(
     model: ExtendedModel | None = None,
     estimated: Parameters | None = None,
     say: Say = lambda _: None,
+    displaced: Sequence[ExtendedModel] = (),
 ) -> ClosedLoopModel | None:
     """Fit a simulation from commands to training runs, beginning with the findings of a model.
 
     Joints whose gain gives torque no scale begin with the drives of `estimated`.
 
     Findings with which the loop is unstable, or fits the training runs worse than without them,
-    are left out of it. None where a joint has no gain, which would not be held, or no command.
+    are left out of it. `displaced`: models whose findings are one standard deviation off.
+
+    None where a joint has no gain, which would not be held, or no command.
     """
     robots: list[tuple[Robot, LoopPhysics | None, dict[tuple[str, int], float]]] = [
         (recordings.robot, None, {})
     ]
     if model is not None:
         robots.append(robot_in_loop(recordings, model))
-    tried = [_fit_robot(recordings, runs, estimated, say, *each) for each in robots]
+    moved = (robot_in_loop(recordings, each)[:2] for each in displaced)
+    others = [(robot.tree, physics) for robot, physics in moved]
+    tried = [
+        _fit_robot(recordings, runs, estimated, say, *each, others if each[1] else ())
+        for each in robots
+    ]
     fits = [each for each in tried if each is not None]
     if not fits:
         return None
@@ -119,13 +132,15 @@ def fit_simulation(
     recordings: RecordingSet,
     training: Training,
     found: Extension,
+    estimate: Estimate,
     runs: Sequence[RecordedRun],
     estimated: Parameters | None,
     say: Say,
 ) -> ClosedLoopModel | None:
     """Fit the simulation from commands, beginning with friction and rotors as found.
 
-    Joints without a scale of torque, of which nothing is found, begin as `estimated`.
+    Joints without a scale of torque, of which nothing is found, begin as `estimated`. The last
+    findings are those of `estimate`, whose deviations are those of the simulation's too.
 
     None where no training run holds commands of joints with known gains, and for two states of a
     robot, of which one simulation is none.
@@ -133,8 +148,23 @@ def fit_simulation(
     if isinstance(recordings, StatePair):
         return None
     say("simulate the training runs from their commands")
-    model = extended_model(recordings, training.constants, found)
-    return fit_positions(recordings, runs, model, estimated, say)
+    # What the fit refines has deviations of its own.
+    held = [k for k, each in enumerate(estimate.effects) if not _is_refined(each.effect)]
+    first = len(found.effects) - len(estimate.effects)
+    displaced = [
+        replace(found, effects=(*found.effects[:first], *moved))
+        for moved in estimate.displaced(held)
+    ]
+    model, *others = (
+        extended_model(recordings, training.constants, each) for each in (found, *displaced)
+    )
+    return fit_positions(recordings, runs, model, estimated, say, others)
+
+
+def _is_refined(effect: Effect) -> bool:
+    """Return whether what an effect changes is a parameter of every loop."""
+    known = effect.nominal in DRIVE_PARAMETERS or effect.name in LOOP_VALUES
+    return known or effect.moves_zero
 
 
 def _fit_robot(
@@ -145,6 +175,7 @@ def _fit_robot(
     robot: Robot,
     physics: LoopPhysics | None,
     values: Mapping[tuple[str, int], float],
+    displaced: Sequence[tuple[BodyTree, LoopPhysics]],
 ) -> tuple[CommandedArm, Polished] | None:
     """Fit the closed loop of a robot with further physics, beginning with some values."""
     prior, law = nominal_parameters(recordings, robot), recordings.actuator
@@ -155,7 +186,9 @@ def _fit_robot(
         for name in DRIVE_PARAMETERS.values():
             place = prior.place(name)
             prior.values[place] = np.where(unscaled, estimated.of(name), prior.of(name))
-    return fit_loop(recordings, runs, prior, say, tree=robot.tree, physics=physics)
+    return fit_loop(
+        recordings, runs, prior, say, tree=robot.tree, physics=physics, displaced=displaced
+    )
 
 
 def _ratios_to_gain(law: ActuatorLaw, fitted: Polished) -> dict[str, tuple[np.ndarray, np.ndarray]]:

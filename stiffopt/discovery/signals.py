@@ -193,6 +193,8 @@ class MotionSignals:
     run: str = ""  # name of the run
     # Torque by an actuator's law without a limit [N m]; None where torques are measured.
     asked_torque: Quantity | None = None
+    # The same torque per time that its commands are later than assumed [N m/s]; else None.
+    command_rate: Quantity | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -328,6 +330,7 @@ class RobotSignals(MotionSignals):
             previous_acceleration=before("motor_acceleration"),
             constants=self.constants.joints[index],
             asked_torque=None if self.asked_torque is None else own("asked_torque"),
+            command_rate=None if self.command_rate is None else own("command_rate"),
             **{name: own(name) for name in JOINT_SIGNAL_NAMES},
         )
 

@@ -98,7 +98,10 @@ def test_derivatives_are_those_of_differences(loop: CommandedArm) -> None:
     free = np.arange(len(start.values) - 1)
     whole = [Stretch(run, 0, len(run.time) - 1, run.velocity[0])]
     slopes = simulate_stretches(loop, whole, start, free)[0].slopes[:, 0]
-    for k in (*(start.place(name).start for name in ("gain", "viscous", "coulomb", "zero")), -1):
+    for k in (
+        *(start.place(name).start for name in ("gain", "viscous", "coulomb", "zero", "lateness")),
+        -1,
+    ):
         moved = []
         for sign in (1.0, -1.0):
             values = start.values.copy()
@@ -123,6 +126,61 @@ def test_polish_finds_friction_armature_and_delay_from_none(loop: CommandedArm) 
     assert abs(own.delay - DELAY) < 1e-3
     assert found.residual[0] < 1e-3
     assert (found.deviations[deviations == 0.0] == 0.0).all()
+
+
+def test_deviations_hold_those_of_physics_that_is_held(loop: CommandedArm) -> None:
+    prior, held = true_parameters(), 0.03
+    deviations = np.zeros_like(prior.values)
+    deviations[prior.place("viscous")] = 0.5
+    damped = LoopPhysics(torque=lambda signals: held * signals.velocity)
+    other = CommandedArm(loop.tree, loop.law, np.zeros(1), damped)
+    place = prior.place("viscous")
+    alone, both = (
+        polish(loop, [recorded(7, 4.0)], prior, deviations, displaced=each).deviations[place]
+        for each in ((), (other,))
+    )
+    assert alone < 0.5 * held
+    np.testing.assert_allclose(both, np.hypot(alone, held), rtol=0.1)
+
+
+def test_delays_of_single_joints_are_told_from_that_of_all(tmp_path: Path) -> None:
+    hand = URDF.split('<link name="base"/>')[1].replace("</robot>", "")
+    for name, other in (("base", "arm"), ("arm", "hand"), ("servo", "wrist")):
+        hand = hand.replace(f'parent link="{name}"', f'parent link="{other}"', 1)
+        hand = hand.replace(f'child link="{name}"', f'child link="{other}"', 1)
+        hand = hand.replace(f'name="{name}"', f'name="{other}"', 1)
+    hand = hand.replace('parent link="hand"', 'parent link="arm"').replace("0 0 0.5", "0 0 -0.28")
+    (tmp_path / "robot.urdf").write_text(URDF.replace("</robot>", hand + "</robot>"), "utf-8")
+    robot = load_robot(str(tmp_path / "robot.urdf")).with_gravity((0.0, 0.0, -9.81))
+    law = ActuatorLaw(
+        stiffness=np.array([2.0 * KP, KP]),
+        damping=np.full(2, 0.2),
+        drive_max=np.full(2, np.inf),
+        torque_max=np.full(2, 20.0),
+        delay=0.0,
+        tolerance=np.full(2, 0.05),
+    )
+    own = CommandedArm(robot.tree, law, np.zeros(2))
+    both = [recorded(seed, 4.0) for seed in (7, 8)]
+    command = np.hstack([each.command for each in both])
+    run = replace(both[0], command=command, position=0.0 * command, velocity=0.0 * command)
+    true = zero_parameters(robot.joint_names)
+    true.values[true.place("armature")] = ARMATURE
+    true.values[true.place("lateness")] = 0.0, 0.008
+    true.values[-1] = 0.006
+    position = simulate(own, run, true)
+    velocity = np.gradient(position, run.time, axis=0)
+    run = replace(run, position=position, velocity=velocity)
+    prior = replace(true, values=true.values.copy())
+    prior.values[prior.place("lateness")] = 0.0
+    deviations = np.zeros_like(prior.values)
+    deviations[prior.place("lateness")] = 2e-3
+    deviations[prior.place("viscous")] = 0.1
+    deviations[-1] = 5e-3
+    found = polish(own, [run], prior, deviations)
+    np.testing.assert_allclose(found.parameters.of("lateness"), [0.0, 0.008], atol=2e-4)
+    assert abs(found.parameters.delay - 0.006) < 2e-4
+    assert (found.deviations[prior.place("lateness")] < 1e-3).all()
 
 
 # Of a joint with backlash: width [rad], rounding of its flanks [N m], their stiffness [N m/rad].

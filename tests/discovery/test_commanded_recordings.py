@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from servo_sets import (
 from stiffopt.cli import run as run_command
 from stiffopt.closed_loop.simulation import CommandedRun, simulate
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
+from stiffopt.discovery.comparison.nuisance import GAIN, joint_columns
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.experiment.commands import motion_commands
 from stiffopt.discovery.identifiable import effect_checks
@@ -31,9 +33,11 @@ from stiffopt.discovery.position_fit import fit_positions, model_section, simula
 from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
 from stiffopt.discovery.sanity.command_doubts import doubt_commands
 from stiffopt.discovery.sanity.position_errors import take_errors_as_commands
-from stiffopt.discovery.training import open_training_runs
+from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.training import open_training_runs, prepare_training
 from stiffopt.recording.joint_facts import joint_facts
 from stiffopt.recording.recording_set import RecordingSet, load_recordings
+from stiffopt.recording.run import derive_torque
 from stiffopt.report.diagnosis.positions import value_section
 from stiffopt.result.trajectory import Trajectory
 
@@ -57,6 +61,37 @@ def test_weight_tells_the_gain_and_motion_the_delay(servo: RecordingSet) -> None
     assert abs(law.delay - DELAY) < 4e-3  # refined by the simulation
     assert all(np.isfinite(run.torque).all() for run in runs)
     assert any("estimated from the arm's weight" in note for note in notes)
+
+
+def test_a_gain_that_recordings_told_is_free_beside_effects(servo: RecordingSet) -> None:
+    own = resolve_actuator(servo, open_training_runs(servo))
+    recordings = replace(own.recordings, tolerance=replace(servo.tolerance, mass=0.02))
+    training = prepare_training(recordings, Settings(), None, lambda _: None, own.runs)
+    columns = joint_columns(training.runs[0], servo.tolerance, lambda name: name.kind == GAIN)
+    (gain,) = columns
+    assert gain.sd == 1.0
+    assert np.ptp(gain.values) > 1.0  # [N m]
+
+
+def test_late_commands_change_the_torque_by_their_rate(servo: RecordingSet) -> None:
+    late, runs = 0.004, open_training_runs(servo)
+    law = replace(resolve_actuator(servo, runs).recordings.actuator, delay=DELAY)
+    own = servo.with_actuator(law)
+    early, later = (
+        prepare_training(
+            own,
+            Settings(),
+            None,
+            lambda _: None,
+            [derive_torque(run, replace(law, delay=DELAY + more)) for run in runs],
+        ).runs[0]
+        for more in (0.0, late)
+    )
+    inside = early.torque_used[:, 0]
+    changed = early.low_pass(early.torque - later.torque)[inside, 0]
+    rate = early.signals.command_rate[inside, 0]
+    error = changed - late * rate
+    assert np.sqrt(np.mean(error**2)) < 0.1 * np.sqrt(np.mean(changed**2))
 
 
 def test_a_gain_that_nothing_tells_is_said(tmp_path: Path) -> None:

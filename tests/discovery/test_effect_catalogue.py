@@ -75,6 +75,7 @@ REPORTED = {
     "turning_tool_force": {"fx": "N", "fy": "N", "fz": "N"},
     "wrist_coupling": {"c": ""},
     "output_backlash": {"width": "rad"},
+    "command_delay": {"d": "s"},
     "external_contact": {"k": "N/m", "z": "m"},
     "inertial_error": {
         "dm": "kg",

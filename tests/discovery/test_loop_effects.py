@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from servo_sets import ARMATURE, COULOMB, DELAY, KP, VISCOUS, write_servo_set
 
+from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.simulation import simulate
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.located_effect import (
@@ -17,11 +18,14 @@ from stiffopt.discovery.comparison.located_effect import (
     Extension,
     LocatedEffect,
 )
+from stiffopt.discovery.conclusions import findings_with_loop_values
+from stiffopt.discovery.diagnosis import Finding, Parameter
 from stiffopt.discovery.extended.value_changes import extended_model
 from stiffopt.discovery.laws.law import Factor, Law, law_effect
 from stiffopt.discovery.laws.sources import LawSource
 from stiffopt.discovery.loop_effects import robot_in_loop
 from stiffopt.discovery.loop_fit import build_loop, commanded_run, nominal_parameters
+from stiffopt.discovery.position_fit import ClosedLoopModel
 from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import open_training_runs, prepare_training
@@ -147,3 +151,35 @@ def test_laws_of_accelerations_are_left_out(servo: RecordingSet) -> None:
     """They follow from the torques that such a law would need them for."""
     jolt = Factor(LawSource("acceleration", 0), "bump", (0.0, 1.0), ((-1.0, 1.0), (0.1, 2.0)))
     np.testing.assert_array_equal(simulated(servo), simulated(servo, law(jolt)))
+
+
+@pytest.mark.parametrize(("simulated_more", "certainty"), [(0.0, "possible"), (0.05, "found")])
+def test_a_value_that_the_simulation_refutes_is_not_claimed(
+    servo: RecordingSet, simulated_more: float, certainty: str
+) -> None:
+    own = Parameter(name="dFc", value=0.05, sd=0.005, unit="N m", prior_sd=0.1)
+    claimed = Finding(
+        estimated=found("coulomb", (0.05,), ()),
+        link=None,
+        probability=0.999,
+        misfit=0.001,
+        rivals=(),
+        parameters=(own,),
+        where="",
+        channel="torque_1",
+        variance_explained=0.5,
+    )
+    fitted = nominal_parameters(servo, servo.robot)
+    fitted.values[fitted.place("coulomb")] += simulated_more
+    law = resolve_actuator(servo, open_training_runs(servo)).recordings.actuator
+    assert law is not None
+    loop = CommandedArm(servo.robot.tree, law, np.zeros(1))
+    model = ClosedLoopModel(
+        nominal_loop=loop,
+        loop=loop,
+        nominal=nominal_parameters(servo, servo.robot),
+        fitted=fitted,
+        deviations=np.full(len(fitted.values), 0.005),
+    )
+    (judged,) = findings_with_loop_values(servo, model, [claimed])
+    assert judged.certainty == certainty

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term, Values
-from stiffopt.discovery.signals import RobotSignals
+from stiffopt.discovery.signals import JointSignals, RobotSignals
 
 # Shortest shift [s] whose slope rounding errors leave exact.
 _SHORTEST_SHIFT = 1e-9
@@ -62,6 +62,15 @@ def _cubic_weight(away: np.ndarray) -> np.ndarray:
     return np.asarray(inner - 0.5 * far**3 + 2.5 * far**2 - 4.0 * far + 2.0)
 
 
+def command_delay_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
+    """Return what torque by an actuator's law is ahead of a torque by later commands.
+
+    A planned motion has no law: its commands change with the torque alone.
+    """
+    rate = signals.command_rate
+    return Term(drive_torque=amplitudes[0] * (signals.drive_torque_rate if rate is None else rate))
+
+
 def clock_drift_term(signals: RobotSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return tau(t - d - e t) - tau(t) of all joints, linear in e about the shape, and in d."""
     elapsed = signals.time - signals.time[0]
@@ -101,6 +110,23 @@ TIME_DELAY = Effect(
     separate="Change speed quickly, then hold it: a delay shows while the torque changes, friction"
     " and inertia do not depend on how fast it does. Ahead of the motion is a command: read the"
     " name of its column in the manual, and record the measured current as well.",
+)
+
+COMMAND_DELAY = Effect(
+    name="command_delay",
+    family="sensor",
+    scope="joint",
+    equation="tau += d*k*dcmd/dt",
+    signature="torque ahead of the motion in proportion to the rate of the commands, in one joint",
+    title="commands of one joint delayed",
+    phrase="commands act {d} later than assumed, beyond the delay of all joints",
+    remedy="Look for a bus segment, filter or interpolation that only {where} has.",
+    needs=("commanded", "moves"),
+    confused_with=("viscous",),
+    term=command_delay_term,
+    amplitudes=(Amplitude("d", "s", 5e-3, 0.0, 10.0),),
+    separate="Step the command and hold it: a delay shows at the step alone, friction while the"
+    " joint moves.",
 )
 
 CLOCK_DRIFT = Effect(
@@ -165,4 +191,4 @@ RUN_CLOCK = Effect(
     separate="Repeat the run with one clock for all signals: a cause in the robot stays.",
 )
 
-TIMING = (TIME_DELAY, CLOCK_DRIFT, RUN_CLOCK)
+TIMING = (TIME_DELAY, COMMAND_DELAY, CLOCK_DRIFT, RUN_CLOCK)

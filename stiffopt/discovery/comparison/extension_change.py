@@ -12,7 +12,6 @@ from stiffopt.discovery.comparison.nuisance import (
     BODY_VALUES,
     COMMAND_DELAY,
     body_parameter_changes,
-    command_rate,
     joint_columns,
 )
 from stiffopt.discovery.comparison.prepared_run import PreparedRun, with_link_torque
@@ -64,9 +63,8 @@ def extension_change(run: PreparedRun, extension: Extension) -> Change:
         parameters = body_parameter_changes(run.robot, values)
         change.link_torque[:] += run.signals.body_regressor.torque(parameters)
     others = values.keys() - bodies
-    law = run.robot.recordings.actuator
-    if COMMAND_DELAY in others and law is not None and law.delay_deviation:
-        change.torque[:] += values[COMMAND_DELAY] * command_rate(run)
+    if COMMAND_DELAY in others and run.signals.command_rate is not None:
+        change.torque[:] += values[COMMAND_DELAY] * run.signals.command_rate
     for own in joint_columns(run, _ALL_TOLERANCES, others.__contains__) if others else ():
         getattr(change, own.field)[:, own.name.place] += values[own.name] * own.values
     for each in extension.effects:

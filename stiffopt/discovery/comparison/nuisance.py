@@ -109,22 +109,10 @@ def nuisance_columns(
             if selected(name):
                 torque = run.signals.body_regressor[..., k]
                 yield NuisanceColumn(name, float(sd), "link_torque", torque)
-    law = run.robot.recordings.actuator
-    if law is not None and law.delay_deviation and selected(COMMAND_DELAY):
-        rate = command_rate(run)
-        yield NuisanceColumn(COMMAND_DELAY, law.delay_deviation, "torque", rate)
+    law, rate = run.robot.recordings.actuator, run.signals.command_rate
+    if law is not None and law.delay_deviation and rate is not None and selected(COMMAND_DELAY):
+        yield NuisanceColumn(COMMAND_DELAY, law.delay_deviation, "torque", np.asarray(rate))
     yield from joint_columns(run, tolerance, selected)
-
-
-def command_rate(run: PreparedRun) -> np.ndarray:
-    """Return the drive torque (K, n) per delay of commands [N m/s].
-
-    A command that acts later gives less torque by its rate, which is that of the motion.
-    """
-    law = run.robot.recordings.actuator
-    assert law is not None
-    gains = np.where(np.isfinite(law.stiffness), law.stiffness, 0.0)
-    return np.asarray(gains * run.signals.motor_velocity)
 
 
 def joint_columns(
@@ -159,15 +147,20 @@ def _servo_columns(run: PreparedRun, j: int, selected: NameFilter) -> Iterator[N
     """Yield gain and damping of the servo of a joint that torques are derived from.
 
     They nearly cancel in motion: an error of either looks like viscous friction many times its
-    share of the torque that they leave.
+    share of the torque that they leave. A gain that the recordings told is as free as an unstated
+    one is, it was told without the effects; unless nobody vouches for the masses that told it.
     """
     law, signals = run.robot.recordings.actuator, run.signals
-    if law is None or not (law.scaled[j] and law.damping[j] > 0.0):
+    if law is None or not law.scaled[j]:
+        return
+    vouched = run.robot.recordings.tolerance.mass is not None
+    deviation = float((law.stated_tolerance if vouched else law.tolerance)[j])
+    if not vouched and law.damping[j] == 0.0:
         return
     damping = law.damping[j] * signals.motor_velocity[:, j]
     for kind, values in ((GAIN, signals.drive_torque[:, j] + damping), (DAMPING, damping)):
-        if selected(name := ValueName(kind, j)):
-            yield NuisanceColumn(name, float(law.tolerance[j]), "torque", values)
+        if values.any() and selected(name := ValueName(kind, j)):
+            yield NuisanceColumn(name, deviation, "torque", values)
 
 
 def _drive_torque_column(run: PreparedRun, kind: str, j: int) -> np.ndarray:

@@ -11,6 +11,7 @@ import numpy as np
 from stiffopt.discovery.comparison.filtering import (
     PoseFilter,
     ZeroPhaseFilter,
+    bridge_gaps,
     derivative,
     interpolate_motion,
     near_gaps,
@@ -28,7 +29,7 @@ from stiffopt.discovery.signals import (
     smooth_sign,
 )
 from stiffopt.recording.channel import DEVIATION_PER_MAD, resolution
-from stiffopt.recording.run import RecordedRun
+from stiffopt.recording.run import RecordedRun, delayed_command
 
 # Range of the cutoff of the motors' motion [Hz]: wider than the fit's filter, which all derived
 # signals pass later.
@@ -273,6 +274,11 @@ def prepare_run(
         drive_torque_rate=derivative(low_pass(drive), dt),
         asked_torque=np.where(np.isfinite(torque), torque, drive) if derived else None,
     )
+    if (law := robot.recordings.actuator) is not None and law.known and run.command is not None:
+        sent = np.nan_to_num(bridge_gaps(delayed_command(run, law.delay)))
+        sent = np.column_stack([np.interp(time, run.time, own) for own in sent.T])
+        rate = law.stiffness * derivative(low_pass(sent), dt)
+        signals = replace(signals, command_rate=rate)
     moving = np.abs(velocity) >= settings.slow
     inside = np.zeros(len(time), dtype=bool)
     inside[low_pass.settling : max(len(time) - low_pass.settling, 0)] = True

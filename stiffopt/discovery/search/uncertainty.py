@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -170,6 +170,28 @@ class Estimate:
         """Return the covariance over whole runs; that of the model for effects of single runs."""
         by_run = self.effects[index].located.is_run_specific
         return self.covariance if by_run else self.between
+
+    def displaced(self, indices: Sequence[int]) -> Iterator[tuple[EstimatedEffect, ...]]:
+        """Yield all effects, one of some moved by one of its independent standard deviations."""
+        for index in indices:
+            found = self.effects[index]
+            rows, sizes = self._parameter_rows(index)
+            known = (self.covariance, self.spread, self._between_runs(index))
+            widest = max((each[np.ix_(rows, rows)] for each in known), key=np.trace)
+            lengths, ways = np.linalg.eigh(widest)
+            count, located = len(found.amplitudes), found.located
+            for step in (np.sqrt(np.maximum(lengths, 0.0)) * ways).T * sizes:
+                amplitudes = tuple((np.array(found.amplitudes) + step[:count]).tolist())
+                shapes = tuple(
+                    float(np.clip(value + more, shape.lower, shape.upper))
+                    for shape, value, more in zip(
+                        located.effect.shapes, located.shapes, step[count:], strict=True
+                    )
+                )
+                moved = replace(
+                    found, located=replace(located, shapes=shapes), amplitudes=amplitudes
+                )
+                yield (*self.effects[:index], moved, *self.effects[index + 1 :])
 
     def moved(self, steps: np.ndarray) -> Estimate:
         """Return the estimate with first amplitudes moved by steps (e,) over their sizes.

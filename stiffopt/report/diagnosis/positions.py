@@ -32,6 +32,7 @@ _VALUE_WORDS = {
     "drag": "friction with the square of the speed",
     "offset": "torque offset",
     "zero": "encoder zero",
+    "lateness": "delay beyond that of all joints",
     DELAY: "delay",
 }
 # Share of an error's power that lies below the upper frequency of its description.
