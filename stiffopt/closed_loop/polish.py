@@ -194,8 +194,10 @@ class _Fit:
                 noise = self.noise(point)
         spread = np.zeros_like(start.values)
         covariance = self.covariance(current, point, displaced)
+        if not (np.diag(covariance) > 0.0).all():  # derivatives that grow without bound
+            raise FloatingPointError("the simulation diverges")
         current, covariance = self._share_delay(current, covariance)
-        spread[self.places] = np.sqrt(np.diag(covariance))
+        spread[self.places] = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         residual = np.sqrt(np.nanmean(point.residual**2, axis=0))
         expected = np.zeros_like(spread)
         expected[self.places] = self._size

@@ -148,15 +148,19 @@ def _servo_columns(run: PreparedRun, j: int, selected: NameFilter) -> Iterator[N
 
     They nearly cancel in motion: an error of either looks like viscous friction many times its
     share of the torque that they leave. A gain that the recordings told is as free as an unstated
-    one is: it was told without the effects.
+    one is, it was told without the effects; unless nobody vouches for the masses that told it.
     """
     law, signals = run.robot.recordings.actuator, run.signals
     if law is None or not law.scaled[j]:
         return
+    vouched = run.robot.recordings.tolerance.mass is not None
+    deviation = float((law.stated_tolerance if vouched else law.tolerance)[j])
+    if not vouched and law.damping[j] == 0.0:
+        return
     damping = law.damping[j] * signals.motor_velocity[:, j]
     for kind, values in ((GAIN, signals.drive_torque[:, j] + damping), (DAMPING, damping)):
         if values.any() and selected(name := ValueName(kind, j)):
-            yield NuisanceColumn(name, float(law.stated_tolerance[j]), "torque", values)
+            yield NuisanceColumn(name, deviation, "torque", values)
 
 
 def _drive_torque_column(run: PreparedRun, kind: str, j: int) -> np.ndarray:
