@@ -23,6 +23,9 @@ _NOISE_ROUNDS = 2
 _LEADING_SECONDS = 40.0
 # Division of steps and of the width of dry friction by which the fit's dependence on them is told.
 _REFINEMENT_RATIO = 2.0
+# Share of a standard deviation by which held physics is moved: what is not linear in it would be
+# taken for a displacement that the positions contradict.
+DISPLACED_SHARE = 1e-3
 # Longest lag over which residuals repeat one another [s].
 _MAX_REPETITION = 1.0
 
@@ -99,7 +102,7 @@ def polish(
     say : callable
         Called with a sentence at every iteration.
     displaced : sequence of CommandedArm
-        With physics that the fit holds moved by one standard deviation each, as far as it goes.
+        With physics that the fit holds moved by `DISPLACED_SHARE` of a standard deviation each.
 
     Raises
     ------
@@ -279,23 +282,30 @@ class _Fit:
 
         How sharply dry friction changes its direction is not known, and steps are finite: where
         the fit would go with both halved, twice as far as it would go with neither, is a deviation.
-        So is where it would go with displaced physics; physics that no loop would be stable with is
-        that of no recording.
+        Physics that the fit holds is displaced as far as its own deviation and the positions allow:
+        its displacements, one standard deviation each, are eliminated from the normal equations.
+        One with which no loop is stable is that of no recording.
         """
         noise = self.noise(point)
         hessian, _ = self._normal_equations(parameters, point, noise)
         inverse, weighted = np.linalg.inv(hessian), point.slopes / noise[:, None]
 
-        def moved(loop: CommandedArm, refinement: float = 1.0) -> np.ndarray:
+        def away(loop: CommandedArm, refinement: float = 1.0) -> np.ndarray:
             other = self._simulate(loop, parameters, np.zeros(0, dtype=int), refinement).residual
-            away = np.where(np.isfinite(point.residual), (other - point.residual) / noise, 0.0)
-            if not np.isfinite(away).all():
-                return np.zeros(len(inverse))
-            return np.asarray(inverse @ np.einsum("kjm,kj->m", weighted, away))
+            return np.where(np.isfinite(point.residual), (other - point.residual) / noise, 0.0)
+
+        def moved(change: np.ndarray) -> np.ndarray:
+            return np.asarray(inverse @ np.einsum("kjm,kj->m", weighted, change))
 
         own = _REFINEMENT_RATIO / (_REFINEMENT_RATIO - 1.0)
-        moves = [own * moved(self._loop, _REFINEMENT_RATIO), *map(moved, displaced)]
-        whole = inverse + sum(np.outer(each, each) for each in moves)
+        finer = own * moved(away(self._loop, _REFINEMENT_RATIO))
+        whole = inverse + np.outer(finer, finer)
+        changes = [away(each) / DISPLACED_SHARE for each in displaced]
+        if changes := [each for each in changes if np.isfinite(each).all()]:
+            moves = np.column_stack([moved(each) for each in changes])
+            flat = np.column_stack([each.ravel() for each in changes])
+            allowed = np.eye(len(changes)) + flat.T @ flat - moves.T @ hessian @ moves
+            whole += moves @ np.linalg.solve(allowed, moves.T)
         return np.asarray(self._size[:, None] * whole * self._size)
 
     def _share_delay(

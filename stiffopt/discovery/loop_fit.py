@@ -179,7 +179,7 @@ def fit_loop(
 ) -> tuple[CommandedArm, Polished] | None:
     """Fit a closed loop to training runs, beginning with a prior; or the leading parameters alone.
 
-    `displaced`: bodies and physics moved by one standard deviation each.
+    `displaced`: bodies and physics moved by a share of a standard deviation each.
 
     None where a joint has no gain, which would not be held, or no command, and where the simulation
     diverges with the prior.

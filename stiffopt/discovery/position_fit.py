@@ -97,7 +97,7 @@ def fit_positions(
     Joints whose gain gives torque no scale begin with the drives of `estimated`.
 
     Findings with which the loop is unstable, or fits the training runs worse than without them,
-    are left out of it. `displaced`: models whose findings are one standard deviation off.
+    are left out of it. `displaced`: models whose findings are off by a share of a deviation.
 
     None where a joint has no gain, which would not be held, or no command.
     """
@@ -162,7 +162,7 @@ def fit_simulation(
 
 
 def _is_refined(effect: Effect) -> bool:
-    """Return whether what an effect changes is a parameter of every loop."""
+    """Return True where what an effect changes is a parameter of every loop."""
     known = effect.nominal in DRIVE_PARAMETERS or effect.name in LOOP_VALUES
     return known or effect.moves_zero
 

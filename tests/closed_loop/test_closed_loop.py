@@ -26,7 +26,7 @@ from stiffopt.actuator.law import ActuatorLaw
 from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.parameters import Parameters, zero_parameters
 from stiffopt.closed_loop.physics import LoopPhysics, LoopSpring
-from stiffopt.closed_loop.polish import polish
+from stiffopt.closed_loop.polish import DISPLACED_SHARE, polish
 from stiffopt.closed_loop.simulation import (
     CommandedRun,
     Stretch,
@@ -132,7 +132,7 @@ def test_deviations_hold_those_of_physics_that_is_held(loop: CommandedArm) -> No
     prior, held = true_parameters(), 0.03
     deviations = np.zeros_like(prior.values)
     deviations[prior.place("viscous")] = 0.5
-    damped = LoopPhysics(torque=lambda signals: held * signals.velocity)
+    damped = LoopPhysics(torque=lambda signals: DISPLACED_SHARE * held * signals.velocity)
     other = CommandedArm(loop.tree, loop.law, np.zeros(1), damped)
     place = prior.place("viscous")
     alone, both = (
@@ -141,6 +141,21 @@ def test_deviations_hold_those_of_physics_that_is_held(loop: CommandedArm) -> No
     )
     assert alone < 0.5 * held
     np.testing.assert_allclose(both, np.hypot(alone, held), rtol=0.1)
+
+
+def test_held_physics_is_displaced_no_further_than_positions_allow(loop: CommandedArm) -> None:
+    prior = true_parameters()
+    deviations = np.zeros_like(prior.values)
+    deviations[prior.place("viscous")] = 0.5
+    # A spring that the positions tell ten times better than its deviation says.
+    spring = LoopPhysics(torque=lambda signals: DISPLACED_SHARE * 2.0 * signals.position)
+    other = CommandedArm(loop.tree, loop.law, np.zeros(1), spring)
+    run = recorded(7, 4.0)
+    alone, both = (
+        polish(loop, [run], prior, deviations, displaced=each).deviations[prior.place("viscous")]
+        for each in ((), (other,))
+    )
+    np.testing.assert_allclose(both, alone, rtol=0.3)
 
 
 def test_delays_of_single_joints_are_told_from_that_of_all(tmp_path: Path) -> None:

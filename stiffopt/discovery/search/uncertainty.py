@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import special
 
+from stiffopt.closed_loop.polish import DISPLACED_SHARE
 from stiffopt.discovery.comparison.channel_rows import part_numbers
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.design_matrix import MIN_RUNS_AS_BLOCKS
@@ -172,7 +173,10 @@ class Estimate:
         return self.covariance if by_run else self.between
 
     def displaced(self, indices: Sequence[int]) -> Iterator[tuple[EstimatedEffect, ...]]:
-        """Yield all effects, one of some moved by one of its independent standard deviations."""
+        """Yield all effects, one of some moved by `DISPLACED_SHARE` of a standard deviation.
+
+        By each of its independent ones.
+        """
         for index in indices:
             found = self.effects[index]
             rows, sizes = self._parameter_rows(index)
@@ -180,7 +184,8 @@ class Estimate:
             widest = max((each[np.ix_(rows, rows)] for each in known), key=np.trace)
             lengths, ways = np.linalg.eigh(widest)
             count, located = len(found.amplitudes), found.located
-            for step in (np.sqrt(np.maximum(lengths, 0.0)) * ways).T * sizes:
+            lengths = DISPLACED_SHARE * np.sqrt(np.maximum(lengths, 0.0))
+            for step in (lengths * ways).T * sizes:
                 amplitudes = tuple((np.array(found.amplitudes) + step[:count]).tolist())
                 shapes = tuple(
                     float(np.clip(value + more, shape.lower, shape.upper))
