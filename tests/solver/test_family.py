@@ -90,7 +90,7 @@ def test_a_command_is_chosen_as_that_of_the_solved_state(tmp_path, monkeypatch):
     other = replace(end, command=(own.spacing, 1e4, own.servo_share))
     again, _ = family.solve(longer, other, simulate=True, beside_rivals=False)
     assert again.compensation.optimised.share < 2.0
-    monkeypatch.setattr(CommandSearch, "_candidates", None)
+    monkeypatch.setattr(CommandSearch, "_candidates_within_limits", None)
     found, _ = family.solve(longer, end, simulate=True, beside_rivals=False)
     led = found.compensation.optimised
     assert (led.spacing, led.share, led.servo_share) == end.command
