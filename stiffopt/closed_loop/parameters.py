@@ -34,17 +34,10 @@ _BOUNDED_PARAMETERS = ("armature", "viscous", "coulomb", "load_friction", "drag"
 
 @dataclass(frozen=True, eq=False)
 class Parameters:
-    """Values of a closed loop's parameters, in the order of `names`.
+    """Values of a closed loop's parameters, in the order of `names`."""
 
-    Parameters
-    ----------
-    joints : tuple of str (n,)
-        In the order of the robot.
-    values : array (p,)
-        By parameter, then by joint; then of the bodies, body by body; the delay last.
-    """
-
-    joints: tuple[str, ...]
+    joints: tuple[str, ...]  # (n,) in the order of the robot
+    # (p,) by parameter, then by joint; then of the bodies, body by body; the delay last.
     values: np.ndarray
 
     @property

@@ -28,37 +28,20 @@ class LoopSignals:
 
 @dataclass(frozen=True, kw_only=True)
 class LoopSpring:
-    """Spring of a joint between motor and link.
+    """Spring of a joint between motor and link."""
 
-    Parameters
-    ----------
-    windup : callable
-        Spring torque [N m] -> motor less link angle [rad], strictly increasing.
-    damping : float
-        Between motor and link [N m s/rad].
-    encoder_at_output : bool
-        The encoder reads the link; otherwise the motor.
-    """
-
+    # Spring torque [N m] -> motor less link angle [rad], strictly increasing.
     windup: Callable[[ca.SX], ca.SX]
-    damping: float = 0.0
-    encoder_at_output: bool = False
+    damping: float = 0.0  # between motor and link [N m s/rad]
+    encoder_at_output: bool = False  # the encoder reads the link; otherwise the motor
 
 
 @dataclass(frozen=True, kw_only=True)
 class LoopPhysics:
-    """Physics of a loop beyond rigid bodies, friction and rotors.
+    """Physics of a loop beyond rigid bodies, friction and rotors."""
 
-    Parameters
-    ----------
-    torque : callable, optional
-        Torques (n,) that the drives have to give besides; affine in accelerations.
-    displacement : callable, optional
-        Readings (n,) -> motor less link angles (n,) of rigid joints [rad].
-    springs : mapping of int to LoopSpring
-        Of elastic joints (from 0).
-    """
-
+    # Torques (n,) that the drives have to give besides; affine in accelerations.
     torque: Callable[[LoopSignals], ca.SX] | None = None
+    # Readings (n,) -> motor less link angles (n,) of rigid joints [rad].
     displacement: Callable[[ca.SX], ca.SX] | None = None
-    springs: Mapping[int, LoopSpring] = field(default_factory=dict)
+    springs: Mapping[int, LoopSpring] = field(default_factory=dict)  # of elastic joints (from 0)

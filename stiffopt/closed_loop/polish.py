@@ -32,31 +32,16 @@ _MAX_REPETITION = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Polished:
-    """Fitted parameters of a closed loop.
-
-    Parameters
-    ----------
-    parameters : Parameters
-    deviations : array (p,)
-        One standard deviation of each; 0 of those that were not fitted.
-    residual : array (n,)
-        Root mean square of the positions' residual in the training runs [rad].
-    places : array (m,) of int
-        Fitted parameters.
-    covariance : array (m, m)
-        Of the fitted parameters.
-    expected : Parameters
-        Before the fit.
-    expected_deviations : array (p,)
-        One standard deviation of each; 0 of those that were held.
-    """
+    """Fitted parameters of a closed loop."""
 
     parameters: Parameters
-    deviations: np.ndarray
+    deviations: np.ndarray  # (p,) one standard deviation of each; 0 of those that were not fitted
+    # (n,) root mean square of the positions' residual in the training runs [rad].
     residual: np.ndarray
-    places: np.ndarray
-    covariance: np.ndarray
-    expected: Parameters
+    places: np.ndarray  # (m,) fitted parameters
+    covariance: np.ndarray  # (m, m) of the fitted parameters
+    expected: Parameters  # before the fit
+    # (p,) one standard deviation of each; 0 of those that were held.
     expected_deviations: np.ndarray
 
     def over_gain(self, name: str, stiffness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -24,23 +24,14 @@ _BEGINNING_SECONDS, _SETTLING_STEPS = 0.05, 200
 
 @dataclass(frozen=True, eq=False)
 class CommandedRun:
-    """Commands and measured positions of one run, in the joint order of the robot.
-
-    Parameters
-    ----------
-    name : str
-    time : array (K,) [s]
-    command, position : array (K, n)
-        [rad], complete.
-    velocity : array (K, n)
-        Smoothed, to begin stretches of a fit with [rad/s].
-    """
+    """Commands and measured positions of one run, in the joint order of the robot."""
 
     name: str
-    time: np.ndarray
+    time: np.ndarray  # (K,) [s]
+    # (K, n) [rad], complete.
     command: np.ndarray
     position: np.ndarray
-    velocity: np.ndarray
+    velocity: np.ndarray  # (K, n) smoothed, to begin stretches of a fit with [rad/s]
 
     def until(self, end: float) -> CommandedRun:
         """Return the beginning of the run up to a time [s]."""
@@ -51,20 +42,12 @@ class CommandedRun:
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """Rows of a run from `begin` to `end`, both included, that are simulated from one state.
-
-    Parameters
-    ----------
-    run : CommandedRun
-    begin, end : int
-    velocity : array (n,)
-        At the beginning [rad/s].
-    """
+    """Rows of a run from `begin` to `end`, both included, that are simulated from one state."""
 
     run: CommandedRun
     begin: int
     end: int
-    velocity: np.ndarray
+    velocity: np.ndarray  # (n,) at the beginning [rad/s]
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,15 +74,8 @@ def simulate_stretches(
 ) -> list[Simulated]:
     """Simulate stretches side by side, each from its first measured position.
 
-    Parameters
-    ----------
-    loop : CommandedArm
-    stretches : sequence of Stretch
-    parameters : Parameters
-    free : array of int, optional
-        Parameters to derive by, beside the delay; default none.
-    refinement : float
-        Divides the width of dry friction and the longest step.
+    `free`: parameters to derive by, beside the delay; default none. `refinement`: divides the width
+    of dry friction and the longest step.
     """
     free = np.zeros(0, dtype=int) if free is None else free
     lanes, _ = loop.lanes(free, 1)

@@ -88,15 +88,9 @@ def simulate_motions(
 ) -> CycleSimulation:
     """Simulation of motor commands of all legs, measured from the planned motions of the links.
 
-    Parameters
-    ----------
-    rests : array (L,) [s]
-    servo : Servo, optional
-        Default that of the problem, whose known dead time the commands are sent ahead.
-    band : float, optional
-        Settling band [m]; default that of the problem.
-    damping : float, optional
-        Of every elastic joint on its own, as a share of critical.
+    `rests` (L,) [s]. `servo`: default that of the problem, whose known dead time the commands are
+    sent ahead. `band`: settling band [m]; default that of the problem. `damping`: of every elastic
+    joint on its own, as a share of critical.
     """
     lasted = np.array([plan.duration for plan in plans])
     arrivals = np.cumsum(lasted + rests) - rests

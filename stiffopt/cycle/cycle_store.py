@@ -57,10 +57,7 @@ def write_cycle_result(
 def read_cycle_guess(folder: Path, cycle: Cycle) -> list[Assessment]:
     """Read the motions of all legs of an earlier cycle as initial guesses.
 
-    Raises
-    ------
-    InputFileError
-        The folder has no cycle of as many legs of the same arm.
+    Raises `InputFileError`: the folder has no cycle of as many legs of the same arm.
     """
     check_result(folder, CYCLE_FILE)
     legs = len(load_json(folder / CYCLE_FILE)["legs"])

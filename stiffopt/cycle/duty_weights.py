@@ -28,15 +28,9 @@ Key = tuple[str, int]
 
 @dataclass
 class DutyWeights:
-    """Search for the weights of the limits of a duty.
+    """Search for the weights of the limits of a duty."""
 
-    Parameters
-    ----------
-    scale : float
-        Objective of the cycle without limits of the duty.
-    """
-
-    scale: float
+    scale: float  # objective of the cycle without limits of the duty
     _weights: dict[Key, float] = field(default_factory=dict)
     _gains: dict[Key, float] = field(default_factory=dict)
     _last: dict[Key, tuple[float, float]] = field(default_factory=dict)

@@ -68,16 +68,9 @@ def solve_cycle(
 ) -> CycleSolution:
     """Optimise and certify a cycle.
 
-    Parameters
-    ----------
-    cycle : Cycle
-    progress : callable, optional
-        As of `solve`.
-    simulate : bool
-        Simulate the cycle on the elastic arm, with the command of each leg. Rests until the tool
-        has settled are zero without.
-    guesses : sequence of Assessment
-        Motion of each leg to start from, and their durations; none for a start of its own.
+    `progress`: as of `solve`. `simulate`: simulate the cycle on the elastic arm, with the command
+    of each leg. Rests until the tool has settled are zero without. `guesses`: motion of each leg to
+    start from, and their durations; none for a start of its own.
     """
     run = _CycleRun(cycle, progress, guesses)
     rests = np.array([leg.stop.dwell for leg in cycle.legs])

@@ -36,20 +36,11 @@ def combined(values: np.ndarray, durations: np.ndarray, by: Combination) -> floa
 
 @dataclass
 class TimeSplit:
-    """Search for the split of a time.
+    """Search for the split of a time."""
 
-    Parameters
-    ----------
-    total : float
-        Sum of the legs' durations [s].
-    durations : array (L,)
-        First split [s].
-    by : "peak", "rms" or "sum"
-        How the cycle's objective follows from those of its legs.
-    """
-
-    total: float
-    durations: np.ndarray
+    total: float  # sum of the legs' durations [s]
+    durations: np.ndarray  # (L,) first split [s]
+    # "peak", "rms" or "sum": how the cycle's objective follows from those of its legs.
     by: Combination
 
     def __post_init__(self) -> None:
@@ -115,13 +106,7 @@ class ShortestDuration:
     """Search for the shortest duration at which an objective is within a limit.
 
     By the law c / T^p through the last two values, inside the bracket of the durations at which the
-    limit was exceeded and kept.
-
-    Parameters
-    ----------
-    limit : float
-    duration : float
-        First one [s].
+    limit was exceeded and kept. `duration`: first one [s].
     """
 
     def __init__(self, limit: float, duration: float) -> None:

@@ -103,10 +103,7 @@ class ElasticArm:
     def with_departure(self, departure: Departure) -> ElasticArm:
         """Return a copy of the arm with a departure of its parameters.
 
-        Raises
-        ------
-        RobotError
-            A joint's damping would exceed the critical one.
+        Raises `RobotError`: a joint's damping would exceed the critical one.
         """
         self._check_departure_damping(departure.damping)
         other = copy.copy(self)
@@ -169,10 +166,7 @@ class ElasticArm:
     def damped(self, share: float) -> ElasticArm:
         """Return a copy in which all elastic joints have one damping ratio.
 
-        Raises
-        ------
-        RobotError
-            The share is not from 0 to 1.
+        Raises `RobotError`: the share is not from 0 to 1.
         """
         if not 0.0 <= share <= 1.0:
             raise RobotError(
@@ -235,12 +229,8 @@ class ElasticArm:
     ) -> np.ndarray:
         """Torques (..., n) [N m] that the springs carry besides rigid bodies and process force.
 
-        Parameters
-        ----------
-        motor, speed, acceleration : array (..., n)
-            Motion of the motors [rad], [rad/s], [rad/s^2].
-        load : array (..., n)
-            Torque in the springs without them [N m].
+        `motor`, `speed` and `acceleration`: motion of the motors [rad], [rad/s], [rad/s^2]. `load`:
+        torque in the springs without them [N m].
         """
         motion = (motor, speed, acceleration, np.tanh(speed / _SIGN_SPEED), load)
         state = MotionState(
@@ -290,14 +280,8 @@ class ElasticArm:
         """Tool error of link positions (K, n) against the path of planned ones (K, n).
 
         The planned path is where the tool rests with its motors at the planned positions: the sag
-        under weight and process force is calibrated away.
-
-        Parameters
-        ----------
-        time : array (K,)
-        duration : float
-            Arrival of the planned path [s].
-        q, planned : array (K, n)
+        under weight and process force is calibrated away. `time` (K,). `duration`: arrival of the
+        planned path [s]. `q` and `planned` (K, n).
         """
         # After arrival the planned pose is constant.
         moving = min(int(np.searchsorted(time, duration)) + 1, len(time))

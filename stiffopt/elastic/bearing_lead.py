@@ -26,11 +26,7 @@ _KNOT_SPACING = 0.02
 def bearing_lead(arm: ElasticArm, plan: JointMotion) -> Trajectory:
     """Return the motion of the joints that leads the tool against the yielding of the bearings.
 
-    Parameters
-    ----------
-    arm : ElasticArm
-    plan : JointMotion
-        Of the links, at rest at both ends.
+    `plan`: of the links, at rest at both ends.
     """
     return smooth_motion(_BearingLead(arm, plan), _KNOT_SPACING)
 

@@ -34,14 +34,8 @@ def led_error(
 ) -> LedError:
     """Return the worst tool errors of uncertain arms whose motors lead a plan exactly.
 
-    Parameters
-    ----------
-    arm : ElasticArm
-    plan : JointMotion
-        Motion of the links, at rest at both ends.
-    uncertainty : Uncertainty
-    servo : Servo
-        Nominal one, whose lag the command leads.
+    `plan`: motion of the links, at rest at both ends. `servo`: nominal one, whose lag the command
+    leads.
     """
     worst_servo = uncertainty.worst_servo(servo)
     differs = worst_servo != servo

@@ -30,27 +30,13 @@ _MIN_INERTIA_RATIO = 1e-13
 
 @dataclass(frozen=True)
 class Mode:
-    """One mode of the arm.
+    """One mode of the arm."""
 
-    Parameters
-    ----------
-    frequency : float
-        Undamped natural frequency [Hz].
-    damping : float
-        Damping ratio.
-    shares : array (n,)
-        Share of each joint's spring in the strain energy; they sum to 1.
-    shape : array (n,)
-        Motion of the joints, of unit modal mass.
-    tool : array (3,)
-        Displacement of the tool in it [m].
-    """
-
-    frequency: float
-    damping: float
-    shares: np.ndarray
-    shape: np.ndarray
-    tool: np.ndarray
+    frequency: float  # undamped natural frequency [Hz]
+    damping: float  # damping ratio
+    shares: np.ndarray  # (n,) share of each joint's spring in the strain energy; they sum to 1
+    shape: np.ndarray  # (n,) motion of the joints, of unit modal mass
+    tool: np.ndarray  # (3,) displacement of the tool in it [m]
 
     def describe(self) -> str:
         """Describe the joints that take part: "joint 1 (92 % of the energy)"."""
@@ -66,10 +52,7 @@ class Mode:
 def modes(arm: ElasticArm, motor: np.ndarray) -> tuple[Mode, ...]:
     """Modes at rest with the motors at `motor` (n,) [rad], lowest first; none for a rigid arm.
 
-    Raises
-    ------
-    NotSimulatedError
-        The springs do not hold the arm in this pose.
+    Raises `NotSimulatedError`: the springs do not hold the arm in this pose.
     """
     free = np.flatnonzero(arm.elastic)
     if not free.size:
@@ -126,22 +109,12 @@ _INSTANTS_ALONG_MOTION = 61
 
 @dataclass(frozen=True, kw_only=True)
 class PoseModes:
-    """Modes in one pose.
-
-    Parameters
-    ----------
-    name : str
-    time : float
-        Along a motion [s]; 0 where there is none.
-    modes : tuple of Mode
-        The lowest first.
-    assumed_damping : tuple of int
-        Joints (from 1) whose damping is assumed, from the first pose on.
-    """
+    """Modes in one pose."""
 
     name: str
-    time: float
-    modes: tuple[Mode, ...]
+    time: float  # along a motion [s]; 0 where there is none
+    modes: tuple[Mode, ...]  # the lowest first
+    # Joints (from 1) whose damping is assumed, from the first pose on.
     assumed_damping: tuple[int, ...]
 
 

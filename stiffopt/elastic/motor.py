@@ -21,14 +21,8 @@ _MAX_REST_SPEED = 1e-6
 class MotorMotion:
     """Motor positions over time, cubic between samples, at rest after the last one.
 
-    Parameters
-    ----------
-    time : array (K,)
-        From 0, strictly increasing [s].
-    position, velocity : array (K, n)
-        [rad], [rad/s].
-    duration : float, optional
-        When the command arrives [s]; default the last sample.
+    `time` (K,): from 0, strictly increasing [s]. `position` and `velocity` (K, n) [rad], [rad/s].
+    `duration`: when the command arrives [s]; default the last sample.
     """
 
     def __init__(

@@ -75,17 +75,8 @@ def integrate_linearized(
 ) -> np.ndarray:
     """Integrate linearised arms: positions of their links (K, B, n) less those of the plan.
 
-    Parameters
-    ----------
-    made : CDLL
-        Of `core`.
-    springs : TabulatedSprings
-    rigid : array of int
-        Joints that follow their motors.
-    begun : array (B, n)
-        Initial positions of the links less those of the plan.
-    given : int, float or array
-        Fields of the C code's `Plan`.
+    `made`: of `core`. `rigid`: joints that follow their motors. `begun` (B, n): initial positions
+    of the links less those of the plan. `given`: fields of the C code's `Plan`.
     """
     arms, n = begun.shape
     plan = _Plan()
@@ -103,16 +94,8 @@ def state_derivative(
 ) -> StateDerivative:
     """Return the time derivative of an arm's state as a function for `odeint`.
 
-    Parameters
-    ----------
-    made : CDLL
-        Of `core`.
-    arm : ElasticArm
-    motor : MotorMotion
-    friction : array (n,)
-        Torque of each hysteresis [N m].
-    loops : int
-        State variables of the hysteresis.
+    `made`: of `core`. `friction` (n,): torque of each hysteresis [N m]. `loops`: state variables of
+    the hysteresis.
     """
     bodies, tables = (
         arm.robot.tree.bodies,
@@ -183,13 +166,7 @@ def native_steps(matrices: Matrices) -> NativeSteps | None:
 
 
 class NativeSteps:
-    """Transition matrices and time integration by the compiled core.
-
-    Parameters
-    ----------
-    made : CDLL
-    matrices : Matrices
-    """
+    """Transition matrices and time integration by the compiled core."""
 
     def __init__(self, made: ctypes.CDLL, matrices: Matrices) -> None:
         self._made, self._n, count = made, matrices.joints, len(matrices.mobility) - 1

@@ -21,23 +21,14 @@ Response = tuple[np.ndarray, np.ndarray, np.ndarray | None]
 
 @dataclass(frozen=True)
 class Matrices:
-    """Matrices of the linearised equation of motion along a motion.
+    """Matrices of the linearised equation of motion along a motion."""
 
-    Attributes
-    ----------
-    mobility, rate, stiffness : array (K, n, n)
-        Inverse inertia, C and K at every sample; K may change in place before `take`.
-    dt : float
-        Between samples [s].
-    unit : float
-        Typical rate [1/s] that scales velocities to the size of displacements.
-    """
-
+    # (K, n, n) inverse inertia, C and K at every sample; K may change in place before `take`.
     mobility: np.ndarray
     rate: np.ndarray
     stiffness: np.ndarray
-    dt: float
-    unit: float
+    dt: float  # between samples [s]
+    unit: float  # typical rate [1/s] that scales velocities to the size of displacements
 
     @property
     def joints(self) -> int:
@@ -47,19 +38,11 @@ class Matrices:
 
 @dataclass(frozen=True)
 class Load:
-    """Torques of m independent responses, each on l links of its own.
+    """Torques of m independent responses, each on l links of its own."""
 
-    Attributes
-    ----------
-    links : array (m, l) of int
-    torque : array (m, K, l)
-        At every sample, linear in between [N m].
-    within : array (m, K - 1, 2, l), optional
-        Added to those, at the start and at the end of every step [N m].
-    """
-
-    links: np.ndarray
-    torque: np.ndarray
+    links: np.ndarray  # (m, l)
+    torque: np.ndarray  # (m, K, l) at every sample, linear in between [N m]
+    # (m, K - 1, 2, l) added to those, at the start and at the end of every step [N m].
     within: np.ndarray | None = None
 
 
@@ -75,11 +58,7 @@ class Steps(Protocol):
     def march(self, load: Load, begin: np.ndarray | None, *, accelerated: bool) -> Response:
         """Integrate m responses: displacements, velocities, accelerations (m, K, n) on request.
 
-        Parameters
-        ----------
-        load : Load
-        begin : array (m, 2 n) or None
-            Initial displacements [rad], then velocities over `unit`; None is at rest.
+        `begin` (m, 2 n): initial displacements [rad], then velocities over `unit`; None is at rest.
         """
 
 
@@ -216,15 +195,8 @@ class ElasticResponse:
     def __call__(self, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the response to torques on the links.
 
-        Parameters
-        ----------
-        torque : array (K, n) or (K, n, m)
-            m load cases side by side [N m].
-
-        Returns
-        -------
-        z, velocity, acceleration : arrays like `torque`
-            [rad], [rad/s], [rad/s^2].
+        `torque` (K, n) or (K, n, m): m load cases side by side [N m]. `z, velocity, acceleration`
+        arrays like `torque`: [rad], [rad/s], [rad/s^2].
         """
         many = np.moveaxis(torque, 2, 0) if torque.ndim == 3 else torque[None]
         z, velocity, acceleration = self._integrate_with_acceleration(
@@ -271,10 +243,7 @@ class ElasticResponse:
     def free(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the free response (K, n, m) to initial displacements and velocities.
 
-        Parameters
-        ----------
-        state : array (2 n, m)
-            [rad], below them [rad/s].
+        `state` (2 n, m) [rad], below them [rad/s].
         """
         begin = state.T / np.repeat([1.0, self._unit], self.n)
         nothing = np.zeros((len(begin), len(self._stiffness), 0))

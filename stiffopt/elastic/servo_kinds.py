@@ -12,28 +12,15 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class ServoKind:
-    """Typical values of a kind of controller.
+    """Typical values of a kind of controller."""
 
-    Parameters
-    ----------
-    bandwidth : float
-        Of the position loop [Hz].
-    feed_forward, torque_feed_forward : float
-        Shares of the commanded velocity and of the torque of the commanded acceleration.
-    delay : float
-        Dead time of the loop [s].
-    rate : float or None
-        Of the set-points [Hz]; None for continuous ones.
-    source : str
-        Of the rate.
-    """
-
-    bandwidth: float
+    bandwidth: float  # of the position loop [Hz]
+    # Shares of the commanded velocity and of the torque of the commanded acceleration.
     feed_forward: float
     torque_feed_forward: float
-    delay: float
-    rate: float | None
-    source: str
+    delay: float  # dead time of the loop [s]
+    rate: float | None  # of the set-points [Hz]; None for continuous ones
+    source: str  # of the rate
 
 
 SERVO_KINDS = {

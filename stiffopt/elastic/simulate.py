@@ -338,10 +338,7 @@ def _sample_times(duration: float, end: float) -> np.ndarray:
 def check_reach(arm: ElasticArm, motor: np.ndarray) -> float:
     """Frequency [Hz] of the fastest mode at a motor position (n,), at least 1 Hz.
 
-    Raises
-    ------
-    NotSimulatedError
-        Too fast for the integrator.
+    Raises `NotSimulatedError`: too fast for the integrator.
     """
     fastest = max(modes(arm, motor), key=lambda mode: mode.frequency, default=None)
     if fastest is None:

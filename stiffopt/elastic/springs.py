@@ -31,13 +31,7 @@ _LINEAR_REACH = 1e-2
 class JointSpring:
     """Nonlinear spring of one joint.
 
-    Parameters
-    ----------
-    chain : Chain
-    torque_max : float
-        Of the joint's drive [N m].
-    name : str
-        Of the joint, for messages.
+    `torque_max`: of the joint's drive [N m]. `name`: of the joint, for messages.
     """
 
     def __init__(self, chain: Chain, torque_max: float, name: str) -> None:
@@ -130,10 +124,7 @@ class JointSpring:
 def joint_springs(robot: Robot) -> tuple[JointSpring | None, ...]:
     """Spring of each joint, None where it is rigid.
 
-    Raises
-    ------
-    NotSimulatedError
-        The wind-up of a joint diverges.
+    Raises `NotSimulatedError`: the wind-up of a joint diverges.
     """
     return tuple(
         None if chain is None or not chain.stages else _joint_spring(chain, float(torque), name)

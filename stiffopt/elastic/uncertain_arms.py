@@ -110,12 +110,7 @@ def _linearize_dynamics(
 
 
 class TabulatedSprings:
-    """Springs of all joints tabulated on equidistant wind-ups; zero for rigid joints.
-
-    Parameters
-    ----------
-    arm : ElasticArm
-    """
+    """Springs of all joints tabulated on equidistant wind-ups; zero for rigid joints."""
 
     def __init__(self, arm: ElasticArm) -> None:
         self._arm, self._half = arm, (_SPRING_TABLE_POINTS - 1) // 2
@@ -156,18 +151,10 @@ class TabulatedSprings:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Member:
-    """One simulated arm: a command and a departure of its parameters.
+    """One simulated arm: a command and a departure of its parameters."""
 
-    Parameters
-    ----------
-    command : MotorMotion
-        Motion of the motors.
-    departure : Departure
-        Parameters of the arm.
-    """
-
-    command: MotorMotion
-    departure: Departure
+    command: MotorMotion  # motion of the motors
+    departure: Departure  # parameters of the arm
 
 
 class Follower(Protocol):

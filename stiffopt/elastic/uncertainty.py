@@ -116,10 +116,7 @@ class Uncertainty:
     def shares(self, joints: int) -> np.ndarray:
         """Shares (n,) by which the stiffness of each joint may be off.
 
-        Raises
-        ------
-        ProblemError
-            Their number is not that of the joints.
+        Raises `ProblemError`: their number is not that of the joints.
         """
         given = np.atleast_1d(np.asarray(self.stiffness, dtype=float))
         if given.size not in (1, joints):
@@ -149,28 +146,15 @@ class AssumedUncertainty(Uncertainty):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Departure:
-    """Departure of an arm's parameters from their nominal values.
+    """Departure of an arm's parameters from their nominal values."""
 
-    Parameters
-    ----------
-    stiffness : array (n,)
-        Factor of each joint's stiffness.
-    bearings : array (n,) or float
-        Factor of each output bearing's stiffness.
-    damping, payload : float
-        Factors of their nominal values.
-    servo : float
-        Share of the difference of the worst servo to the nominal one, 0 to 1.
-    label : str
-        Description for reports.
-    """
-
-    stiffness: np.ndarray
-    bearings: np.ndarray | float = 1.0
+    stiffness: np.ndarray  # (n,) factor of each joint's stiffness
+    bearings: np.ndarray | float = 1.0  # (n,) or float: factor of each output bearing's stiffness
+    # Factors of their nominal values.
     damping: float = 1.0
     payload: float = 1.0
-    servo: float = 0.0
-    label: str = "nominal"
+    servo: float = 0.0  # share of the difference of the worst servo to the nominal one, 0 to 1
+    label: str = "nominal"  # description for reports
 
     @classmethod
     def none(cls, joints: int) -> Departure:
@@ -268,15 +252,8 @@ def bounds_from_deviations(
 ) -> Uncertainty:
     """Return the uncertainty whose parameters have relative standard deviations, NaN if unknown.
 
-    The bound of a stiffness is limited to 99 %: it must stay positive.
-
-    Parameters
-    ----------
-    uncertainty : Uncertainty
-    stiffness : array (n,)
-        Relative standard deviation of each joint's.
-    payload : float
-        Relative standard deviation of its mass.
+    The bound of a stiffness is limited to 99 %: it must stay positive. `stiffness` (n,): relative
+    standard deviation of each joint's. `payload`: relative standard deviation of its mass.
     """
     if not np.isnan(payload):
         uncertainty = replace(uncertainty, payload=min(payload / np.sqrt(UNIFORM_MEAN_SQUARE), 1.0))

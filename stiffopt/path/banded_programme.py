@@ -29,22 +29,11 @@ _DIAGONAL_REGULARISATION = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class BandedRows:
-    """Rows A x <= b in groups of equal columns.
+    """Rows A x <= b in groups of equal columns."""
 
-    Parameters
-    ----------
-    first : array (P,)
-        First of the three unknowns of each group.
-    entries : array (P, R, 3)
-        Coefficients of R rows a group.
-    bound : array (P, R)
-        Right-hand sides; infinite ones are no rows.
-    unknowns : int
-    """
-
-    first: np.ndarray
-    entries: np.ndarray
-    bound: np.ndarray
+    first: np.ndarray  # (P,) first of the three unknowns of each group
+    entries: np.ndarray  # (P, R, 3) coefficients of R rows a group
+    bound: np.ndarray  # (P, R) right-hand sides; infinite ones are no rows
     unknowns: int
 
     def times(self, x: np.ndarray) -> np.ndarray:
@@ -74,13 +63,8 @@ class BandedRows:
 def maximise(rows: BandedRows, weights: np.ndarray, start: np.ndarray) -> np.ndarray:
     """Return the unknowns (unknowns,) that maximise weights . x subject to the rows.
 
-    Parameters
-    ----------
-    rows : BandedRows
-        They bound the maximum.
-    weights : array (unknowns,)
-    start : array (unknowns,)
-        Need not satisfy the rows.
+    `rows`: they bound the maximum. `weights` (unknowns,). `start` (unknowns,): need not satisfy the
+    rows.
     """
     there = np.isfinite(rows.bound)
     bound = np.where(there, rows.bound, 1.0)

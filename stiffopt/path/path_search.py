@@ -38,12 +38,7 @@ _MAX_REFINEMENTS = 4
 class FreeSpace:
     """Collision-free poses of a problem's arm, and paths through them.
 
-    Parameters
-    ----------
-    problem : TrajectoryProblem
-    seed : int
-    seconds : float
-        Time that is left; the number of poses bounds the search on every machine alike.
+    `seconds`: time that is left; the number of poses bounds the search on every machine alike.
     """
 
     def __init__(self, problem: TrajectoryProblem, seed: int, seconds: float) -> None:

@@ -63,24 +63,15 @@ _PATH_SAMPLES_PER_PIECE, _MIN_PATH_SAMPLES = 8, 2000
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PathDemands:
-    """Demands on a timing along a path beside the limits of the joints.
+    """Demands on a timing along a path beside the limits of the joints."""
 
-    Parameters
-    ----------
-    path_speed : callable or None
-        Largest rate (K,) [1/s] of the path parameter at path parameters (K,).
-    process_force : callable or None
-        Force on the tool (K, 3) [N], base axes, at path parameters (K,).
-    margin : mapping
-        Share of a limit that is left unused, by the limit's name.
-    eased : bool
-        The acceleration is zero at both ends.
-    """
-
+    # Largest rate (K,) [1/s] of the path parameter at path parameters (K,).
     path_speed: Callable[[np.ndarray], np.ndarray] | None = None
+    # Force on the tool (K, 3) [N], base axes, at path parameters (K,).
     process_force: Callable[[np.ndarray], np.ndarray] | None = None
+    # Share of a limit that is left unused, by the limit's name.
     margin: dict[str, float] | None = None
-    eased: bool = True
+    eased: bool = True  # the acceleration is zero at both ends
 
     def on(self, begin: float, end: float) -> PathDemands:
         """Return the demands on a part of the path, whose parameter runs from 0 to 1 again."""
@@ -109,12 +100,8 @@ def fastest_parts(
     """Return the fastest time laws between the stops of a path, each with the rest after it [s].
 
     Joint velocity (with its map over position), acceleration, jerk, drive torque and tool speed,
-    with that of each piece of the path.
-
-    Raises
-    ------
-    ProblemError
-        A torque limit is exceeded at rest on the path.
+    with that of each piece of the path. Raises `ProblemError`: a torque limit is exceeded at rest
+    on the path.
     """
     asked = demands or PathDemands()
     laws = []

@@ -20,12 +20,8 @@ _GAUSS_POINTS, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(4)
 class TimeLaw:
     """Time law s(t): the cubic spline through values at nodes, from rest to rest.
 
-    Parameters
-    ----------
-    time, values : array (K + 1,)
-        Nodes [s], and s there.
-    eased : bool
-        The acceleration is zero at both ends; the values beside the ends are then the spline's.
+    `time` and `values` (K + 1,): nodes [s], and s there. `eased`: the acceleration is zero at both
+    ends; the values beside the ends are then the spline's.
     """
 
     def __init__(self, time: np.ndarray, values: np.ndarray, eased: bool) -> None:
