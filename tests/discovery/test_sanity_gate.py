@@ -23,7 +23,7 @@ from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings
 from stiffopt.discovery.sanity.explanations import Explanations
-from stiffopt.discovery.sanity.gate import SanityGate
+from stiffopt.discovery.sanity.gate import SanityGate, _is_effect_of_all_runs
 from stiffopt.discovery.sanity.interpretations import Reading, sample_runs
 from stiffopt.discovery.training import open_training_runs
 from stiffopt.recording.recording_set import load_recordings
@@ -427,6 +427,27 @@ def test_run_of_another_arm_is_doubted(tmp_path, capsys):
     assert len(kept) == len(sections) - 1
     (folder / "recordings.toml").write_text("[[runs]]".join(kept))
     assert doubted(folder) == ()
+
+
+@pytest.mark.parametrize("spring", [True, False])
+def test_a_spring_in_all_runs_makes_none_odd(tmp_path, spring):
+    """A share of the torque's variance is larger where a run has less of it."""
+    folder = tmp_path / "set"
+    shutil.copytree(SHIPPED, folder)
+    for path in sorted(folder.glob("train_*.npz")):
+        with np.load(path) as stored:
+            columns = dict(stored)
+        if spring:
+            columns["tau2"] = columns["tau2"] + 3.0 * columns["q2"]
+        elif path.stem == "train_2":
+            other_arm(columns)
+        np.savez_compressed(path, **columns)
+    recordings = load_recordings(folder)
+    runs = open_training_runs(recordings)
+    together = SanityGate(recordings, runs)._explanation_search
+    assert together is not None
+    second = SimpleNamespace(joints=(1,))
+    assert _is_effect_of_all_runs(together, second) is spring
 
 
 def slow(steps, step, speed, reach, width, rng):

@@ -109,10 +109,14 @@ class Explanations:
         if self.robot.recordings.signals.currents:
             return shares
         for j in np.flatnonzero(shares > _MIN_FAILURE_SHARE).tolist():
-            torque = self.samples.torque[:, j]
-            additions = allowed_additions(self.robot, motion, j)
-            shares[j] = self.torque_fit.residual_share(motion, torque, j, additions)
+            shares[j] = self.share_with_additions(motion, j)
         return shares
+
+    def share_with_additions(self, motion: Motion, joint: int) -> float:
+        """Return the residual share of a joint that may have a spring and another payload."""
+        additions = allowed_additions(self.robot, motion, joint)
+        torque = self.samples.torque[:, joint]
+        return float(self.torque_fit.residual_share(motion, torque, joint, additions))
 
     @cached_property
     def torque_scale_known(self) -> np.ndarray:

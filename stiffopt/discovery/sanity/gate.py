@@ -90,7 +90,9 @@ class SanityGate:
         ]
         explanation, search = None, self._explanation_search
         if search is not None:
-            odd = [each for each in self._odd_runs if each not in self._extended_range_runs]
+            expected = self._extended_range_runs
+            odd = [each for each in self._odd_runs if each not in expected]
+            odd = [each for each in odd if not _is_effect_of_all_runs(search, each)]
             explanation = search.best()
             if odd and (explanation is None or not _explains_odd_runs(explanation, odd)):
                 explanation = None
@@ -368,6 +370,17 @@ def find_odd_runs(searches: Sequence[SingleRun]) -> list[OddRun]:
             )
             found.append(OddRun(run, search, joints, shares[k], others, outside_range))
     return found
+
+
+def _is_effect_of_all_runs(together: Explanations, odd: OddRun) -> bool:
+    """True if one spring or payload for all runs explains the joints that are odd in one.
+
+    It leaves a larger share of the torque where a run is slow, or far from the spring's rest.
+    """
+    return all(
+        together.share_with_additions(together.motion, j) * _MIN_ODD_RATIO < together.strict[j]
+        for j in odd.joints
+    )
 
 
 def _explains_odd_runs(explanation: Explanation, odd: Sequence[OddRun]) -> bool:
