@@ -175,7 +175,8 @@ def paragraph(diagnosis: Diagnosis) -> str:
             f" {most} times its noise."
         )
     elif named:
-        parts.append(_surety_sentence(named))
+        new = [each for each in named if not each.finding.located.calibrated]
+        parts.append(_surety_sentence(new or named))
     parts += [
         proof_sentence(diagnosis),
         unexplained_sentence(diagnosis),
