@@ -70,14 +70,15 @@ def optimise_freedom(task: FreedomTask, near: np.ndarray) -> list[FreedomOptimum
     # Searches from different candidates.
     candidates = scan_candidates(task, near, 12)
     refined = [each for each in (refine_candidate(task, one) for one in candidates) if each]
-    if not refined:
+    scale = min((each.cost for each in refined), default=1.0)
+    goal: FreedomGoal = DeflectionGoal(task, scale) if task.minimises_error else TimeGoal(task)
+    searched = (_Search(task, goal, each).optimum() for each in refined)
+    found = [each for each in searched if each is not None]
+    if not found:
         raise ProblemError(
             "path.freedom: in no posture, rotation, tilt and placement that it allows does the arm "
             "follow the whole path. Allow more of them, or move the path."
         )
-    scale = min(each.cost for each in refined)
-    goal: FreedomGoal = DeflectionGoal(task, scale) if task.minimises_error else TimeGoal(task)
-    found = [_Search(task, goal, each).optimum() for each in refined]
     return sorted(found, key=lambda each: each.cost)
 
 
@@ -128,12 +129,16 @@ class _Search:
         self._start = np.concatenate([*starts, np.zeros(0)])
         self._joints = candidate.joints
 
-    def optimum(self) -> FreedomOptimum:
-        """Return the optimum that the search ends at."""
+    def optimum(self) -> FreedomOptimum | None:
+        """Return the optimum that the search ends at.
+
+        None where the splines of joints beyond six do not pass through the candidate's poses, as
+        with another joint at its limit.
+        """
         y, radius = self._start, _FIRST_STEP
         state = self._evaluate(y, self._joints)
-        # The spline of a joint beyond six may not pass through the candidate's poses.
-        assert state is not None
+        if state is None:
+            return None
         for _ in range(_MAX_STEPS):
             if radius < _SMALLEST_STEP or not len(y):
                 break

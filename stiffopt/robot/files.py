@@ -244,6 +244,9 @@ def _joint_sections(document: RobotFile, names: tuple[str, ...], path: Path) -> 
     given: dict[str, JointSection] = {}
     for section in document.joint:
         where = f"joint[{section.name}]"
+        if section.name not in names and section.name in document.lock:
+            problem = "`lock` holds this joint. Remove it there to let it move, or this section."
+            raise InputFileError(path, f"{where}.name", problem)
         if section.name not in names:
             raise InputFileError(
                 path,

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from stiffopt.certificate.assess import joint_windup
 from stiffopt.certificate.rigid_body import rigid_body_history
 from stiffopt.errors import InputError
-from stiffopt.problem import freedom_choice
+from stiffopt.problem import freedom_choice, freedom_programme
 from stiffopt.problem.branches import solutions_of_pose
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.freedom_goals import TimeGoal
@@ -226,6 +226,20 @@ def test_path_out_of_reach_in_every_posture_is_named(choose, monkeypatch):
     monkeypatch.setitem(ARMS, "er3a_c60", ("link_6", 1500))
     with pytest.raises(InputError, match="does the arm follow the whole path"):
         choose('tool_axis_rotation = "180 deg"')
+
+
+def test_a_candidate_whose_splines_miss_its_poses_is_left_out(choose, monkeypatch):
+    _, _, whole = choose('tool_axis_rotation = "180 deg"')
+    evaluate, reached = freedom_programme._Search._evaluate, []
+
+    def out_of_reach_at_first(search, y, guess):
+        reached.append(search)
+        return evaluate(search, y, guess) if len(reached) > 1 else None
+
+    monkeypatch.setattr(freedom_programme._Search, "_evaluate", out_of_reach_at_first)
+    _, _, others = choose('tool_axis_rotation = "180 deg"')
+    assert len(others) == len(whole) - 1
+    assert reached[1] is not reached[0]
 
 
 @pytest.mark.slow

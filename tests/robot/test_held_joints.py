@@ -69,6 +69,7 @@ def test_joints_beyond_the_tool_are_held(tmp_path):
         ("lock = { axis_8 = 0.0 }\n", "", "lock names no moving joint 'axis_8'. Did you mean"),
         ("lock = { axis_1 = 4.0 }\n", "", "axis_1 is held at 4, its limits are -2.9 to 2.9"),
         ('lock = { finger_1 = "3 deg" }\n', "", "lock.finger_1"),
+        ('lock = { axis_7 = 0.0 }\n[[joint]]\nname = "axis_7"\n', "", "`lock` holds this joint"),
         ("", '<mimic joint="thumb"/>', "follows 'thumb' (mimic), which there is not"),
     ],
 )
