@@ -5,6 +5,7 @@ A term that needs more than an instant (memory, clocks, temperatures) has no par
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
@@ -56,16 +57,17 @@ def robot_in_loop(
     """
     planner = planner_model(recordings.robot, model)
     instant = _Instant(recordings, model)
-    values: dict[tuple[str, int], float] = {}
+    values: dict[tuple[str, int], float] = defaultdict(float)
     for each in planner.not_in_robot:
         joint = each.located.joint
         if each.located.run is not None or each.effect.only_in:
             continue
         place = -1 if joint is None else int(recordings.order[joint])
+        # Those of a model and their changes since add up.
         if joint is not None and each.effect.moves_zero:
-            values["zero", place] = -each.amplitudes[0]
+            values["zero", place] -= each.amplitudes[0]
         elif each.effect.name in LOOP_VALUES and each.amplitudes[0] > 0.0:
-            values[LOOP_VALUES[each.effect.name], place] = each.amplitudes[0]
+            values[LOOP_VALUES[each.effect.name], place] += each.amplitudes[0]
         else:
             instant.add(each)
     return planner.robot, instant.physics(planner.robot.added_torques), values

@@ -135,6 +135,12 @@ def test_effects_with_memory_are_left_out(servo: RecordingSet) -> None:
     np.testing.assert_array_equal(plain, simulated(servo, found("gain_warmup", (0.2,), (100.0,))))
 
 
+def test_a_finding_and_its_change_since_add_up(servo: RecordingSet) -> None:
+    whole = simulated(servo, found("joint_zero", (0.3,), (0.3,)))
+    parts = [found("joint_zero", (part,), (part,)) for part in (0.1, 0.2)]
+    np.testing.assert_allclose(simulated(servo, *parts), whole, atol=1e-12)
+
+
 def law(*factors: Factor) -> EstimatedEffect:
     own = Law(joint=0, place="link_torque", factors=factors)
     located = LocatedEffect(effect=law_effect(own, [SPRING]), joint=0, shapes=own.shapes)
