@@ -191,7 +191,7 @@ class _Instant:
         ]
         try:
             found = self._evaluate(each, [np.array([own], dtype=object) for own in split], 0.0)
-        except (TypeError, NotImplementedError, RuntimeError, ValueError, AttributeError):
+        except (TypeError, RuntimeError, ValueError, AttributeError, LookupError):
             return None  # written for arrays of samples alone
         inputs = [getattr(s, name) for name in _SIGNAL_NAMES]
         parts = _Parts(*(ca.SX(ca.vertcat(*[ca.SX(x) for x in own[0]])) for own in found))
@@ -208,8 +208,8 @@ class _Instant:
         in_robot = [x[:, np.argsort(self.order)].T for x in samples]
         both = function.map(_SAMPLE_COUNT)(*in_robot)
         for one, two in zip(along, both, strict=True):
-            size = float(np.abs(one).max())
-            if float(np.abs(one - np.asarray(two).T).max()) > _FORMULA_TOLERANCE * size:
+            least = _FORMULA_TOLERANCE * float(np.nanmax(np.abs(one), initial=0.0))
+            if not np.allclose(one, np.asarray(two).T, rtol=0.0, atol=least, equal_nan=True):
                 return None
         return parts if any(_is_given(own) for own in (parts.torque, parts.deflection)) else None
 
