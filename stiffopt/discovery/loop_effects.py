@@ -24,6 +24,7 @@ from stiffopt.discovery.signals import (
     JointSignals,
     RobotConstants,
     RobotSignals,
+    smooth_sign,
 )
 from stiffopt.dynamics.kinematics import point_jacobian, tool_pose
 from stiffopt.recording.recording_set import RecordingSet
@@ -33,6 +34,8 @@ from stiffopt.robot.robot import Robot
 # Samples at which a formula is compared with the term, over a time in which memory would show; and
 # the difference allowed over its size.
 _SAMPLE_COUNT, _FORMULA_TOLERANCE = 50, 1e-6
+# Largest sampled position, speed and acceleration [rad], [rad/s], [rad/s^2].
+_LARGEST_MOTION = 1.5
 # Angular frequency of the flanks of a joint that the model holds rigid [rad/s]: above all that
 # commands excite, slow beside the steps of the simulation.
 _FLANK_FREQUENCY = 300.0
@@ -197,11 +200,15 @@ class _Instant:
         parts = _Parts(*(ca.SX(ca.vertcat(*[ca.SX(x) for x in own[0]])) for own in found))
         function = ca.Function("parts", inputs, [parts.torque, parts.deflection])
         rng = np.random.default_rng(0)
-        samples = [rng.uniform(-1.5, 1.5, (_SAMPLE_COUNT, self.n)) for _ in inputs]
-        samples[_SIGNAL_NAMES.index("direction")] = np.tanh(samples[1] / 0.02)
-        for name in ("torque", "spring", "drive"):
-            limits = [joint.torque_max for joint in self.joints]
-            samples[_SIGNAL_NAMES.index(name)] *= np.array(limits) / 1.5
+        limits = np.array([joint.torque_max for joint in self.joints])
+        largest = dict.fromkeys(("torque", "spring", "drive"), limits)
+        given = {
+            name: largest.get(name, _LARGEST_MOTION)
+            * rng.uniform(-1.0, 1.0, (_SAMPLE_COUNT, self.n))
+            for name in _SIGNAL_NAMES
+        }
+        given["direction"] = smooth_sign(given["velocity"])
+        samples = list(given.values())
         # What a formula does not know takes any values: terms that depend on it differ.
         other = np.cumsum(rng.uniform(0.5, 1.5, _SAMPLE_COUNT))
         along = self._evaluate(each, samples, other)
