@@ -248,6 +248,8 @@ _PRISMATIC_UNITS = {
     "rad/(N m)": "m/N",
     "N m/rad": "N/m",
     "N m/rad^3": "N/m^3",
+    "N m s^2/rad^2": "N s^2/m^2",
+    "N m/K": "N/K",
 }
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 # Largest relative standard deviation of an estimated gain that gives torque its scale.
 MAX_GAIN_DEVIATION = 0.1
-# Of a gain that nobody states, relative, about the value that a recording told.
+# Relative standard deviation of a gain that nobody states, about the value that a recording told.
 _UNSTATED_GAIN_DEVIATION = 1.0
 
 

@@ -137,12 +137,9 @@ class Balance:
         physics, own = self.loop.physics, self.own
         assert physics.torque is not None
         torque, losses, _ = self._drive(place, speed)
-        angle, link_speed, jacobian, drift = self._links(place, speed)
+        inertia, bias = self._still(place, speed)
         faster = ca.mtimes(self._of_motor.T, rate)
-        along = ca.mtimes(jacobian, ca.mtimes(self._of_link.T, rate)) + drift
-        spring = ca.mtimes(
-            jacobian.T, self._torque_of_links(self.loop.tree.gravity, angle, link_speed, along)
-        )
+        spring = bias + ca.mtimes([inertia, self._of_link.T, rate])
         for k, joint in enumerate(self.loop.elastic):
             spring[joint] = place[self.n + k]
         # Speed and direction are one: both give the slope by which stages are stable.

@@ -5,6 +5,7 @@ A term that needs more than an instant (memory, clocks, temperatures) has no par
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
@@ -23,6 +24,7 @@ from stiffopt.discovery.signals import (
     JointSignals,
     RobotConstants,
     RobotSignals,
+    smooth_sign,
 )
 from stiffopt.dynamics.kinematics import point_jacobian, tool_pose
 from stiffopt.recording.recording_set import RecordingSet
@@ -32,6 +34,8 @@ from stiffopt.robot.robot import Robot
 # Samples at which a formula is compared with the term, over a time in which memory would show; and
 # the difference allowed over its size.
 _SAMPLE_COUNT, _FORMULA_TOLERANCE = 50, 1e-6
+# Largest sampled position, speed and acceleration [rad], [rad/s], [rad/s^2].
+_LARGEST_MOTION = 1.5
 # Angular frequency of the flanks of a joint that the model holds rigid [rad/s]: above all that
 # commands excite, slow beside the steps of the simulation.
 _FLANK_FREQUENCY = 300.0
@@ -56,16 +60,17 @@ def robot_in_loop(
     """
     planner = planner_model(recordings.robot, model)
     instant = _Instant(recordings, model)
-    values: dict[tuple[str, int], float] = {}
+    values: dict[tuple[str, int], float] = defaultdict(float)
     for each in planner.not_in_robot:
         joint = each.located.joint
         if each.located.run is not None or each.effect.only_in:
             continue
         place = -1 if joint is None else int(recordings.order[joint])
+        # Those of a model and their changes since add up.
         if joint is not None and each.effect.moves_zero:
-            values["zero", place] = -each.amplitudes[0]
+            values["zero", place] -= each.amplitudes[0]
         elif each.effect.name in LOOP_VALUES and each.amplitudes[0] > 0.0:
-            values[LOOP_VALUES[each.effect.name], place] = each.amplitudes[0]
+            values[LOOP_VALUES[each.effect.name], place] += each.amplitudes[0]
         else:
             instant.add(each)
     return planner.robot, instant.physics(planner.robot.added_torques), values
@@ -189,25 +194,29 @@ class _Instant:
         ]
         try:
             found = self._evaluate(each, [np.array([own], dtype=object) for own in split], 0.0)
-        except (TypeError, NotImplementedError, RuntimeError, ValueError, AttributeError):
+        except (TypeError, RuntimeError, ValueError, AttributeError, LookupError):
             return None  # written for arrays of samples alone
         inputs = [getattr(s, name) for name in _SIGNAL_NAMES]
         parts = _Parts(*(ca.SX(ca.vertcat(*[ca.SX(x) for x in own[0]])) for own in found))
         function = ca.Function("parts", inputs, [parts.torque, parts.deflection])
         rng = np.random.default_rng(0)
-        samples = [rng.uniform(-1.5, 1.5, (_SAMPLE_COUNT, self.n)) for _ in inputs]
-        samples[_SIGNAL_NAMES.index("direction")] = np.tanh(samples[1] / 0.02)
-        for name in ("torque", "spring", "drive"):
-            limits = [joint.torque_max for joint in self.joints]
-            samples[_SIGNAL_NAMES.index(name)] *= np.array(limits) / 1.5
+        limits = np.array([joint.torque_max for joint in self.joints])
+        largest = dict.fromkeys(("torque", "spring", "drive"), limits)
+        given = {
+            name: largest.get(name, _LARGEST_MOTION)
+            * rng.uniform(-1.0, 1.0, (_SAMPLE_COUNT, self.n))
+            for name in _SIGNAL_NAMES
+        }
+        given["direction"] = smooth_sign(given["velocity"])
+        samples = list(given.values())
         # What a formula does not know takes any values: terms that depend on it differ.
         other = np.cumsum(rng.uniform(0.5, 1.5, _SAMPLE_COUNT))
         along = self._evaluate(each, samples, other)
         in_robot = [x[:, np.argsort(self.order)].T for x in samples]
         both = function.map(_SAMPLE_COUNT)(*in_robot)
         for one, two in zip(along, both, strict=True):
-            size = float(np.abs(one).max())
-            if float(np.abs(one - np.asarray(two).T).max()) > _FORMULA_TOLERANCE * size:
+            least = _FORMULA_TOLERANCE * float(np.nanmax(np.abs(one), initial=0.0))
+            if not np.allclose(one, np.asarray(two).T, rtol=0.0, atol=least, equal_nan=True):
                 return None
         return parts if any(_is_given(own) for own in (parts.torque, parts.deflection)) else None
 

@@ -35,7 +35,7 @@ _ROTOR_SHARE = 3.0
 _LOAD_FRICTION_DEVIATION, _ZERO_DEVIATION = 0.15, 0.03
 # Deviation of a delay [s].
 _DELAY_DEVIATION = 5e-3
-# Of the delay of one joint's commands from that of all: a cycle of a slow bus [s].
+# Deviation of the delay of one joint's commands from that of all: a cycle of a slow bus [s].
 _LATENESS_DEVIATION = 2e-3
 # Inertia of bodies besides their mass's, relative: centres of mass and masses are better known.
 _INERTIA_DEVIATION = 0.1

@@ -277,13 +277,13 @@ def loop_values(
 
     Gains and damping of an actuator are told whole, not as changes.
     """
-    if section is None:
+    if section is None or not section.expected:
         return []
     found: list[dict[str, Any]] = []
     whole = {"gain": section.stiffness, "damping": section.damping}
     units = {"gain": "N m/rad", "damping": "N m s/rad"}
     for name, values in section.values.items():
-        if name in BODY_PARAMETERS or not section.expected:
+        if name in BODY_PARAMETERS:
             continue
         tables = (section.deviations, section.expected, section.expected_deviations)
         for j, four in enumerate(zip(values, *(table[name] for table in tables), strict=True)):
@@ -297,7 +297,7 @@ def loop_values(
                 {
                     "joint": None if name == DELAY else j + 1,
                     "parameter": name,
-                    "unit": unit if name == DELAY else joint_unit(unit, bool(prismatic[j])),
+                    "unit": joint_unit(unit, bool(prismatic[j])),
                     "value": value,
                     "sd": sd,
                     "expected": expected,

@@ -49,8 +49,8 @@ def run_sweep(
     """Solve the cases without a result file.
 
     `folder`: its subfolder `cases` holds the result files. `progress`: called with a
-    `SweepProgress` at the start and after each case. `results` list of dict or None: content of
-    each case's file; None for cases not reached before Ctrl-C.
+    `SweepProgress` at the start and after each case. Returns the content of each case's file, None
+    for cases not reached before Ctrl-C, and True if it was interrupted.
     """
     for place in (folder / CASES_FOLDER, folder / CASES_FOLDER / _WARM_FOLDER):
         if place.is_symlink() or (place.exists() and not place.is_dir()):

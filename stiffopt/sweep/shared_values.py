@@ -9,7 +9,7 @@ level that Holm (1979) divides among all of them, are each arm's own.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -51,7 +51,7 @@ def shared_values(arms: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[Share
     kept, common = [], False
     for k, each in enumerate(tested):
         common = common or each.p > _TEST_LEVEL / (len(tested) - k)
-        kept.append(SharedValue(**vars(each) | {"common": common}))
+        kept.append(replace(each, common=common))
     return kept
 
 

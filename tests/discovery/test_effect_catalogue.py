@@ -1,6 +1,7 @@
 """Every effect of the catalogue: linear, dimensioned, dissipative."""
 
 import math
+import re
 from itertools import product
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from stiffopt.closed_loop.parameters import JOINT_PARAMETERS
 from stiffopt.discovery.catalogue import CATALOGUE, confused_with, effect
 from stiffopt.discovery.catalogue.common import WEIGHT
 from stiffopt.discovery.signals import JointConstants
@@ -21,6 +23,7 @@ from stiffopt.discovery.user_effects import (
 )
 from stiffopt.errors import InputError
 from stiffopt.report.common.citations import references
+from stiffopt.units import joint_unit
 
 REPORTED = {
     "coulomb": {"dFc": "N m"},
@@ -256,3 +259,18 @@ def test_confused_effects_and_references_exist():
 def test_unknown_effect_suggests_nearest_name():
     with pytest.raises(InputError, match=r"'colomb'.*Did you mean 'coulomb'"):
         effect("colomb")
+
+
+def test_every_unit_of_a_joint_has_that_of_a_prismatic_one() -> None:
+    entries = [each for each in CATALOGUE if each.scope in ("joint", "run")]
+    told = {own.unit for each in entries for own in (*each.amplitudes, *each.shapes)}
+    told |= {unit for each in entries for unit in each.units.values()}
+    rotary = {unit for unit in told | set(JOINT_PARAMETERS.values()) if re.search("N m|rad", unit)}
+    assert {"N m", "rad", "N m s^2/rad^2"} <= rotary
+    units = pint.UnitRegistry()
+    for unit in rotary:
+        slides = joint_unit(unit, prismatic=True)
+        assert not re.search("N m|rad", slides), unit
+        # A rotation becomes a way, and a torque a force over the lever of a metre.
+        turned = units.parse_units(unit.replace("N m", "N").replace("rad", "m"))
+        assert units.parse_units(slides).dimensionality == turned.dimensionality

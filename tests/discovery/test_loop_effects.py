@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -20,6 +21,7 @@ from stiffopt.discovery.comparison.located_effect import (
 )
 from stiffopt.discovery.conclusions import findings_with_loop_values
 from stiffopt.discovery.diagnosis import Finding, Parameter
+from stiffopt.discovery.effect import Term, Values
 from stiffopt.discovery.extended.value_changes import extended_model
 from stiffopt.discovery.laws.law import Factor, Law, law_effect
 from stiffopt.discovery.laws.sources import LawSource
@@ -133,6 +135,36 @@ def test_backlash_before_the_encoder_lets_the_motor_travel_unseen(servo: Recordi
 def test_effects_with_memory_are_left_out(servo: RecordingSet) -> None:
     plain = simulated(servo)
     np.testing.assert_array_equal(plain, simulated(servo, found("gain_warmup", (0.2,), (100.0,))))
+
+
+def test_a_finding_and_its_change_since_add_up(servo: RecordingSet) -> None:
+    whole = simulated(servo, found("joint_zero", (0.3,), (0.3,)))
+    parts = [found("joint_zero", (part,), (part,)) for part in (0.1, 0.2)]
+    np.testing.assert_allclose(simulated(servo, *parts), whole, atol=1e-12)
+
+
+def test_effects_that_read_other_samples_are_left_out(servo: RecordingSet) -> None:
+    def second_sample(signals: Any, amplitudes: Values, _: Values) -> Term:
+        return Term(drive_torque=amplitudes[0] * (signals.motor_position + signals.time[1]))
+
+    own = replace(effect("base_tilt"), term=second_sample, change_robot=None)
+    located = LocatedEffect(effect=own)
+    plain = simulated(servo)
+    left_out = simulated(servo, EstimatedEffect(located=located, amplitudes=(1.0, 1.0)))
+    np.testing.assert_array_equal(plain, left_out)
+
+
+def test_effects_with_memory_and_undefined_samples_are_left_out(servo: RecordingSet) -> None:
+    def undefined(signals: Any, amplitudes: Values, _: Values) -> Term:
+        with np.errstate(invalid="ignore"):
+            root = np.sqrt(signals.motor_position)
+        return Term(drive_torque=amplitudes[0] * (1.0 + signals.time) * root)
+
+    own = replace(effect("quadratic_drag"), name="rising", term=undefined)
+    located = LocatedEffect(effect=own, joint=0)
+    plain = simulated(servo)
+    left_out = simulated(servo, EstimatedEffect(located=located, amplitudes=(1.0,)))
+    np.testing.assert_array_equal(plain, left_out)
 
 
 def law(*factors: Factor) -> EstimatedEffect:

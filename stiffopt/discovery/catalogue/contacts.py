@@ -73,10 +73,9 @@ WRIST_COUPLING = Effect(
         ),
     ),
     shapes=(
-        Shape("about", "", (0.0,), -_MAX_COUPLING, _MAX_COUPLING, 0.0, fit="secant"),
-        Shape("at_link", "", (0.0, 1.0), 0.0, 1.0, 0.0, fit="held"),
+        Shape("about", "", (0.0,), -_MAX_COUPLING, _MAX_COUPLING, 0.0, "secant", reported=False),
+        Shape("at_link", "", (0.0, 1.0), 0.0, 1.0, 0.0, "held", reported=False),
     ),
-    report=lambda amplitudes, shapes, constants: {"c": amplitudes[0]},
     applies=lambda constants: constants.joint > 1,
     log_prior=lambda constants: 0.0 if constants.joint > 4 else -1.0,
     separate="Move the joint before while this one stands: an error of its own gear or encoder"
