@@ -13,7 +13,7 @@ from stiffopt.report.common.text import scale, si, words
 from stiffopt.report.sweep.terminal import (
     headline,
     knee_sentence,
-    shared_sentences,
+    shared_section,
     spread_sentence,
 )
 from stiffopt.sweep.run import is_unusable
@@ -46,7 +46,7 @@ def write_sweep_report(summary: SweepSummary, folder: Path) -> Path:
         "headline": headline(summary),
         "knee": knee_sentence(summary),
         "spread": spread_sentence(summary),
-        "shared": shared_sentences(summary),
+        "shared": shared_section(summary),
         "head": [name if name in summary.sweep.places else words(name) for name in shown],
         "rows": [
             [

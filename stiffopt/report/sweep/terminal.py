@@ -5,7 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from stiffopt.formatting import pm
-from stiffopt.report.common.terminal import StatusLine, print_lines
+from stiffopt.report.common.terminal import (
+    ReportSection,
+    StatusLine,
+    print_lines,
+    print_section,
+)
 from stiffopt.report.common.text import listed, si
 from stiffopt.sweep.run import SweepProgress
 from stiffopt.sweep.shared_values import SharedValue
@@ -37,13 +42,17 @@ def progress_line(event: SweepProgress) -> str:
 
 
 def print_sweep(summary: SweepSummary, folder: Path) -> None:
-    """Print counts by status, knee, spread of optima and paths of the files."""
+    """Print counts by status, knee, spread of optima, shared values and paths of the files."""
     print_lines(
         (
             f"{headline(summary)}.",
             knee_sentence(summary) or None,
             spread_sentence(summary) or None,
-            *shared_sentences(summary),
+        )
+    )
+    print_section(shared_section(summary))
+    print_lines(
+        (
             "Interrupted: the same command resumes the sweep." if summary.interrupted else None,
             f"Table: {folder / TABLE_FILE}",
             f"Report: {folder / 'report.html'}",
@@ -77,28 +86,27 @@ def knee_sentence(summary: SweepSummary) -> str:
     return f"Knee of the front: {front.over} = {at}, objective {value}."
 
 
-def shared_sentences(summary: SweepSummary) -> list[str]:
+def shared_section(summary: SweepSummary) -> ReportSection:
     """Return what several arms share in the simulation from commands, and what is each arm's own.
 
-    Values that no arm departs from zero with are left out.
+    Common values that do not differ from zero are left out.
     """
-    values = summary.shared_values()
-    if not values:
-        return []
-    groups = [
-        f"{_place_words(each)} {pm(each.value, each.sd, each.unit)}"
-        for each in values
-        if each.common and abs(each.value) > _MIN_DEVIATIONS * each.sd
+    values = [
+        each
+        for each in summary.shared_values()
+        if not each.common or abs(each.value) > _MIN_DEVIATIONS * each.sd
     ]
-    found = [f"Common to all arms: {'; '.join(groups)}."] if groups else []
+    names = list(dict.fromkeys(name for each in values for name, _, _ in each.arms))
+    rows, own, shared = [], [], []
     for each in values:
-        if not each.common:
-            own = listed([f"{arm} {pm(value, sd, each.unit)}" for arm, value, sd in each.arms])
-            found.append(
-                f"Each arm's own: {_place_words(each)}, {own}; so far apart by chance in"
-                f" {each.p:.2g} of comparisons."
-            )
-    return found
+        told = {name: pm(value, sd, each.unit) for name, value, sd in each.arms}
+        common = pm(each.value, each.sd, each.unit) if each.common else "each arm's own"
+        rows.append([_place_words(each), *(told.get(name, "–") for name in names), common])
+        (shared if each.common else own).append(_place_words(each))
+    lines = [f"Common to all arms: {'; '.join(shared)}."] if shared else []
+    lines += [f"Each arm's own: {'; '.join(own)}."] if own else []
+    head = ["value", *names, "of all arms"]
+    return ReportSection(title="Values of several arms", head=head, rows=rows, lines=lines)
 
 
 def _place_words(value: SharedValue) -> str:
