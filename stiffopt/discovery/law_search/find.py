@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,6 +24,7 @@ from stiffopt.discovery.law_search.search import (
 from stiffopt.discovery.laws.law import LAW_FAMILY, Law, Place, law_effect
 from stiffopt.discovery.laws.sources import LawSource
 from stiffopt.discovery.laws.table import ResidualTable
+from stiffopt.discovery.progress import Say
 from stiffopt.discovery.search.candidates import Scorer
 from stiffopt.discovery.search.joint_fit import passes_thresholds, prune_effects
 from stiffopt.discovery.search.left_out_gain import select_predictive
@@ -90,7 +91,7 @@ class LawSearch:
     refused: tuple[RefusedChannel, ...] = ()
 
 
-def find_laws(result: SearchResult, say: Callable[[str], object]) -> LawSearch:
+def find_laws(result: SearchResult, say: Say) -> LawSearch:
     """Search the residual that the catalogue leaves for laws.
 
     `result`: of the catalogue, by training runs. `say`: called with a sentence at every step.
