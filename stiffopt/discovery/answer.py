@@ -244,8 +244,8 @@ def fill(
 ) -> str:
     """Fill the placeholders of a phrase or remedy with values.
 
-    `words`: further placeholders. `signed`: False: single values without sign, which the phrase
-    states.
+    `words`: further placeholders. `signed`: where False, single values have no sign: the phrase
+    states it.
     """
 
     def value(match: re.Match[str]) -> str:

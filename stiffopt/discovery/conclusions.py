@@ -262,7 +262,9 @@ def _with_loop_value(recordings: RecordingSet, model: ClosedLoopModel, finding: 
         )
         misfit = max(finding.misfit, _null_share(chance))
         share = (1.0 - misfit) / max(1.0 - finding.misfit, 1e-12)
-        finding = replace(finding, misfit=misfit, probability=share * finding.probability)
+        rivals = tuple(replace(r, probability=share * r.probability) for r in finding.rivals)
+        probability = share * finding.probability
+        finding = replace(finding, misfit=misfit, probability=probability, rivals=rivals)
     if value * own.value <= 0.0:
         return finding
     return replace(finding, parameters=(replace(own, value=value, sd=sd), *others))

@@ -108,7 +108,7 @@ def prepare_training(
     """Open and prepare the training runs, and no other run.
 
     `model`: starting model in place of the nominal one. `say`: called with a sentence at every
-    step. `runs`: the training runs, if already read. `vibrating`: see `prepare`.
+    step. `runs`: the training runs, if already read. `vibrating`: see `prepare_run`.
     """
     robot = RobotModel(recordings)
     left_open = None if model is None else model.left_open

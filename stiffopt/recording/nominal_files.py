@@ -115,8 +115,7 @@ def build_chains(
 ) -> tuple[Chain | None, ...] | None:
     """Drivetrain of each joint: its reducer, and its contacts as one spring; None is rigid.
 
-    `torque_max` (n,) [N m]. Returns tuple of Chain or None (n,), or None: None where the section
-    gives no stiffness.
+    `torque_max` (n,) [N m]. None in place of all where the section gives no stiffness.
     """
     n = len(torque_max)
     contacts = per_joint(section.contact_stiffness, n, path, "nominal.contact_stiffness")

@@ -21,7 +21,8 @@ def join_signal_files(tables: Mapping[Path, Table], robot: Robot) -> dict[Path, 
     """Join tables of one signal each, with equally many rows, to one run; others are kept.
 
     The columns of a file are named after it, "tau[0]", in the order of the joints where their own
-    names tell it; the clock is that of the first file.
+    names tell it; those of a file of several signals keep their names. The clock is that of the
+    first file.
     """
     complete = any(
         _holds_position_and_cause(list(table), robot)
@@ -37,7 +38,12 @@ def join_signal_files(tables: Mapping[Path, Table], robot: Robot) -> dict[Path, 
         signals = [name for name in table if name not in clock]
         for name in clock:
             joined.setdefault("t" if is_unnamed(table) else name, table[name])
-        for k, name in enumerate(order_by_joint(signals, robot.joint_names) or signals):
+        if len(signals) > robot.n and not is_unnamed(table):
+            for name in signals:
+                joined[f"{path.stem}.{name}" if name in joined else name] = table[name]
+            continue
+        ordered = order_by_joint(signals, robot.joint_names) if len(signals) == robot.n else None
+        for k, name in enumerate(ordered or signals):
             joined[path.stem if len(signals) == 1 else f"{path.stem}[{k}]"] = table[name]
     first = next(iter(tables))
     return {first.parent / f"{first.parent.name}.npz": joined}

@@ -159,16 +159,20 @@ def test_hidden_masses_are_at_rest_where_a_recording_begins_in_motion(kind, begi
 
 
 @pytest.mark.parametrize(
-    ("kind", "places"),
-    [("position", {"deflection": 0.002, "link_torque": 8.0}), ("load", {"deflection": 0.002})],
+    ("kind", "stiffness", "places"),
+    [
+        ("position", 4000.0, {"deflection": 0.002, "link_torque": 8.0}),
+        ("position", np.inf, {"deflection": 0.002}),
+        ("load", 4000.0, {"deflection": 0.002}),
+    ],
 )
 def test_a_law_that_the_deflection_shows_may_be_a_torque_on_the_link(
-    monkeypatch, kind, places
+    monkeypatch, kind, stiffness, places
 ) -> None:
-    """It winds up the joint, 4000 N m/rad stiff; what a spring yields under load does not."""
+    """It winds up the joint where that is elastic; what a spring yields under load does not."""
     load = np.linspace(-20.0, 20.0, 50)[:, None]
     run = SimpleNamespace(
-        signals=SimpleNamespace(spring_torque=load, windup=load / 4000.0), time=load[:, 0]
+        signals=SimpleNamespace(spring_torque=load, windup=load / stiffness), time=load[:, 0]
     )
     comparison = SimpleNamespace(
         robot=SimpleNamespace(elastic=True, n=1),

@@ -20,7 +20,7 @@ from stiffopt.discovery.comparison.located_effect import (
     LocatedEffect,
 )
 from stiffopt.discovery.conclusions import findings_with_loop_values
-from stiffopt.discovery.diagnosis import Finding, Parameter
+from stiffopt.discovery.diagnosis import Finding, Parameter, Rival
 from stiffopt.discovery.effect import Term, Values
 from stiffopt.discovery.extended.value_changes import extended_model
 from stiffopt.discovery.laws.law import Factor, Law, law_effect
@@ -186,16 +186,19 @@ def test_laws_of_accelerations_are_left_out(servo: RecordingSet) -> None:
 
 
 @pytest.mark.parametrize(("simulated_more", "certainty"), [(0.0, "possible"), (0.05, "found")])
+@pytest.mark.parametrize("rival_share", [0.0, 0.01])
 def test_a_value_that_the_simulation_refutes_is_not_claimed(
-    servo: RecordingSet, simulated_more: float, certainty: str
+    servo: RecordingSet, rival_share: float, simulated_more: float, certainty: str
 ) -> None:
+    """The unknown cause, the finding and its rivals are all that there may be."""
     own = Parameter(name="dFc", value=0.05, sd=0.005, unit="N m", prior_sd=0.1)
+    drag = LocatedEffect(effect=effect("quadratic_drag"), joint=0)
     claimed = Finding(
         estimated=found("coulomb", (0.05,), ()),
         link=None,
-        probability=0.999,
+        probability=0.999 - rival_share,
         misfit=0.001,
-        rivals=(),
+        rivals=(Rival(located=drag, probability=rival_share),) if rival_share else (),
         parameters=(own,),
         where="",
         channel="torque_1",
@@ -215,3 +218,4 @@ def test_a_value_that_the_simulation_refutes_is_not_claimed(
     )
     (judged,) = findings_with_loop_values(servo, model, [claimed])
     assert judged.certainty == certainty
+    assert judged.misfit + judged.group_probability == pytest.approx(1.0)

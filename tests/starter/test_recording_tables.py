@@ -261,6 +261,17 @@ def test_files_of_one_signal_are_joined_in_the_order_of_the_joints():
         np.testing.assert_array_equal(joined[name], values)
 
 
+def test_a_joined_file_of_several_signals_loses_none():
+    robot = load_robot(URDF)
+    state = dict(zip(["t", "q1", "q2", "qd1", "qd2"], [TIME, *VALUES], strict=True))
+    torque = {"t": TIME, "1": VALUES[3], "2": VALUES[2]}
+    tables = {Path("logs/state.csv"): state, Path("logs/tau.csv"): torque}
+    (joined,) = join_signal_files(tables, robot).values()
+    assert list(joined) == [*state, "tau[0]", "tau[1]"]
+    for name, values in state.items():
+        np.testing.assert_array_equal(joined[name], values)
+
+
 def german(folder, factor=(9.5, 4.2)):
     """Logs of the shipped arm as a test bench writes them: two heads, ms, degrees, currents."""
     shipped = URDF.parent

@@ -76,9 +76,9 @@ def recurrence(
         odds.append(_mean_by_kind(own_odds))
     drifts = np.array([each.located.effect.of_runs is not None for each in selected])
     if drifts.any():
-        number = comparison.rows.sample_signal(lambda run: np.full(len(run.time), run.index))
+        number = comparison.rows.run
         for left_out in np.unique(number):
-            member = own.judge(number != left_out)
+            member = own.judge(number != left_out, rivals=False)
             share = np.where(drifts & member.acts & ~member.again, 0.0, share)
     return np.nan_to_num(share, nan=1.0), tuple(map(_with_odds, selected, odds))
 
@@ -142,7 +142,8 @@ class _Judgement:
     # again, acts (e,) of bool: findings that are named again, and that act in its rows.
     again: np.ndarray
     acts: np.ndarray
-    # (1 + r,) log evidence for each finding, and the leads of its rivals over it in its place.
+    # (1 + r,) log evidence for each finding, and the leads of its rivals over it in its place;
+    # empty where not asked for.
     leads: Sequence[np.ndarray]
 
 
@@ -162,8 +163,8 @@ class _Member:
             [comparison.effect_columns(rival) for rival, _ in each.rivals] for each in selected
         ]
 
-    def judge(self, kept: np.ndarray | None = None) -> _Judgement:
-        """Return which findings are named again, and the leads of their rivals.
+    def judge(self, kept: np.ndarray | None = None, *, rivals: bool = True) -> _Judgement:
+        """Return which findings are named again, and the leads of their rivals if asked.
 
         `kept` (m,) of bool: rows that are fitted; default all.
         """
@@ -188,11 +189,12 @@ class _Member:
             same_sign = drifts or mean[main] * self._signs[rows[main] - first] > 0.0
             asked = MIN_EVIDENCE_KEPT * share * min(NAMED_EVIDENCE, each.loss)
             again[k] = gained >= asked and same_sign
-            ahead = [
-                self._lead(k, located, rival, kept, mean, covariance)
-                for (located, _), rival in zip(each.rivals, self._rivals[k], strict=True)
-            ]
-            leads.append(np.array([gained, *ahead]))
+            if rivals:
+                ahead = [
+                    self._lead(k, located, rival, kept, mean, covariance)
+                    for (located, _), rival in zip(each.rivals, self._rivals[k], strict=True)
+                ]
+                leads.append(np.array([gained, *ahead]))
         return _Judgement(again=again, acts=acts, leads=leads)
 
     def _lead(

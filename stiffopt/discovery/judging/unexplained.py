@@ -135,7 +135,7 @@ def _mark_affected_channels(
 def assess_findings(result: SearchResult) -> tuple[tuple[Selected, ...], Unexplained | None]:
     """Select findings that explain their channels, and describe the unexplained residual.
 
-    Returns `unexplained`: None without a significant residual.
+    The latter is None without a significant residual.
     """
     after = np.nan_to_num(result.after, nan=0.0)
     before = np.nan_to_num(result.calibrated, nan=0.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,6 +24,7 @@ from stiffopt.discovery.law_search.search import (
 from stiffopt.discovery.laws.law import LAW_FAMILY, Law, Place, law_effect
 from stiffopt.discovery.laws.sources import LawSource
 from stiffopt.discovery.laws.table import ResidualTable
+from stiffopt.discovery.progress import Say
 from stiffopt.discovery.search.candidates import Scorer
 from stiffopt.discovery.search.joint_fit import passes_thresholds, prune_effects
 from stiffopt.discovery.search.left_out_gain import select_predictive
@@ -90,7 +91,7 @@ class LawSearch:
     refused: tuple[RefusedChannel, ...] = ()
 
 
-def find_laws(result: SearchResult, say: Callable[[str], object]) -> LawSearch:
+def find_laws(result: SearchResult, say: Say) -> LawSearch:
     """Search the residual that the catalogue leaves for laws.
 
     `result`: of the catalogue, by training runs. `say`: called with a sentence at every step.
@@ -326,7 +327,9 @@ class _State:
             if each.law.place == "drive_torque" and comparison.robot.elastic:
                 places["link_torque"] = 1.0
             if each.law.place == "deflection" and not each.law.yields:
-                places["link_torque"] = _mean_stiffness(comparison, each.law.joint)
+                stiffness = _mean_stiffness(comparison, each.law.joint)
+                if np.isfinite(stiffness):
+                    places["link_torque"] = stiffness
             for place, size in places.items():
                 law = replace(each.law, place=place)
                 located = self._named(law, (size * each.fit.amplitudes).tolist())
@@ -391,12 +394,16 @@ def _evidence_width(ranked: Sequence[_Ranked]) -> float:
 
 
 def _mean_stiffness(comparison: Comparison, joint: int) -> float:
-    """Return a joint's load over its nominal wind-up, root mean squares of all runs [N m/rad]."""
+    """Return a joint's load over its nominal wind-up, root mean squares of all runs [N m/rad].
+
+    Infinite where the joint is rigid.
+    """
     load, windup = (
         np.concatenate([LawSource(kind, joint).value_in(run) for run in comparison.runs])
         for kind in ("load", "windup")
     )
-    return float(np.linalg.norm(load) / max(float(np.linalg.norm(windup)), 1e-12))
+    wound = float(np.linalg.norm(windup))
+    return float(np.linalg.norm(load)) / wound if wound > 0.0 else np.inf
 
 
 def _is_determined(

@@ -91,7 +91,7 @@ def screen(
 ) -> list[FreeTerm]:
     """Return free functions of every signal times every carrier, the best first.
 
-    `base`: factors that take the place of the carriers. `sources`: default: all that vary.
+    `base`: factors that take the place of the carriers. `sources`: by default all that vary.
     """
     found = []
     every = [tuple(base)] if base else carriers(channel)

@@ -43,9 +43,8 @@ class Form:
     """Form of a law in one signal."""
 
     name: str
-    formulas: tuple[
-        str, ...
-    ]  # NumPy expressions in x, dt, before and the shapes, each of one amplitude
+    # NumPy expressions in x, dt, before and the shapes, each of one amplitude.
+    formulas: tuple[str, ...]
     words: str  # "{x}" is the signal
     symmetry: Symmetry = "none"  # in the signal
     shapes: tuple[FormShape, ...] = ()

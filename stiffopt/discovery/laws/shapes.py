@@ -78,7 +78,7 @@ def width(name: str, *shares: float, least: float = 0.01, most: float = 1.5) -> 
 
 
 def centre(name: str, *shares: float, beyond: float = 0.1) -> FormShape:
-    """Return a place, as far beyond the range as a share of it."""
+    """Return a place, with starts at shares of the range, and bounds a share of it beyond."""
 
     def bounds(r: SignalRange) -> tuple[float, float]:
         low, high = r.at(-beyond, 1.0 + beyond)

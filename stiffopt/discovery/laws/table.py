@@ -25,8 +25,8 @@ class ResidualTable:
     """Table of one signal times factors without shapes; constant beyond its ends."""
 
     joint: int  # from 0
-    place: Place  # {"drive_torque", "deflection"}
-    carrier: tuple[Factor, ...]  # None for 1
+    place: Place  # "drive_torque" or "deflection"
+    carrier: tuple[Factor, ...]  # empty for 1
     source: LawSource
     at: tuple[float, ...]  # values of the signal, rising
     values: tuple[float, ...]  # residual per unit of the carrier [N m] or [rad]

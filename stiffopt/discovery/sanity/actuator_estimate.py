@@ -13,6 +13,7 @@ from stiffopt.closed_loop.parameters import Parameters
 from stiffopt.discovery.comparison.filtering import SLOW_CUTOFF, filter_slow_motion
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.loop_fit import DRIVE_PARAMETERS, fit_loop, nominal_parameters
+from stiffopt.discovery.progress import Say
 from stiffopt.discovery.sanity.command_doubts import doubt_commands
 from stiffopt.discovery.sanity.doubt import format_joints
 from stiffopt.discovery.settings import DEFAULT_TOLERANCE, MIN_MOVING_SPEED
@@ -83,7 +84,7 @@ class ResolvedActuator:
 def resolve_actuator(
     recordings: RecordingSet,
     runs: Sequence[RecordedRun],
-    say: Callable[[str], object] = lambda _: None,
+    say: Say = lambda _: None,
 ) -> ResolvedActuator:
     """Estimate the unknown values of a set's actuators.
 
@@ -149,7 +150,7 @@ def _refine_law(
     recordings: RecordingSet,
     runs: Sequence[RecordedRun],
     guess: ActuatorGuess,
-    say: Callable[[str], object],
+    say: Say,
 ) -> tuple[ActuatorLaw, Parameters | None]:
     """Return the law with gains and delay of a simulation fitted to the runs, and its parameters.
 

@@ -146,8 +146,8 @@ def _choose_widths(
     free all others to overfit the training motion. Squares over the noise beside free bodies are
     compared, not predictive densities, which tolerate errors where a fit is uncertain.
 
-    Returns `free`: with the noise estimated beside free bodies. `squares`: squares over this noise
-    with these widths.
+    Also returns the comparison with the noise estimated beside free bodies, and the squares over
+    this noise with these widths.
     """
     n = comparison.robot.n
     free = comparison.with_bodies(_parameter_deviations(comparison, (PRIOR_WIDTHS[-1],) * n))

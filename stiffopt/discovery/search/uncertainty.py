@@ -173,9 +173,9 @@ class Estimate:
         return self.covariance if by_run else self.between
 
     def displaced(self, indices: Sequence[int]) -> Iterator[tuple[EstimatedEffect, ...]]:
-        """Yield all effects, one of some moved by `DISPLACED_SHARE` of a standard deviation.
+        """Yield all effects, one of `indices` moved along one axis of its covariance at a time.
 
-        By each of its independent ones.
+        By `DISPLACED_SHARE` of the standard deviation there.
         """
         for index in indices:
             found = self.effects[index]

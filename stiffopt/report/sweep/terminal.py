@@ -97,7 +97,9 @@ def shared_section(summary: SweepSummary) -> ReportSection:
         if not each.common or abs(each.value) > _MIN_DEVIATIONS * each.sd
     ]
     names = list(dict.fromkeys(name for each in values for name, _, _ in each.arms))
-    rows, own, shared = [], [], []
+    rows: list[list[str]] = []
+    own: list[str] = []
+    shared: list[str] = []
     for each in values:
         told = {name: pm(value, sd, each.unit) for name, value, sd in each.arms}
         common = pm(each.value, each.sd, each.unit) if each.common else "each arm's own"
