@@ -52,16 +52,18 @@ def slowing_within_duty(
         uses = limits.uses(motion_duty(robot, slowed(factor)))
         return [use.text for use in sorted(uses, key=lambda use: -use.share) if use.share > 1.0]
 
-    if not excess(1.0):
+    over = excess(1.0)
+    if not over:
         return 1.0
     low, high = 1.0, min(most, _MAX_SLOWING)
-    if high <= 1.0 or (over := excess(high)):
-        told = excess(1.0) if high <= 1.0 else over
+    if high > 1.0:
+        over = excess(high)
+    if over:
         why = (
             "at motion.duration, its upper bound" if high == most else "however slow the motion is"
         )
         raise ProblemError(
-            f"{told[0]} {why}. Raise that limit, allow more time, or change posture or payload."
+            f"{over[0]} {why}. Raise that limit, allow more time, or change posture or payload."
         )
     while high / low - 1.0 > _SLOWING_ACCURACY:
         middle = (low * high) ** 0.5
