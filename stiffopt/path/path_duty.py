@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from stiffopt.errors import ProblemError
 from stiffopt.result.duty import Duty, DutyHistory, DutyLimits, duty_of
 from stiffopt.result.life_rating import life_rating
+from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
     from stiffopt.result.assessment import Assessment
@@ -27,14 +29,18 @@ def motion_duty(robot: Robot, motion: Assessment) -> Duty:
 def describe_duty(robot: Robot, motion: Assessment) -> str:
     """Return the duty of a motion as a note."""
     duty = motion_duty(robot, motion)
-    loaded = max(duty.joints, key=lambda each: each.rms_torque / each.torque_max)
+    loaded, prismatic = max(
+        zip(duty.joints, robot.prismatic, strict=True),
+        key=lambda each: each[0].rms_torque / each[0].torque_max,
+    )
     told = (
         f"Repeated without a pause, the motion takes {duty.energy:.4g} J of work from the drives, "
-        f"with an rms torque of {loaded.rms_torque:.4g} N m in {loaded.name}, "
-        f"{loaded.rms_torque / loaded.torque_max:.0%} of its limit"
+        f"with an rms torque of {loaded.rms_torque:.4g} {joint_unit('N m', bool(prismatic))} in "
+        f"{loaded.name}, {loaded.rms_torque / loaded.torque_max:.0%} of its limit"
     )
     shortest = duty.shortest_life
-    if shortest is None or shortest.life is None:
+    # A reducer at rest lasts for ever.
+    if shortest is None or shortest.life is None or math.isinf(shortest.life):
         return f"{told}."
     return f"{told}; the reducer of {shortest.name} lasts {shortest.life / 3600.0:.3g} h."
 

@@ -1,13 +1,17 @@
 """Limits of the duty on a path: kept by its timing, and refused where no speed keeps them."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from stiffopt.errors import InputError
-from stiffopt.path.path_duty import motion_duty, slowing_within_duty
+from stiffopt.path import path_duty
+from stiffopt.path.path_duty import describe_duty, motion_duty, slowing_within_duty
 from stiffopt.path.timed_path import timed_motion
 from stiffopt.problem.files import load_problem
-from stiffopt.result.duty import DutyLimits
+from stiffopt.result.duty import Duty, DutyLimits, JointDuty
+from stiffopt.result.life_rating import LifeRating
 
 PROBLEM = """schema = 1
 kind = "trajectory"
@@ -69,10 +73,20 @@ def test_duty_belongs_to_a_path_that_is_timed(load):
         load('[duty]\nenergy = "20 J"', objective="torque_squared")
 
 
+def test_note_gives_a_slide_newtons_and_a_reducer_at_rest_no_life(monkeypatch):
+    rating = LifeRating(torque=100.0, speed=1.0, life=1e7, exponent=3.0)
+    still = {"peak_torque": 0.0, "peak_speed": 0.0, "peak_power": 0.0, "mean_speed": 0.0,
+             "energy": 0.0, "regenerated": 0.0, "mean_torque": 0.0, "rating": rating}  # fmt: skip
+    rail = JointDuty(name="rail", rms_torque=300.0, torque_max=1000.0, **still)
+    turn = JointDuty(name="turn", rms_torque=1.0, torque_max=100.0, **still)
+    duty = Duty(duration=1.0, joints=(rail, turn))
+    monkeypatch.setattr(path_duty, "motion_duty", lambda robot, motion: duty)
+    told = describe_duty(SimpleNamespace(prismatic=[True, False]), None)
+    assert told.endswith("with an rms torque of 300 N in rail, 30% of its limit.")
+
+
 def test_slowing_of_inertia_alone_is_that_of_the_closed_form(monkeypatch):
     # Of a joint without weight the rms torque falls with the square of the duration.
-    from stiffopt.path import path_duty
-
     rms = 10.0
 
     class OfInertia:
