@@ -18,7 +18,7 @@ kind = "trajectory"
 robot = "ur10"
 
 [motion]
-duration = {{ lower = "0.1 s", upper = "{upper}" }}
+duration = {{ lower = "{lower}", upper = "{upper}" }}
 
 [path]
 start = {{ position = ["600 mm", "-300 mm", "300 mm"], rpy = ["180 deg", 0, 0] }}
@@ -36,9 +36,10 @@ objective = "{objective}"
 
 @pytest.fixture
 def load(tmp_path):
-    def load(duty="", upper="60 s", objective="duration"):
+    def load(duty="", upper="60 s", objective="duration", lower="0.1 s"):
         file = tmp_path / "problem.toml"
-        file.write_text(PROBLEM.format(duty=duty, upper=upper, objective=objective))
+        changed = {"duty": duty, "upper": upper, "objective": objective, "lower": lower}
+        file.write_text(PROBLEM.format(**changed))
         return load_problem(file).problem
 
     return load
@@ -66,6 +67,19 @@ def test_duty_that_no_speed_keeps_is_named_with_its_value(load):
         timed_motion(load(limits))
     with pytest.raises(InputError, match=r"duty\.energy .* J at motion\.duration"):
         timed_motion(load(f'[duty]\nenergy = "{energy} J"', f"{1.02 * fastest.objective} s"))
+
+
+def test_fastest_law_is_kept_where_an_averaged_one_has_no_time_for_the_duty(load):
+    fastest = timed_motion(load())
+    # The average over the widest window takes all of it, and accelerates more than a slow motion.
+    upper = fastest.objective + 0.08
+    slowest = timed_motion(load(lower=f"{upper} s"))
+    energy = 1.01 * motion_duty(load().robot, slowest.assessment).energy
+    led = load(f'[uncertainty]\nstiffness = 0.1\n[duty]\nenergy = "{energy} J"', f"{upper} s")
+    assert led.leads_on_path
+    found = timed_motion(led)
+    assert fastest.objective < found.objective <= upper
+    assert motion_duty(led.robot, found.assessment).energy <= energy
 
 
 def test_duty_belongs_to_a_path_that_is_timed(load):
