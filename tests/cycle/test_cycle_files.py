@@ -206,6 +206,19 @@ def test_a_rail_is_moved_where_that_is_quicker(tmp_path):
     assert bodies.pose(tool, places["home"])[0] == pytest.approx([0.6, -0.3, 0.4], abs=1e-6)
 
 
+def test_robot_is_loaded_once_for_equal_parts_gripped_in_two_moves(tmp_path):
+    loaded = []
+
+    def counted(name):
+        loaded.append(name)
+        return load_robot(name)
+
+    path = write_cycle_file(tmp_path, moves=MOVES + MOVES)
+    legs = load_cycle(path, robots=counted).cycle.legs
+    assert legs[1].problem.robot is legs[4].problem.robot
+    assert len(loaded) == 2
+
+
 def test_moves_may_end_with_the_part_in_the_gripper(tmp_path):
     moves = MOVES.replace('event = "release"', "")
     cycle = load_cycle(write_cycle_file(tmp_path, moves=moves)).cycle
