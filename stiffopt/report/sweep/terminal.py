@@ -6,12 +6,12 @@ from pathlib import Path
 
 from stiffopt.formatting import pm
 from stiffopt.report.common.terminal import StatusLine, print_lines
-from stiffopt.report.common.text import listed, si
+from stiffopt.report.common.text import listed, si, words
 from stiffopt.sweep.run import SweepProgress
 from stiffopt.sweep.shared_values import SharedValue
 from stiffopt.sweep.summary import TABLE_FILE, SweepSummary
 
-# Standard deviations from zero of a common value that is told.
+# Standard deviations from zero beyond which a common value is told.
 _MIN_DEVIATIONS = 2.0
 
 
@@ -61,7 +61,7 @@ def _format_duration(seconds: float) -> str:
 
 def headline(summary: SweepSummary) -> str:
     """Return the number of cases by status."""
-    counts = [f"{number} {name.replace('_', ' ')}" for name, number in summary.statuses().items()]
+    counts = [f"{number} {words(name)}" for name, number in summary.statuses().items()]
     return f"{len(summary.sweep.cases)} cases: {listed(counts)}"
 
 
@@ -80,7 +80,7 @@ def knee_sentence(summary: SweepSummary) -> str:
 def shared_sentences(summary: SweepSummary) -> list[str]:
     """Return what several arms share in the simulation from commands, and what is each arm's own.
 
-    Values that no arm departs from zero with are left out.
+    Common values that are not clearly different from zero are left out.
     """
     values = summary.shared_values()
     if not values:
@@ -102,8 +102,8 @@ def shared_sentences(summary: SweepSummary) -> list[str]:
 
 
 def _place_words(value: SharedValue) -> str:
-    words = value.parameter.replace("_", " ")
-    return words if value.joint is None else f"{words} of joint {value.joint}"
+    name = words(value.parameter)
+    return name if value.joint is None else f"{name} of joint {value.joint}"
 
 
 def spread_sentence(summary: SweepSummary) -> str:
