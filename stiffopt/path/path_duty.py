@@ -29,14 +29,12 @@ def motion_duty(robot: Robot, motion: Assessment) -> Duty:
 def describe_duty(robot: Robot, motion: Assessment) -> str:
     """Return the duty of a motion as a note."""
     duty = motion_duty(robot, motion)
-    loaded, prismatic = max(
-        zip(duty.joints, robot.prismatic, strict=True),
-        key=lambda each: each[0].rms_torque / each[0].torque_max,
-    )
+    loaded = duty.most_loaded
+    unit = joint_unit("N m", bool(robot.prismatic[duty.joints.index(loaded)]))
     told = (
         f"Repeated without a pause, the motion takes {duty.energy:.4g} J of work from the drives, "
-        f"with an rms torque of {loaded.rms_torque:.4g} {joint_unit('N m', bool(prismatic))} in "
-        f"{loaded.name}, {loaded.rms_torque / loaded.torque_max:.0%} of its limit"
+        f"with an rms torque of {loaded.rms_torque:.4g} {unit} in {loaded.name}, "
+        f"{loaded.rms_torque / loaded.torque_max:.0%} of its limit"
     )
     shortest = duty.shortest_life
     # A reducer at rest lasts for ever.
