@@ -300,17 +300,18 @@ def read_table(
     with row (the first below the header is 1) and column.
     """
     path = Path(path)
-    text = read_text(path, MAX_TABLE_BYTES).removeprefix("\ufeff")
+    text = read_text(path, MAX_TABLE_BYTES)
     first = text.partition("\n")[0]
     mark = max(",;\t", key=first.count)
     try:
-        rows = list(csv.DictReader(io.StringIO(text, newline=""), delimiter=mark))
+        reader = csv.DictReader(io.StringIO(text, newline=""), delimiter=mark)
+        header = reader.fieldnames = [name.strip() for name in reader.fieldnames or ()]
+        rows = list(reader)
     except csv.Error as error:
         raise InputFileError(path, "", "is not a CSV text file. Save it as one.") from error
-    rows = [{key and key.strip(): cell for key, cell in row.items()} for row in rows]
-    lacking = [column for column in columns if rows and column not in rows[0]]
+    lacking = [column for column in columns if column not in header]
     if len(rows) < 2 or lacking:
-        there = f" It has {', '.join(map(str, list(rows[0])[:20]))}." if lacking else ""
+        there = f" It has {', '.join(header[:20])}." if header and lacking else ""
         raise InputFileError(
             path, "", f"needs at least two rows and the columns {', '.join(columns)}.{there}"
         )
@@ -320,10 +321,10 @@ def read_table(
             raise InputFileError(
                 path,
                 f"row {number}",
-                f"has {len(row) - 1 + len(row[None])} cells, the header names {len(row) - 1}."
+                f"has {len(header) + len(row[None])} cells, the header names {len(header)}."
                 " Name every column, or write decimals with a point.",
             )
-    wanted = [*columns, *(name for name in optional if name in rows[0])]
+    wanted = [*columns, *(name for name in optional if name in header)]
     decimal = "." if mark == "," else ","
     found: dict[str, list[Any]] = {
         name: [
@@ -332,7 +333,7 @@ def read_table(
         ]
         for name in wanted
     }
-    told = (name for name in texts if name in rows[0])
+    told = (name for name in texts if name in header)
     return found | {name: [(row[name] or "").strip() for row in rows] for name in told}
 
 

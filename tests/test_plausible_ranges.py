@@ -251,6 +251,9 @@ def test_a_row_with_an_extra_field_is_refused(tmp_path):
         read_run(path, signals)
     with pytest.raises(InputFileError, match="row 2: has 4 cells, the header names 3"):
         read_table(path, ["t", "q"])
+    path.write_text("t, q\n0.0,1.0,2.0\n0.1,1.5,2.0\n")
+    with pytest.raises(InputFileError, match=r"columns t, tau\. It has t, q\.$"):
+        read_table(path, ["t", "tau"])
     # A separator at the end of each line is no field.
     path.write_text("t,q,tau\n0.0,1.0,2.0,\n0.1,1.5,2.0,\n")
     assert read_run(path, signals)["q"].tolist() == [1.0, 1.5]

@@ -37,10 +37,9 @@ def solve(
 
     Writes result.json, trajectory.csv, report.html, state.bin and formulas.npz to solve similar
     problems from and, for an elastic arm, command.csv: the motor motion with which the links
-    follow the plan. For a
-    cycle of several [[move]] it writes cycle.json, cycle.csv, report.html and a folder with these
-    files for each leg. Ctrl-C ends the solve and keeps the best motion so far; before the first
-    motion it waits for it, pressed twice it stops immediately.
+    follow the plan. For a cycle of several [[move]] it writes cycle.json, cycle.csv, report.html
+    and a folder with these files for each leg. Ctrl-C ends the solve and keeps the best motion so
+    far; before the first motion it waits for it, pressed twice it stops immediately.
 
     Parameters
     ----------

@@ -91,9 +91,8 @@ class StoredMotion:
     ) -> SampledMotion:
         """Sample at a rate [Hz].
 
-        `rate` [Hz]. `whole_steps`: hold the end position to the next multiple of 1/rate; else the
-        last step ends with the motion. `at_events`: sample at the events in place of the nearest
-        samples of the grid.
+        `whole_steps` holds the end position to the next multiple of 1/rate; else the last step
+        ends with the motion. `at_events` puts the events in place of the nearest samples.
         """
         end = float(self.curve.x[-1])
         times = export_times(end, rate)

@@ -43,8 +43,8 @@ MIN_STATIC_SLIP_SAFETY, MIN_ALTERNATING_SLIP_SAFETY = 1.2, 1.8
 class Verification:
     """VDI 2230 of one flange under its loads.
 
-    `flange`: with its bolt. `loads`: in the axes of the flange, at its interface. `slip_safety`:
-    None: 1.2 for static, 1.8 for alternating torque.
+    `flange` has its bolt, `loads` are in the axes of the flange, at its interface. The default of
+    `slip_safety` is 1.2 for static, 1.8 for alternating torque.
     """
 
     def __init__(

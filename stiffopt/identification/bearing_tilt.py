@@ -13,13 +13,18 @@ recorded of an arm, only a measured place of its tool shows a tilt, which static
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from stiffopt.identification.robust_compliance import fit, jackknife_deviation, without_each
-from stiffopt.identification.static_rows import StaticRows
-from stiffopt.identification.torque_dependence import families, paired_test
+from stiffopt.identification.robust_compliance import (
+    CrossValidation,
+    cross_validate,
+    jackknife_deviation,
+    rms,
+)
+from stiffopt.identification.torque_dependence import FittedFamily, is_determined, paired_test
 from stiffopt.recording.static_set import StaticSet
 from stiffopt.robot.joint_load import joint_frames, joint_wrenches
 
@@ -45,19 +50,6 @@ class BearingTilt:
     rivals: tuple[int, ...] = ()
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _LeftOut:
-    """Prediction of poses left out by columns (m, 3, p): errors (m, 3) and values (m, p)."""
-
-    columns: np.ndarray
-    error: np.ndarray
-    values: np.ndarray
-
-    @property
-    def size(self) -> float:
-        return float(np.sqrt(np.mean(np.square(self.error))))
-
-
 def tilt_columns(recorded: StaticSet) -> np.ndarray:
     """Return the displacement of the tool for unit tilt compliance of each joint, (m, 3, n)."""
     robot, order = recorded.robot, recorded.order
@@ -74,87 +66,68 @@ def tilt_columns(recorded: StaticSet) -> np.ndarray:
     return np.asarray(np.moveaxis(moved[:, order], 1, 2))
 
 
-def identify_tilt(
-    recorded: StaticSet, rows: StaticRows, kept: np.ndarray
-) -> tuple[BearingTilt, ...]:
-    """Return the bearings whose tilt the poses support.
-
-    `kept` (k,): joints (from 0) whose torsion is identifiable.
-    """
-    measured, added = recorded.displacement, tilt_columns(recorded)
-    laws = [law.columns for family in families(rows, kept) for law in family.shapes]
-    tried = [_predict(columns, measured) for columns in laws if _is_determined(columns)]
-    if not tried:
+def identify_tilt(recorded: StaticSet, torsion: Sequence[FittedFamily]) -> tuple[BearingTilt, ...]:
+    """Return the bearings whose tilt the poses support, beside the best law of the torsion."""
+    laws = [law for family in torsion for law in family.fits]
+    if not laws:
         return ()
-    found = min(tried, key=lambda each: each.size)
+    measured, added = recorded.displacement, tilt_columns(recorded)
+    found = min(laws, key=lambda each: rms(each.error))
     first = found.columns.shape[2]
     joints: list[int] = []
     free = [j for j in range(added.shape[2]) if np.any(added[:, :, j])]
     while free:
         wider = [np.concatenate([found.columns, added[:, :, [j]]], axis=2) for j in free]
-        if not _is_determined(wider[0]):
+        if not is_determined(wider[0]):
             break
-        tried = [_predict(columns, measured) for columns in wider]
-        best = int(np.argmin([each.size for each in tried]))
+        tried = [cross_validate(columns, measured) for columns in wider]
+        best = int(np.argmin([rms(each.error) for each in tried]))
         if not _supported(found, tried[best], -1, len(free)):
             break
         found = tried[best]
         joints.append(free.pop(best))
         for k in range(len(joints) - 2, -1, -1):
-            narrower = _predict(np.delete(found.columns, first + k, axis=2), measured)
+            narrower = cross_validate(np.delete(found.columns, first + k, axis=2), measured)
             if not _supported(narrower, found, first + k, len(joints)):
                 found = narrower
                 del joints[k]
 
-    def _exchange(column: int, joint: int) -> np.ndarray:
+    def exchange(column: int, joint: int) -> np.ndarray:
         columns = found.columns.copy()
         columns[:, :, column] = added[:, :, joint]
         return columns
 
-    compliance, deviation = fit(found.columns, measured).value, jackknife_deviation(found.values)
+    compliance, deviation = found.whole.value, jackknife_deviation(found.values)
     return tuple(
         BearingTilt(
             joint=j + 1,
             compliance=float(compliance[first + k]),
             sd=float(deviation[first + k]),
-            left_out=found.size,
+            left_out=rms(found.error),
             rivals=tuple(
                 other + 1
                 for other in free
-                if _is_as_good(_predict(_exchange(first + k, other), measured), found)
+                if _is_as_good(cross_validate(exchange(first + k, other), measured), found)
             ),
         )
         for k, j in enumerate(joints)
     )
 
 
-def _is_determined(columns: np.ndarray) -> bool:
-    """Return True where there are fewer columns than displacements without one pose."""
-    return int(columns.shape[2]) < 3 * (len(columns) - 1)
-
-
-def _predict(columns: np.ndarray, measured: np.ndarray) -> _LeftOut:
-    whole = fit(columns, measured)
-    folds = [fit(columns[k], measured[k], start=whole) for k in without_each(len(measured))]
-    values = np.array([fold.value for fold in folds])
-    error = measured - np.einsum("kip,kp->ki", columns, values)
-    return _LeftOut(columns=columns, error=error, values=values)
-
-
-def _is_as_good(rival: _LeftOut, found: _LeftOut) -> bool:
+def _is_as_good(rival: CrossValidation, found: CrossValidation) -> bool:
     """Return True where poses left out do not tell a rival from what was found."""
     worse = np.sum(rival.error**2 - found.error**2, axis=1)
     return paired_test(worse) > _MAX_RIVAL_CHANCE
 
 
-def _supported(narrower: _LeftOut, wider: _LeftOut, column: int, tried: int) -> bool:
+def _supported(narrower: CrossValidation, wider: CrossValidation, column: int, tried: int) -> bool:
     """Return True where a column differs from zero and decreases the error on poses left out.
 
     As torsion, by Student's t of its fits without one pose each, adjusted for the joints tried.
     """
     from scipy.stats import t
 
-    if not wider.size < (1.0 - MIN_GAIN) * narrower.size:
+    if not rms(wider.error) < (1.0 - MIN_GAIN) * rms(narrower.error):
         return False
     tilt = wider.values[:, column]
     factor = float(t.ppf(1.0 - MAX_CHANCE / tried, len(tilt) - 1))

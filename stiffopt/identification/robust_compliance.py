@@ -6,8 +6,8 @@ leaves out whole poses.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -38,8 +38,8 @@ def fit(
 ) -> RobustFit:
     """Non-negative least squares with Huber's weights by pose.
 
-    `columns` (m, 3, p): displacement for a value of one [m]. `displacement` (m, 3) [m]. `robust`:
-    False: plain least squares, all weights one. `start`: initial values. Returns RobustFit. Huber,
+    `columns` (m, 3, p) give the displacement for a value of one [m], `displacement` (m, 3) is [m];
+    `start` has initial values. Without `robust` it is plain least squares, all weights one. Huber,
     P. J.: Robust Estimation of a Location Parameter (1964); reweighted least squares.
     """
     size = np.sqrt(np.mean(np.square(columns), axis=(0, 1)))
@@ -69,7 +69,7 @@ def fit(
 def loss(error: np.ndarray, scale: float) -> np.ndarray:
     """Huber's loss of every pose in units of its scale: (m, 3) -> (m,).
 
-    Half the square up to `BEND` standard deviations, linear beyond.
+    Half the square up to `HUBER_THRESHOLD` standard deviations, linear beyond.
     """
     u = np.linalg.norm(error, axis=-1) / scale
     return np.asarray(
@@ -77,12 +77,47 @@ def loss(error: np.ndarray, scale: float) -> np.ndarray:
     )
 
 
-def without_each(count: int) -> Iterator[np.ndarray]:
-    """Iterate over masks that leave out one pose each."""
-    for k in range(count):
-        keep = np.ones(count, dtype=bool)
-        keep[k] = False
-        yield keep
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CrossValidation:
+    """Fit of columns (m, 3, p) to displacements (m, 3), and fits that leave out one pose each."""
+
+    columns: np.ndarray
+    displacement: np.ndarray
+    whole: RobustFit
+    folds: tuple[RobustFit, ...]
+
+    @cached_property
+    def values(self) -> np.ndarray:
+        """Values (m, p) without each pose."""
+        return np.array([fold.value for fold in self.folds])
+
+    @cached_property
+    def predicted(self) -> np.ndarray:
+        """Displacements (m, 3) of the poses left out [m]."""
+        return np.asarray(np.einsum("kip,kp->ki", self.columns, self.values))
+
+    @property
+    def error(self) -> np.ndarray:
+        """Errors (m, 3) of the poses left out [m]."""
+        return np.asarray(self.displacement - self.predicted)
+
+
+def cross_validate(
+    columns: np.ndarray, displacement: np.ndarray, *, robust: bool = True
+) -> CrossValidation:
+    """Fit to all poses, and without each; parameters as of `fit`."""
+    whole = fit(columns, displacement, robust=robust)
+    start = whole if robust else None
+    folds = tuple(
+        fit(columns[k], displacement[k], robust=robust, start=start)
+        for k in ~np.eye(len(displacement), dtype=bool)
+    )
+    return CrossValidation(columns=columns, displacement=displacement, whole=whole, folds=folds)
+
+
+def rms(error: np.ndarray) -> float:
+    """Root mean square of all components."""
+    return float(np.sqrt(np.mean(np.square(error))))
 
 
 def model_covariance(columns: np.ndarray, fitted: RobustFit) -> np.ndarray:

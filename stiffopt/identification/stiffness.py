@@ -8,13 +8,14 @@ from stiffopt.errors import InputFileError
 from stiffopt.identification.bearing_tilt import identify_tilt
 from stiffopt.identification.result import Errors, JointStiffness, StaticStiffness, Status
 from stiffopt.identification.robust_compliance import (
+    CrossValidation,
     RobustFit,
     bootstrap,
     bootstrap_interval,
-    fit,
+    cross_validate,
     jackknife_deviation,
     model_covariance,
-    without_each,
+    rms,
 )
 from stiffopt.identification.static_rows import (
     MIN_LEVERAGE,
@@ -23,7 +24,7 @@ from stiffopt.identification.static_rows import (
     identifiable,
     static_rows,
 )
-from stiffopt.identification.torque_dependence import UNTESTED, torque_dependence
+from stiffopt.identification.torque_dependence import UNTESTED, fit_families, torque_dependence
 from stiffopt.recording.static_set import StaticSet
 
 CONFIDENCE = 0.95
@@ -43,7 +44,7 @@ def identify_stiffness(
     ----------
     recorded : StaticSet
     torque : bool
-        Also test whether compliance depends on torque, which takes most of the time.
+        Also test whether compliance depends on torque.
     draws : int
         Of the bootstrap.
     seed : int
@@ -64,65 +65,53 @@ def identify_stiffness(
             "Check the order of the columns and the tool frame."
         )  # fmt: skip
     used = columns[:, :, kept]
-    fitted, plain = fit(used, measured), fit(used, measured, robust=False)
-    folds = [fit(used[k], measured[k], start=fitted) for k in without_each(len(measured))]
-    plain_folds = [fit(used[k], measured[k], robust=False) for k in without_each(len(measured))]
+    robust, plain = (cross_validate(used, measured, robust=each) for each in (True, False))
+    fitted = robust.whole
     drawn = bootstrap(used, measured, fitted, draws, seed)
-    dependence = torque_dependence(rows, kept) if torque else UNTESTED
-    left_out = _predict_left_out(used, folds)
+    laws = fit_families(rows, kept)
     norm = np.linalg.norm(fitted.residual, axis=1)
     # Rounding must not make outliers of data without error.
     outlying = max(OUTLIER_DEVIATIONS * fitted.scale, 1e-6 * rms(measured))
     return StaticStiffness(
         source=recorded,
         rows=rows,
-        joints=_joint_estimates(recorded, rows, can, fitted, plain, folds, drawn),
+        joints=_joint_estimates(recorded, rows, can, robust, plain.whole, drawn),
         errors=Errors(
             displacement=rms(measured),
             fit=rms(fitted.residual),
-            left_out=rms(measured - left_out),
-            least_squares=rms(plain.residual),
-            least_squares_left_out=rms(measured - _predict_left_out(used, plain_folds)),
+            left_out=rms(robust.error),
+            least_squares=rms(plain.whole.residual),
+            least_squares_left_out=rms(plain.error),
             nominal=None
             if recorded.stiffness is None
             else rms(measured - columns @ (1.0 / recorded.stiffness)),
         ),
         predicted=measured - fitted.residual,
-        left_out=left_out,
+        left_out=robust.predicted,
         weight=fitted.weight,
         scale=fitted.scale,
         outliers=tuple(int(k) + 1 for k in np.flatnonzero(norm > outlying)),
         correlation=_largest_correlation(used, fitted, can, recorded.n),
-        torque_dependence=dependence,
-        tilt=identify_tilt(recorded, rows, kept),
+        torque_dependence=torque_dependence(rows, kept, laws) if torque else UNTESTED,
+        tilt=identify_tilt(recorded, laws),
         assumptions=_list_assumptions(recorded, rows),
     )
-
-
-def rms(error: np.ndarray) -> float:
-    """Root mean square of all components."""
-    return float(np.sqrt(np.mean(np.square(error))))
-
-
-def _predict_left_out(columns: np.ndarray, folds: list[RobustFit]) -> np.ndarray:
-    return np.array([columns[k] @ fold.value for k, fold in enumerate(folds)])
 
 
 def _joint_estimates(
     recorded: StaticSet,
     rows: StaticRows,
     can: Identifiable,
-    fitted: RobustFit,
+    robust: CrossValidation,
     plain: RobustFit,
-    folds: list[RobustFit],
     drawn: np.ndarray,
 ) -> tuple[JointStiffness, ...]:
     from scipy.stats import t
 
-    columns = rows.compliance_columns()[:, :, can.kept]
-    alike = np.sqrt(np.diag(model_covariance(columns, fitted)))
-    jackknife = jackknife_deviation(np.array([fold.value for fold in folds]))
-    factor = float(t.ppf(0.5 + 0.5 * CONFIDENCE, len(folds) - 1))
+    fitted, poses = robust.whole, len(robust.folds)
+    alike = np.sqrt(np.diag(model_covariance(robust.columns, fitted)))
+    jackknife = jackknife_deviation(robust.values)
+    factor = float(t.ppf(0.5 + 0.5 * CONFIDENCE, poses - 1))
     torque = np.quantile(np.abs(rows.load), [0.05, 0.5, 0.95], axis=0).T
     place = {int(j): k for k, j in enumerate(can.kept)}
     joints = []
@@ -143,7 +132,7 @@ def _joint_estimates(
                     factor,
                     nominal,
                     float(plain.value[k]),
-                    bootstrap_interval(drawn[:, k], len(folds), CONFIDENCE),
+                    bootstrap_interval(drawn[:, k], poses, CONFIDENCE),
                     float(np.std(drawn[:, k], ddof=1)),
                 )
                 estimate["compliance_sd_alike"] = float(alike[k])

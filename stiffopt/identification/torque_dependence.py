@@ -14,7 +14,13 @@ from typing import Literal
 
 import numpy as np
 
-from stiffopt.identification.robust_compliance import RobustFit, fit, loss, without_each
+from stiffopt.identification.robust_compliance import (
+    CrossValidation,
+    RobustFit,
+    cross_validate,
+    loss,
+    rms,
+)
 from stiffopt.identification.static_rows import StaticRows, Windup
 
 Verdict = Literal["supported", "weak", "not supported", "not tested"]
@@ -77,12 +83,13 @@ class _FamilyFit:
     shape: WindupForm
 
 
-def torque_dependence(rows: StaticRows, kept: Sequence[int] | np.ndarray) -> TorqueDependence:
+def torque_dependence(
+    rows: StaticRows, kept: np.ndarray, fitted: Sequence[FittedFamily]
+) -> TorqueDependence:
     """Compare nested models of the joints' wind-up by predicting poses left out.
 
-    `kept` (k,): joints (from 0) whose compliances are identifiable. Returns TorqueDependence.
+    `kept` (k,): joints (from 0) whose compliances are identifiable. `fitted`: as of `fit_families`.
     """
-    kept = np.asarray(kept)
     m = len(rows.displacement)
     if m < MIN_POSES:
         return TorqueDependence(
@@ -93,12 +100,11 @@ def torque_dependence(rows: StaticRows, kept: Sequence[int] | np.ndarray) -> Tor
             best="",
             secant={},
         )
-    tried = [f for f in families(rows, kept) if f.shapes[0].columns.shape[2] < 3 * (m - 1)]
-    measured = rows.displacement
-    runs = [_predict_left_out(family, measured) for family in tried]
+    tried = [each.family for each in fitted]
+    runs = [_predict_left_out(each) for each in fitted]
     constant = runs[0]
     # Data without error have a scale of zero.
-    scale = max(constant.whole.scale, 1e-9 * _rms_error(measured))
+    scale = max(constant.whole.scale, 1e-9 * rms(rows.displacement))
     losses = [loss(run.error, scale) for run in runs]
     # Candidates are compared with the best model without torque dependence.
     plain = [k for k, family in enumerate(tried) if not family.candidate]
@@ -111,9 +117,9 @@ def torque_dependence(rows: StaticRows, kept: Sequence[int] | np.ndarray) -> Tor
             candidate=family.candidate,
             shape=run.shape.label,
             parameters=run.shape.columns.shape[2],
-            fit=_rms_error(run.whole.residual),
-            left_out=_rms_error(run.error),
-            gain=1.0 - _rms_error(run.error) / (_rms_error(constant.error) or 1.0),
+            fit=rms(run.whole.residual),
+            left_out=rms(run.error),
+            gain=1.0 - rms(run.error) / (rms(constant.error) or 1.0),
             chance=min(1.0, candidates * paired_test(losses[rival] - losses[k]))
             if family.candidate
             else 1.0,
@@ -144,22 +150,17 @@ def torque_dependence(rows: StaticRows, kept: Sequence[int] | np.ndarray) -> Tor
     )
 
 
-def _predict_left_out(family: Family, measured: np.ndarray) -> _FamilyFit:
+def _predict_left_out(fitted: FittedFamily) -> _FamilyFit:
     """Errors of poses left out; the form is selected without the pose."""
-    whole = [fit(shape.columns, measured) for shape in family.shapes]
-    error = np.empty_like(measured)
-    for k, keep in enumerate(without_each(len(measured))):
-        folds = [
-            fit(shape.columns[keep], measured[keep], start=start)
-            for shape, start in zip(family.shapes, whole, strict=True)
-        ]
-        best = _select_form(folds)
-        error[k] = measured[k] - family.shapes[best].columns[k] @ folds[best].value
+    errors = [each.error for each in fitted.fits]
+    folds = zip(*(each.folds for each in fitted.fits), strict=True)
+    error = np.array([errors[_select_form(fits)][k] for k, fits in enumerate(folds)])
+    whole = [each.whole for each in fitted.fits]
     best = _select_form(whole)
-    return _FamilyFit(error, whole[best], family.shapes[best])
+    return _FamilyFit(error, whole[best], fitted.family.shapes[best])
 
 
-def _select_form(fits: list[RobustFit]) -> int:
+def _select_form(fits: Sequence[RobustFit]) -> int:
     if len(fits) == 1:
         return 0
     scale = max(fits[0].scale, 1e-300)
@@ -176,10 +177,6 @@ def paired_test(drop: np.ndarray) -> float:
     if not drop.any():
         return 1.0
     return float(wilcoxon(drop, alternative="greater").pvalue)
-
-
-def _rms_error(error: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.square(error))))
 
 
 def _decide_verdict(models: tuple[Compared, ...], rival: Compared) -> tuple[Verdict, str, Compared]:
@@ -244,11 +241,36 @@ class Family:
     shapes: tuple[WindupForm, ...]
 
 
-def families(rows: StaticRows, kept: np.ndarray) -> list[Family]:
-    """Constant compliance, its alternative with sensor offset, and torque-dependent candidates.
+@dataclass(frozen=True, eq=False)
+class FittedFamily:
+    """A model with the fits of its forms."""
+
+    family: Family
+    fits: tuple[CrossValidation, ...]
+
+
+def fit_families(rows: StaticRows, kept: np.ndarray) -> list[FittedFamily]:
+    """Fit all models that the poses determine without one of them.
 
     `kept` (k,): joints (from 0) that get parameters.
     """
+    return [
+        FittedFamily(
+            family,
+            tuple(cross_validate(shape.columns, rows.displacement) for shape in family.shapes),
+        )
+        for family in _families(rows, kept)
+        if is_determined(family.shapes[0].columns)
+    ]
+
+
+def is_determined(columns: np.ndarray) -> bool:
+    """Return True where there are fewer columns than displacements without one pose."""
+    return int(columns.shape[2]) < 3 * (len(columns) - 1)
+
+
+def _families(rows: StaticRows, kept: np.ndarray) -> list[Family]:
+    """Constant compliance, its alternative with sensor offset, and torque-dependent candidates."""
     constant = rows.compliance_columns()[:, :, kept]
     m = len(constant)
     both = np.broadcast_to(np.hstack([np.eye(3), -np.eye(3)]), (m, 3, 6))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from stiffopt.errors import ProblemError
 from stiffopt.result.duty import Duty, DutyHistory, DutyLimits, duty_of
 from stiffopt.result.life_rating import life_rating
+from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
     from stiffopt.result.assessment import Assessment
@@ -27,14 +29,16 @@ def motion_duty(robot: Robot, motion: Assessment) -> Duty:
 def describe_duty(robot: Robot, motion: Assessment) -> str:
     """Return the duty of a motion as a note."""
     duty = motion_duty(robot, motion)
-    loaded = max(duty.joints, key=lambda each: each.rms_torque / each.torque_max)
+    loaded = duty.most_loaded
+    unit = joint_unit("N m", bool(robot.prismatic[duty.joints.index(loaded)]))
     told = (
         f"Repeated without a pause, the motion takes {duty.energy:.4g} J of work from the drives, "
-        f"with an rms torque of {loaded.rms_torque:.4g} N m in {loaded.name}, "
+        f"with an rms torque of {loaded.rms_torque:.4g} {unit} in {loaded.name}, "
         f"{loaded.rms_torque / loaded.torque_max:.0%} of its limit"
     )
     shortest = duty.shortest_life
-    if shortest is None or shortest.life is None:
+    # A reducer at rest lasts for ever.
+    if shortest is None or shortest.life is None or math.isinf(shortest.life):
         return f"{told}."
     return f"{told}; the reducer of {shortest.name} lasts {shortest.life / 3600.0:.3g} h."
 
@@ -52,16 +56,18 @@ def slowing_within_duty(
         uses = limits.uses(motion_duty(robot, slowed(factor)))
         return [use.text for use in sorted(uses, key=lambda use: -use.share) if use.share > 1.0]
 
-    if not excess(1.0):
+    over = excess(1.0)
+    if not over:
         return 1.0
     low, high = 1.0, min(most, _MAX_SLOWING)
-    if high <= 1.0 or (over := excess(high)):
-        told = excess(1.0) if high <= 1.0 else over
+    if high > 1.0:
+        over = excess(high)
+    if over:
         why = (
             "at motion.duration, its upper bound" if high == most else "however slow the motion is"
         )
         raise ProblemError(
-            f"{told[0]} {why}. Raise that limit, allow more time, or change posture or payload."
+            f"{over[0]} {why}. Raise that limit, allow more time, or change posture or payload."
         )
     while high / low - 1.0 > _SLOWING_ACCURACY:
         middle = (low * high) ** 0.5

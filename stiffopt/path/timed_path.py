@@ -42,7 +42,7 @@ def timed_motion(problem: TrajectoryProblem) -> Baseline | None:
 
     Where a command is asked for, its law is averaged over the widest window that costs little time,
     so that the motors can lead. None where it exceeds a limit of another kind, or the largest
-    duration.
+    duration. Raises `ProblemError` where no allowed duration keeps the limits of the duty.
     """
     path = problem.path
     assert path is not None
@@ -62,7 +62,10 @@ def timed_motion(problem: TrajectoryProblem) -> Baseline | None:
         return fastest
     assert fastest.objective is not None
     for window in _AVERAGING_WINDOWS:
-        found = _timed_motion(problem, fastest_laws, window)
+        try:
+            found = _timed_motion(problem, fastest_laws, window)
+        except ProblemError:  # no time is left in which its duty, unlike the fastest's, is kept
+            continue
         # Every part between stops ends two windows later.
         allowed = _MAX_SLOWING * (fastest.objective + 2.0 * window * (1 + len(path.stops)))
         if found is not None and found.objective is not None and found.objective <= allowed:

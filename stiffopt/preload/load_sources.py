@@ -38,8 +38,8 @@ def pose_case(
 ) -> LoadCase:
     """Return the load case of an arm at rest, with torques gravity minus J^T F.
 
-    `robot`: payload and tool attached. `angles` (n,) [rad]. `force` (3,): acts ON the tool, base
-    axes [N]. `deflection`: "dynamic": the case has no deflection, since the arm is at rest.
+    `robot` has payload and tool, `angles` (n,) [rad]; `force` (3,) acts ON the tool, base axes [N].
+    With the `deflection` "dynamic" the case has none, since the arm is at rest.
     """
     rest = np.zeros_like(angles)[None]
     pose = np.asarray(angles, dtype=float)[None]
@@ -73,12 +73,12 @@ def trajectory_history(
 ) -> LoadHistory:
     """Return the spring torques along a solved trajectory.
 
-    `path`: CSV with the columns t, q1.., tau_spring1.. in SI, as written by a solve. `force` (3,):
-    process force of that motion [N]. `deflection`: None: torques only. Otherwise tool, payload and
-    force must be those of the motion; checked if the file has tool_x.., qd1.. and qdd1... `whole`:
-    return all six components of the joint loads. Requires payload and force of the motion and the
-    columns qd1.. and qdd1...; checked. Raises `InputFileError`: not a trajectory file, or one of
-    another robot.
+    `path` is a CSV with the columns t, q1.., tau_spring1.. in SI, as written by a solve, `force`
+    (3,) the process force of that motion [N]. With a `deflection`, tool, payload and force must be
+    those of the motion, checked if the file has tool_x.., qd1.. and qdd1..; without, torques alone
+    are read. `whole` returns all six components of the joint loads: it requires payload and force
+    of the motion and the columns qd1.. and qdd1... Raises `InputFileError`: not a trajectory file,
+    or one of another robot.
     """
     path = Path(path)
     table = _TrajectoryTable(path, robot.n)

@@ -315,30 +315,33 @@ class _CycleReader:
             if target.near is not None:
                 return [solve_pose(robot, target.position, rotation, target.near)]
 
-            def holding(q: np.ndarray) -> tuple[float, CarriedLoad]:
-                """Largest share of a torque limit that a load needs at rest, and that load."""
-                weights = {
-                    load: np.abs(self._robot(load).rigid_bodies().gravity_torque(q))
-                    for load in loads
+            bodies = {load: self._robot(load).rigid_bodies() for load in loads}
+            least = self._document.cell.clearance if self._document.cell else 0.0
+            # Of postures without collisions that the drives cannot hold: largest share of a torque
+            # limit at rest, and its load.
+            too_heavy: list[tuple[float, CarriedLoad]] = []
+
+            def admissible(q: np.ndarray) -> bool:
+                if clearance is not None and float(clearance.distances(q).min()) < least:
+                    return False
+                shares = {
+                    load: float((np.abs(own.gravity_torque(q)) / limits.torque).max())
+                    for load, own in bodies.items()
                 }
-                shares = {load: float((w / limits.torque).max()) for load, w in weights.items()}
                 heaviest = max(shares, key=lambda load: shares[load])
-                return shares[heaviest], heaviest
+                if shares[heaviest] > 1.0:
+                    too_heavy.append((shares[heaviest], heaviest))
+                return shares[heaviest] <= 1.0
 
-            def free(q: np.ndarray) -> bool:
-                least = self._document.cell.clearance if self._document.cell else 0.0
-                return clearance is None or float(clearance.distances(q).min()) >= least
-
-            postures = solutions_of_pose(robot, target.position, rotation, reference, free)
-            if not postures:
+            found = solutions_of_pose(robot, target.position, rotation, reference, admissible)
+            if not found and not too_heavy:
                 # States the cause where the pose is out of reach.
                 solve_pose(robot, target.position, rotation, reference)
                 raise ProblemError(
                     "in every posture that reaches this pose the arm collides. Move the pose."
                 )
-        found = [q for q in postures if holding(q)[0] <= 1.0]
         if not found:
-            share, load = min(map(holding, postures), key=lambda each: each[0])
+            share, load = min(too_heavy, key=lambda each: each[0])
             self._fail(
                 load.place,
                 f"the drives cannot hold {load.mass:g} kg at rest in the pose of {step.where}: a "

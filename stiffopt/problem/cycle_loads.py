@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from stiffopt.errors import InputFileError
@@ -16,7 +16,8 @@ class CarriedLoad:
     body: PayloadSection | None
     part: PayloadSection | None
     tool: ToolPointSection
-    place: str = "payload"  # of its last body in the file
+    # Of its last body in the file; not compared: equal loads share one robot.
+    place: str = field(default="payload", compare=False)
 
     @property
     def mass(self) -> float:
@@ -27,8 +28,8 @@ class CarriedLoad:
 def follow_loads(document: ProblemFile, path: Path) -> list[CarriedLoad]:
     """Load of each move of a cycle, and that after the last one.
 
-    Raises `InputFileError`: an event is impossible: a part that was never gripped, is put down or
-    taken twice, or is never put down.
+    Raises `InputFileError`: an event is impossible: a part is put down that is not held or taken
+    while another one is held, or the tool is changed then.
     """
     tool = document.tool
     loads = [

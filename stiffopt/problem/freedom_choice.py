@@ -72,8 +72,8 @@ def _hash_of_inputs(task: FreedomTask, near: np.ndarray, tolerance: float, cell:
     """Hash of all that a choice depends on."""
     path = task.path
     stated = [*path.stated_poses(task.along), path.breaks, path.speeds, path.stops]
-    poses = task.node_data(task.along)
-    whole = (task.robot, task.freedom, task.limits, stated, poses, near, tolerance, cell)
+    placed = (task.node_data(task.along), task.origin, task.force_axes)
+    whole = (task.robot, task.freedom, task.limits, stated, placed, near, tolerance, cell)
     return inputs_hash(whole)
 
 

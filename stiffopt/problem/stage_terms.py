@@ -62,9 +62,9 @@ class ObjectiveTerms:
     """Contributions of one objective.
 
     `value`: the objective in SI from the integrals of `integrands` and the duration; linear in the
-    integrals, else the Hessian becomes dense: a root goes through a static variable. `besides`:
-    function of integrals and duration that is minimised among motions of about equal value, for
-    robustness to model errors.
+    integrals, else the Hessian becomes dense: a root goes through a static variable.
+    `robust_value`: function of integrals and duration that is minimised among motions of about
+    equal value, for robustness to model errors.
     """
 
     value: OfIntegrals

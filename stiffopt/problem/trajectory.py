@@ -17,6 +17,7 @@ from stiffopt.problem.limit import Limits
 from stiffopt.problem.objective import Objective
 from stiffopt.result.joint_path import JointPath
 from stiffopt.robot.cell import Cell
+from stiffopt.robot.tolerances import Tolerances
 
 if TYPE_CHECKING:
     from stiffopt.problem.limit import LimitKind
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from stiffopt.result.duty import DutyLimits
     from stiffopt.robot.clearance import ClearanceModel
     from stiffopt.robot.robot import Robot
-from stiffopt.robot.tolerances import Tolerances
 
 # Largest distance from the base [m] and range of durations [s]: values beyond are input errors and
 # overflow in the solve.

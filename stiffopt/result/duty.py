@@ -103,6 +103,11 @@ class Duty:
         rated = [each for each in self.joints if each.life is not None]
         return min(rated, key=lambda each: each.life or np.inf, default=None)
 
+    @property
+    def most_loaded(self) -> JointDuty:
+        """Joint whose rms torque is the largest share of its limit."""
+        return max(self.joints, key=lambda each: each.rms_torque / each.torque_max)
+
     def document(self) -> dict[str, Any]:
         """Content of `duty` in cycle.json; SI."""
         return {

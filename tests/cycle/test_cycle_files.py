@@ -11,6 +11,7 @@ from small_cycles import GRIP, MOVES, write_cycle_file
 
 from stiffopt.cli import run
 from stiffopt.errors import InputFileError
+from stiffopt.problem import cycle_files
 from stiffopt.problem.branches import CostTable, best_combination, branch_name, solutions_of_pose
 from stiffopt.problem.cycle_files import load_cycle
 from stiffopt.problem.files import load_problem
@@ -90,6 +91,22 @@ def test_part_too_heavy_for_the_drives_is_named_at_its_grip():
     path = ROOT / "problems" / "ur10_cycle.toml"
     with pytest.raises(InputFileError, match=r"move\[2\]\.payload: the drives cannot hold"):
         load_cycle(path, ["move[2].payload.mass=5000 kg"])
+
+
+def test_postures_that_cannot_be_held_take_no_place_among_the_nearest(monkeypatch):
+    found = []
+
+    def watched(*given):
+        found.append(solutions_of_pose(*given))
+        return found[-1]
+
+    monkeypatch.setattr(cycle_files, "solutions_of_pose", watched)
+    path, limit = ROOT / "problems" / "ur10_cycle.toml", [180.0, 100.0, 90.0, 30.0, 30.0, 30.0]
+    cycle = load_cycle(path, [f"limits.torque={limit}"]).cycle
+    bodies = cycle.legs[1].problem.robot.rigid_bodies()
+    torques = np.abs([bodies.gravity_torque(q) for each in found for q in each])
+    assert len(torques) > 20
+    assert np.all(torques <= limit)
 
 
 def test_command_line_refuses_with_exit_code_2(tmp_path, capsys):
@@ -204,6 +221,19 @@ def test_a_rail_is_moved_where_that_is_quicker(tmp_path):
     assert np.ptp([q[0] for q in places.values()]) > 0.05
     assert all(-0.5 <= q[0] <= 0.5 for q in places.values())
     assert bodies.pose(tool, places["home"])[0] == pytest.approx([0.6, -0.3, 0.4], abs=1e-6)
+
+
+def test_robot_is_loaded_once_for_equal_parts_gripped_in_two_moves(tmp_path):
+    loaded = []
+
+    def counted(name):
+        loaded.append(name)
+        return load_robot(name)
+
+    path = write_cycle_file(tmp_path, moves=MOVES + MOVES)
+    legs = load_cycle(path, robots=counted).cycle.legs
+    assert legs[1].problem.robot is legs[4].problem.robot
+    assert len(loaded) == 2
 
 
 def test_moves_may_end_with_the_part_in_the_gripper(tmp_path):

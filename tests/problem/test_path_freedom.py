@@ -1,6 +1,7 @@
 """Freedom of a tool path: against dense scans by the exact laws, within its bounds, refusals."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from stiffopt.problem.freedom_goals import TimeGoal
 from stiffopt.problem.freedom_programme import optimise_freedom
 from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.store import write_result
+from stiffopt.robot.cell import Cell
 from stiffopt.robot.frames import LinkFrame
 from stiffopt.solver.solve import solve
 
@@ -290,6 +292,17 @@ def test_choice_of_a_solved_result_is_taken_without_a_search(choose, tmp_path, m
     file.write_text(file.read_text().replace("21 deg", "20 deg"))
     with pytest.raises(AssertionError, match="searched"):
         load_problem(file, choice={**kept, "joints": [[0.0]]})
+
+
+@pytest.mark.parametrize(("name", "value"), [("origin", np.ones(3)), ("force_axes", "base")])
+def test_choice_belongs_to_the_frame_that_is_placed(choose, name, value):
+    _, task, _ = choose('placement_box = ["5 mm", 0, 0]\nposture = "near"')
+    given = (np.zeros(task.robot.n), 1e-5, Cell())
+    hashes = {
+        freedom_choice._hash_of_inputs(each, *given)
+        for each in (task, replace(task, **{name: value}))
+    }
+    assert len(hashes) == 2
 
 
 def test_result_keeps_the_choice_of_its_path(choose, tmp_path):

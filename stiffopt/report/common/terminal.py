@@ -64,8 +64,8 @@ def print_section(section: ReportSection) -> None:
 class StatusLine(ExitStack):
     """Context manager that shows a line: updated in place on a terminal, else printed each time.
 
-    `console`: None: standard error, so that standard output stays free for results. `clock`:
-    seconds; replaced in tests.
+    The default of `console` is standard error, so that standard output stays free for results;
+    `clock` gives seconds, and is replaced in tests.
     """
 
     def __init__(

@@ -150,7 +150,7 @@ def duty_text(solution: CycleSolution) -> str:
     duty = solution.duty
     if duty is None:
         return ""
-    loaded = max(duty.joints, key=lambda each: each.rms_torque / each.torque_max)
+    loaded = duty.most_loaded
     text = (
         f"The drives give {si(duty.energy, 'J', 3)} of work in a cycle and take "
         f"{si(duty.regenerated, 'J', 3)}; the highest rms torque is "

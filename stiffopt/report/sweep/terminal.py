@@ -11,12 +11,12 @@ from stiffopt.report.common.terminal import (
     print_lines,
     print_section,
 )
-from stiffopt.report.common.text import listed, si
+from stiffopt.report.common.text import listed, si, words
 from stiffopt.sweep.run import SweepProgress
 from stiffopt.sweep.shared_values import SharedValue
 from stiffopt.sweep.summary import TABLE_FILE, SweepSummary
 
-# Standard deviations from zero of a common value that is told.
+# Standard deviations from zero beyond which a common value is told.
 _MIN_DEVIATIONS = 2.0
 
 
@@ -70,7 +70,7 @@ def _format_duration(seconds: float) -> str:
 
 def headline(summary: SweepSummary) -> str:
     """Return the number of cases by status."""
-    counts = [f"{number} {name.replace('_', ' ')}" for name, number in summary.statuses().items()]
+    counts = [f"{number} {words(name)}" for name, number in summary.statuses().items()]
     return f"{len(summary.sweep.cases)} cases: {listed(counts)}"
 
 
@@ -89,7 +89,7 @@ def knee_sentence(summary: SweepSummary) -> str:
 def shared_section(summary: SweepSummary) -> ReportSection:
     """Return what several arms share in the simulation from commands, and what is each arm's own.
 
-    Common values that do not differ from zero are left out.
+    Common values that are not clearly different from zero are left out.
     """
     values = [
         each
@@ -112,8 +112,8 @@ def shared_section(summary: SweepSummary) -> ReportSection:
 
 
 def _place_words(value: SharedValue) -> str:
-    words = value.parameter.replace("_", " ")
-    return words if value.joint is None else f"{words} of joint {value.joint}"
+    name = words(value.parameter)
+    return name if value.joint is None else f"{name} of joint {value.joint}"
 
 
 def spread_sentence(summary: SweepSummary) -> str:
