@@ -402,10 +402,10 @@ def _beside_baselines(
     strict: Baseline | None,
 ) -> Solution:
     """Return a solution with its baselines, and their ratios where there is a motion."""
-    ends = solution.status is SolveStatus.INFEASIBLE
+    infeasible = solution.status is SolveStatus.INFEASIBLE
 
     def ratio_to(rival: Baseline | None) -> float | None:
-        if ends or rival is None or rival.objective is None or solution.objective is None:
+        if infeasible or rival is None or rival.objective is None or solution.objective is None:
             return None
         return improvement(problem, solution.objective.value, rival.objective)
 
@@ -413,19 +413,20 @@ def _beside_baselines(
         solution,
         baselines=compared,
         ratio_to_better_baseline=ratio_to(better_baseline(problem, compared)),
-        strict_baseline=None if ends else strict,
+        strict_baseline=None if infeasible else strict,
         ratio_to_strict_baseline=ratio_to(strict),
     )
 
 
 def complete_comparison(problem: TrajectoryProblem, solution: Solution) -> Solution:
     """Return a stored solution beside baselines and simulated rivals, where it has none."""
-    bounded = with_bounded_travel(problem, motion := resolve(problem))
+    motion = resolve(problem)
+    bounded = with_bounded_travel(problem, motion)
     if not solution.baselines and solution.objective is not None:
         compared = baselines(bounded, motion)
         strict = strict_baseline(bounded, motion, compared)
         solution = _beside_baselines(bounded, solution, compared, strict)
-    return simulated_solution.beside_rivals(problem, solution)
+    return simulated_solution.beside_rivals(problem, motion, solution)
 
 
 def _describe_sufficient_objective(run: SolveRun, value: float) -> list[str]:
