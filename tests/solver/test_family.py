@@ -108,6 +108,20 @@ def test_warm_solution_is_that_of_the_problem_as_stated(first, monkeypatch):
     assert "soft springs" in found.notes
 
 
+@pytest.mark.parametrize(
+    ("goal", "other"),
+    [("tool_deviation", "torque_squared"), ("torque_squared", "dynamic_deflection")],
+)
+def test_state_of_another_objective_does_not_prevent_a_solve(tmp_path, goal, other):
+    stated, later = (
+        load(tmp_path, "planar", minimise=f'objective = "{each}"', duration="0.6")
+        for each in (goal, other)
+    )
+    _, end = ProblemFamily().solve(stated)
+    found, _ = ProblemFamily().solve(later, WarmStart.from_bytes(end.to_bytes()))
+    assert found.objective.value == pytest.approx(solve(later).objective.value, rel=1e-6)
+
+
 def test_another_programme_is_built(first):
     family, _, end = first
     finer = problem("payload.mass=0.3", "method.intervals=50")
