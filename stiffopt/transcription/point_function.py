@@ -75,9 +75,10 @@ def _load_batches(
             read_batch(each, _SHARED_INPUTS, recalled=len(found) > 1 and k < 2)
             for k, each in enumerate(found)
         )
-    loaded = [each.load(path) for each in kept_batches[formula]]
+    several = [each.load(path) for each in kept_batches[formula]]
     # All functions of one stage must have the same number of points.
-    return None if None in loaded else tuple(loaded)
+    loaded = tuple(each for each in several if each is not None)
+    return loaded if len(loaded) == len(several) else None
 
 
 class PointFunction:
