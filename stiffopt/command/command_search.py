@@ -80,8 +80,7 @@ class CommandOnArms:
     @property
     def worst_case_peaks(self) -> float:
         """Sum of the command's peaks on the worst arms, in flight and after arrival [m]."""
-        led = self.compensated
-        return np.inf if self.excess else led.flight.worst + led.after.worst
+        return np.inf if self.excess else self.compensated.worst_case
 
     def for_reports(self) -> CompensatedMotion:
         """Return the result for reports, with full simulations."""
@@ -225,9 +224,9 @@ class CommandSearch:
 
     def _command_as_chosen(self) -> ExistingCommand | None:
         """Return the command of the choice, None without one or where it exceeds a limit."""
-        spacing, share, servo_share = self._choice or (np.nan, 1.0, 1.0)
-        if spacing not in self._spacings:
+        if self._choice is None or self._choice[0] not in self._spacings:
             return None
+        spacing, share, servo_share = self._choice
         for made in self._lead_of(spacing).commands(share):
             if made.servo_share == servo_share:
                 kept = self._excess_beyond_plan(made.motors) <= CERTIFICATE_TOLERANCE

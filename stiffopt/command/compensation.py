@@ -59,8 +59,8 @@ def compensate(
 
     `motions` begin with the optimised one and are at rest at both ends; commands that exist already
     are given as `known` and `rivals`, and the `choice` of the first one is kept where limits allow
-    it. Raises `NotSimulatedError`, and `RobotError` where an
-    uncertainty takes a joint's damping above critical.
+    it. Raises `NotSimulatedError`, and `RobotError` where an uncertainty takes a joint's damping
+    above critical.
     """
     own = known
     if own is None:

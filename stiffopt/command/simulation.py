@@ -44,7 +44,8 @@ _STANDSTILL_SPEED = 1e-6
 def elastic_arm(problem: TrajectoryProblem, start: np.ndarray) -> ElasticArm:
     """Return the problem's robot as an elastic arm, checked in its start pose (n,) [rad].
 
-    Raises `RobotError` for unphysical damping or hysteresis, `NotSimulatedError` for other arms.
+    Raises `RobotError` for unphysical damping or hysteresis, `NotSimulatedError` for an arm that
+    cannot be simulated.
     """
     arm = ElasticArm(problem.robot, start, problem.process_force)
     parts = {objective.kind.deflection_part for objective in problem.objectives}
@@ -233,8 +234,7 @@ def damping_sensitive_limits(problem: TrajectoryProblem, motion: Assessment) -> 
     """Return the limits after arrival that arms of other damping exceed, with the overshoot.
 
     Empty where the problem has none, or every joint states its damping. No motion is slowed for
-    that (decision 0027): a note reports it. Raises `NotSimulatedError`: the arm cannot be
-    simulated.
+    that (decision 0027): a note reports it. Raises `NotSimulatedError`.
     """
     if motion.simulated is None or motion.simulated.peak_after is None:
         return {}

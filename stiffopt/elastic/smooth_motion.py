@@ -28,7 +28,7 @@ _MIN_INTERVALS = 12
 def smooth_motion(plan: JointMotion, spacing: float) -> Trajectory:
     """Fit the nearest smooth motion to a plan, with the same ends and duration.
 
-    `plan`: at rest at both ends. `spacing`: distance of the spline's knots [s]. Returns Trajectory.
+    The plan is at rest at both ends; `spacing` is the distance of the spline's knots [s].
     """
     duration = plan.duration
     pieces = max(round(duration / spacing), _MIN_INTERVALS)

@@ -27,8 +27,8 @@ _MIN_INCREASE = 1e-3
 def worst_levels(many: UncertainArms, command: MotorMotion, box: ParameterBox) -> np.ndarray:
     """Search the levels of the worst arms of a command: the worst in flight, then after arrival.
 
-    Returns array (s, 2 n + 3): by search, of which each phase has one from soft and one from stiff
-    joints.
+    Levels (s, 2 n + 3) are those of s searches, of which each phase has one from soft and one from
+    stiff joints.
     """
 
     def simulated(levels: np.ndarray) -> np.ndarray:

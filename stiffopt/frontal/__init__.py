@@ -12,7 +12,7 @@ from pathlib import Path
 def ipopt_options(library: Path | None) -> dict[str, str | int | float]:
     """Return IPOPT's options for the linear solver.
 
-    `library`: that frontal.c is part of, with the interface of HSL_MA97; MUMPS where there is none.
+    frontal.c is part of the `library`, with the interface of HSL_MA97; MUMPS where there is none.
     """
     if library is None:
         return {"linear_solver": "mumps"}

@@ -259,9 +259,9 @@ def read_state(folder: Path) -> WarmStart | None:
     """Read the solved state of a result folder; None where it has none that can be used."""
     if not is_regular(folder, STATE_FILE):
         return None
-    check_result(folder, STATE_FILE)
-    if is_regular(folder, PREPARED_FILE):
-        check_result(folder, STATE_FILE, PREPARED_FILE)
+    prepared = is_regular(folder, PREPARED_FILE)
+    check_result(folder, STATE_FILE, *([PREPARED_FILE] if prepared else []))
+    if prepared:
         read_prepared(folder / PREPARED_FILE)
     return WarmStart.from_bytes((folder / STATE_FILE).read_bytes())
 

@@ -257,7 +257,7 @@ class Trajectory:
         return Trajectory(times, total, q0, v0, link)
 
     def held_for(self, rest: float) -> Trajectory:
-        """Append a rest [s] to a motion that ends at rest."""
+        """Append a rest [s] under the same process force to a motion that ends at rest."""
         if rest <= 0.0:
             return self
         return Trajectory(
@@ -265,6 +265,7 @@ class Trajectory:
             np.concatenate([self.acceleration, np.zeros_like(self.acceleration[:1])]),
             self.q0,
             self.v0,
+            force=self.force,
         )
 
     def sample(self, step: float) -> np.ndarray:

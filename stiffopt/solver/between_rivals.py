@@ -47,16 +47,15 @@ class BetweenRivals(OutcomeOracle):
         self._best: LedError | None = None
         self._reason = ""
         kept = [] if run.rivals is None else [each for each in run.rivals[2] if not each.excess]
-        if not kept:
+        # Whether a motion between them passes a via closely enough, the certificate says.
+        if not (kept and run.motion.start_fixed and run.motion.end_fixed):
             return
         best = min(kept, key=lambda each: each.worst_case_peaks)
         # By an ideal lead too, as the motions beside it.
         self._best = self._led_error(_smooth_rival(best, float(best.motion.time[-1])))
-        # Whether a motion between them passes a via closely enough, the certificate says.
-        if run.motion.start_fixed and run.motion.end_fixed:
-            self._rivals = {
-                each.motion.name: _smooth_rival(each, outcome.planned.duration) for each in kept
-            }
+        self._rivals = {
+            each.motion.name: _smooth_rival(each, outcome.planned.duration) for each in kept
+        }
 
     def propose(self, last: Outcome, number: int) -> Proposal[Outcome] | None:
         """Return the motion of least worst error on the lines to the rivals."""

@@ -138,7 +138,7 @@ def keep_better(run: SolveRun, outcome: Outcome) -> Outcome:
 def interrupted_outcome(run: SolveRun) -> Outcome:
     """Return the best outcome before Ctrl-C, that of the last stage where none was finished.
 
-    Raises `KeyboardInterrupt`: no stage has started yet.
+    Raises `KeyboardInterrupt` again where no stage has started yet.
     """
     outcome = run.best
     if outcome is None:

@@ -39,11 +39,10 @@ from stiffopt.solver.programme import (
 )
 from stiffopt.solver.refinement import refine
 from stiffopt.solver.ringing import RingingBesideRivals
-from stiffopt.solver.simulated_solution import with_simulation
 from stiffopt.solver.solve import (
     choose_for_arms,
+    complete_solution,
     interrupted_solution,
-    name_steps_left_out,
     preliminary_notes,
     solve_with_state,
 )
@@ -162,10 +161,10 @@ class ProblemFamily:
         simulate rivals too, and compare with baselines after a warm start. Others as of
         `solve`. The status may be any; the warm start is None where none can be started from.
         """
-        if simulate:
-            check_simulation(problem, resolve(problem))
         if warm is not None and warm.method == _method_key(problem) and not start:
             motion = resolve(problem)
+            if simulate:
+                check_simulation(problem, motion)
             bounded = with_bounded_travel(problem, motion)
             run = SolveRun(bounded, motion, Scales(warm.scales), progress, at_rest=True)
             outcome = until_interrupted(
@@ -174,26 +173,22 @@ class ProblemFamily:
             )
             if outcome is not None:
                 compare = compare and beside_rivals
-                compared = baselines(problem, run.motion) if compare else {}
-                notes = preliminary_notes(problem, run.motion)
+                compared = baselines(bounded, motion) if compare else {}
+                notes = preliminary_notes(bounded, motion, simulate=simulate)
                 solution = until_interrupted(
                     functools.partial(
                         choose_for_arms, run, outcome, compared, notes, compare=compare
                     ),
                     functools.partial(interrupted_solution, run, compared, notes),
                 )
-                solution = name_steps_left_out(run, solution)
-                if simulate:
-                    solution = with_simulation(
-                        problem,
-                        solution,
-                        progress,
-                        run.motion,
-                        run.command,
-                        run.rivals,
-                        choice=warm.command,
-                        compare=beside_rivals,
-                    )
+                solution = complete_solution(
+                    problem,
+                    run,
+                    solution,
+                    simulate=simulate,
+                    beside_rivals=beside_rivals,
+                    choice=warm.command,
+                )
                 return solution, _warm_start_of(run, outcome, solution)
         solution, kept = solve_with_state(
             problem,

@@ -186,7 +186,7 @@ def solve_stage(
     """Solve one stage; after a stall once more from the best point without multipliers.
 
     A stall at a feasible point whose objective is `enough` or less is acceptable. Raises
-    `KeyboardInterrupt`: Ctrl-C during the solve.
+    `KeyboardInterrupt` after Ctrl-C during the solve.
     """
     report = _progress_reporter(
         run, f"{text}, {stage.intervals} intervals, smoothing {stage.smoothing.stiffness:g}"

@@ -29,7 +29,6 @@ from stiffopt.solver.solve_run import ProgressCallback, SolveProgress
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
-    from stiffopt.result.assessment import Assessment
     from stiffopt.result.solution import Solution
 
 from stiffopt.command.simulation import (
@@ -88,7 +87,10 @@ def with_simulation(
             rivals = None
 
         def simulated() -> tuple[list[PlannedMotion], Simulation] | None:
-            motions = [own, *_rivals_of(problem, motion, assessment, rivals, compare)]
+            others = rivals[1] if rivals else []
+            if compare and not rivals:
+                others = rival_motions(problem, motion, assessment.duration)
+            motions = [own, *others]
             band = problem.active_limits.settling_band
             return motions, simulate_motions(problem, arm, motions, band=band)
 
@@ -121,25 +123,14 @@ def with_simulation(
     return _add_note(judged, floor) if floor else judged
 
 
-def _rivals_of(
-    problem: TrajectoryProblem,
-    motion: ResolvedMotion,
-    assessment: Assessment,
-    known: tuple[float, list[PlannedMotion], list[CommandOnArms]] | None,
-    compare: bool,
-) -> list[PlannedMotion]:
-    """Return the known rivals of a motion, or search them to `compare`."""
-    if known:
-        return known[1]
-    return rival_motions(problem, motion, assessment.duration) if compare else []
-
-
-def beside_rivals(problem: TrajectoryProblem, solution: Solution) -> Solution:
+def beside_rivals(
+    problem: TrajectoryProblem, motion: ResolvedMotion, solution: Solution
+) -> Solution:
     """Return a solution that was simulated alone with its rivals, and their commands."""
     assessment, simulation = solution.assessment, solution.simulation
     if assessment is None or simulation is None or len(simulation.motions) > 1:
         return solution
-    motions = rival_motions(problem, resolve(problem), assessment.duration)
+    motions = rival_motions(problem, motion, assessment.duration)
     if not motions:
         return solution
     arm, led = _arm_of(problem, solution), solution.compensation

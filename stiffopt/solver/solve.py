@@ -18,6 +18,7 @@ from stiffopt.baseline.baselines import baselines, better_baseline, strict_basel
 from stiffopt.certificate.collisions import with_collisions
 from stiffopt.certificate.objective_value import improvement, objective_value
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE, describe_slips, find_slips
+from stiffopt.command.command_search import CommandChoice
 from stiffopt.command.simulation import check_simulation
 from stiffopt.elastic.arm import questionable_springs
 from stiffopt.errors import NoSolutionFound, ProblemError
@@ -138,10 +139,7 @@ def solve_with_state(
     check_clear_poses(problem, motion)
     if simulate:
         check_simulation(problem, motion)
-    notes = preliminary_notes(problem, motion)
-    # Uses the tables of the simulation.
-    if simulate and (soft := questionable_springs(problem.robot, motion.start)):
-        notes = (*notes, soft)
+    notes = preliminary_notes(problem, motion, simulate=simulate)
     compared = baselines(problem, motion)
     run = SolveRun(
         problem, motion, _objective_scales(problem, compared), progress, compared.get("quintic")
@@ -161,13 +159,39 @@ def solve_with_state(
             lambda: _optimise(run, compared, notes, guess, start=start, compare=compare),
             lambda: interrupted_solution(run, compared, notes),
         )
-    solution = name_steps_left_out(run, solution)
+    solution = complete_solution(
+        stated, run, solution, simulate=simulate, beside_rivals=beside_rivals
+    )
+    return solution, None if run.optimum is None else (run, run.optimum)
+
+
+def complete_solution(
+    stated: TrajectoryProblem,
+    run: SolveRun,
+    solution: Solution,
+    *,
+    simulate: bool,
+    beside_rivals: bool,
+    choice: CommandChoice | None = None,
+) -> Solution:
+    """Return the solution of the problem as stated, whose travel `run` has bounded.
+
+    With the steps that the time limit ended; `simulate`, `beside_rivals` and `choice` as of
+    `with_simulation`.
+    """
+    solution = _name_steps_left_out(run, solution)
     if simulate:
         solution = simulated_solution.with_simulation(
-            stated, solution, progress, motion, run.command, run.rivals, compare=beside_rivals
+            stated,
+            solution,
+            run.progress,
+            run.motion,
+            run.command,
+            run.rivals,
+            choice=choice,
+            compare=beside_rivals,
         )
-    kept = None if run.optimum is None else (run, run.optimum)
-    return replace(solution, inputs_hash=inputs_hash(stated)), kept
+    return replace(solution, inputs_hash=inputs_hash(stated))
 
 
 def _optimise(
@@ -235,7 +259,7 @@ def _timed_motion(run: SolveRun) -> Baseline | None:
     return found
 
 
-def name_steps_left_out(run: SolveRun, solution: Solution) -> Solution:
+def _name_steps_left_out(run: SolveRun, solution: Solution) -> Solution:
     """Return the solution with the steps that the time limit ended; it is not optimal then."""
     usable = solution.status.usable
     if not run.left_out or not (usable or solution.status is SolveStatus.CERTIFICATE_FAILED):
@@ -287,9 +311,13 @@ def _select_guess(
     return guess_from_motion(problem, motion, guess)
 
 
-def preliminary_notes(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[str, ...]:
+def preliminary_notes(
+    problem: TrajectoryProblem, motion: ResolvedMotion, *, simulate: bool
+) -> tuple[str, ...]:
     """Return notes on a problem before it is solved; raise `ProblemError` if it is degenerate."""
     chosen = (problem.chosen,) if problem.chosen else ()
+    # Uses the tables of the simulation.
+    soft = questionable_springs(problem.robot, motion.start) if simulate else ""
     doubted = (*inconsistent_inertias(problem.robot), *slack_belts(problem.robot))
     return (
         *chosen,
@@ -297,6 +325,7 @@ def preliminary_notes(problem: TrajectoryProblem, motion: ResolvedMotion) -> tup
         *doubted,
         *_describe_held_joints(problem),
         *check_bounds(problem, motion),
+        *([soft] if soft else []),
     )
 
 
@@ -373,10 +402,10 @@ def _beside_baselines(
     strict: Baseline | None,
 ) -> Solution:
     """Return a solution with its baselines, and their ratios where there is a motion."""
-    ends = solution.status is SolveStatus.INFEASIBLE
+    infeasible = solution.status is SolveStatus.INFEASIBLE
 
     def ratio_to(rival: Baseline | None) -> float | None:
-        if ends or rival is None or rival.objective is None or solution.objective is None:
+        if infeasible or rival is None or rival.objective is None or solution.objective is None:
             return None
         return improvement(problem, solution.objective.value, rival.objective)
 
@@ -384,19 +413,20 @@ def _beside_baselines(
         solution,
         baselines=compared,
         ratio_to_better_baseline=ratio_to(better_baseline(problem, compared)),
-        strict_baseline=None if ends else strict,
+        strict_baseline=None if infeasible else strict,
         ratio_to_strict_baseline=ratio_to(strict),
     )
 
 
 def complete_comparison(problem: TrajectoryProblem, solution: Solution) -> Solution:
     """Return a stored solution beside baselines and simulated rivals, where it has none."""
-    bounded = with_bounded_travel(problem, motion := resolve(problem))
+    motion = resolve(problem)
+    bounded = with_bounded_travel(problem, motion)
     if not solution.baselines and solution.objective is not None:
         compared = baselines(bounded, motion)
         strict = strict_baseline(bounded, motion, compared)
         solution = _beside_baselines(bounded, solution, compared, strict)
-    return simulated_solution.beside_rivals(problem, solution)
+    return simulated_solution.beside_rivals(problem, motion, solution)
 
 
 def _describe_sufficient_objective(run: SolveRun, value: float) -> list[str]:

@@ -35,18 +35,19 @@ def transcribe(
     expanded, so the time to build hardly grows with the mesh. `method`: "piecewise_linear" (also
     "piecewise_linear_acceleration"), "hermite_simpson" or "radau". `mesh`: interval fractions of
     each phase; see `uniform_mesh`. `degree`: points in each interval of "radau". `scales`: of
-    another programme of the same blocks, in place of the problem's own.
+    another programme, in place of the problem's own where its blocks are the same.
     """
     integrators = len(ocp.chains[0]) - 1 if ocp.chains else 2
     scheme = scheme_of(method, degree, integrators)
     stage = _stage_of(ocp, scheme)
     if scales is not None:
-        if stage.along is None:
-            states, controls, statics = scales.variables[:3]
-            ocp = replace(ocp, state_scale=states, control_scale=controls, static_scale=statics)
-        else:
-            # Spline coefficients have the units of their states.
-            ocp = replace(ocp, static_scale=scales.variables[1])
+        # Spline coefficients have the units of their states.
+        own = (ocp.states, ocp.controls) if stage.along is None else (ocp.chains,)
+        blocks = scales.variables[: len(own) + 1]
+        if [*map(len, blocks)] == [*map(len, (*own, ocp.statics))]:
+            ocp = replace(ocp, static_scale=blocks[-1])
+            if stage.along is None:
+                ocp = replace(ocp, state_scale=blocks[0], control_scale=blocks[1])
     return _NlpBuilder(ocp, scheme, checked_mesh(mesh, ocp.phases), stage, scales=scales).build()
 
 

@@ -30,8 +30,7 @@ class ChainSplines:
     """
 
     mesh: Mesh
-    # (position index, velocity index, .., control index) all states and controls belong to one
-    # chain.
+    # Indices (position, velocity, .., control); all states and controls belong to one chain.
     chains: tuple[tuple[int, ...], ...]
     control_degree: int = 1  # degree of the controls, which are continuous
 

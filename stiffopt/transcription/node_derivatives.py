@@ -31,7 +31,7 @@ class SplineCoordinates:
     column, as derivatives by the share of the phase's duration, or by time where it is fixed.
     """
 
-    # (position index, velocity index, .., control index) indices in w.
+    # (position, velocity, .., control) of each chain, as indices in w.
     chains: tuple[tuple[int, ...], ...]
     degree: int  # degree of the positions: degree + 1 splines are nonzero at a point
     statics: int  # number of static variables, the last of w
@@ -64,9 +64,9 @@ class SplineCoordinates:
     def stage_derivatives(self, functions: Sequence[ca.Function]) -> tuple[ca.Function, ...]:
         """Return a stage and its derivatives by local variables.
 
-        `functions`: (w, p, numbers) -> values; -> Jacobian by w; (.., weights) -> Hessian by w.
-        Returns tuple of casadi.Function: (local, p, numbers, basis) -> values; -> Jacobian; (..,
-        weights) -> upper half of the Hessian.
+        `functions` are (w, p, numbers) -> values; -> Jacobian by w; (.., weights) -> Hessian by w.
+        Those returned are (local, p, numbers, basis) -> values; -> Jacobian; (.., weights) -> upper
+        half of the Hessian.
         """
         values, jacobian, hessian = functions
         local, basis = (
@@ -185,8 +185,8 @@ def _without_numbers(function: ca.Function, inputs: list[ca.SX]) -> tuple[ca.Fun
 def with_derivatives(function: ca.Function) -> tuple[ca.Function, ca.Function, ca.Function]:
     """Return the stage function, its Jacobian and its Hessian.
 
-    `function`: of a `NumberedStage`. Returns tuple of casadi.Function: (w, p, numbers) -> values
-    (m,); (w, p, numbers) -> Jacobian by w (m, n); (w, p, numbers, weights (m,)) -> Hessian of the
+    `function` is that of a `NumberedStage`. Those returned are (w, p, numbers) -> values (m,);
+    (w, p, numbers) -> Jacobian by w (m, n); (w, p, numbers, weights (m,)) -> Hessian of the
     weighted values by w (n, n). Sparse.
     """
     inputs = function.sx_in()

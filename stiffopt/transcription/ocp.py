@@ -145,11 +145,11 @@ class OptimalControlProblem:
     initial_control_upper: np.ndarray | None = None
     final_control_lower: np.ndarray | None = None
     final_control_upper: np.ndarray | None = None
-    # (position index, velocity index, .., control index) chains of integrators: each state's
-    # derivative IS the next one, the last one's IS that control; all of one length. Integrated
-    # exactly. Of length 3 (the control is an acceleration) in every transcription: piecewise-linear
-    # control then gives positions that are C2 cubic splines. Longer ones, for smoother motions,
-    # with piecewise-linear control only.
+    # Chains of integrators, as indices (position, velocity, .., control): each state's derivative
+    # IS the next one, the last one's IS that control; all of one length. Integrated exactly. Of
+    # length 3 (the control is an acceleration) in every transcription: piecewise-linear control
+    # then gives positions that are C2 cubic splines. Longer ones, for smoother motions, with
+    # piecewise-linear control only.
     chains: tuple[tuple[int, ...], ...] = ()
     parameters: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (np,) default value of p
     state_scale: np.ndarray | None = None

@@ -53,24 +53,32 @@ def _prepare_once(
     path = native.library()
     key = (formula, path)
     if key not in kept_functions:
-        several: list[ca.Function | None] = [None]
-        if path is not None:
-            if formula not in kept_batches:
-                found = functions()
-                # Values and Jacobian are evaluated repeatedly at one iterate.
-                kept_batches[formula] = tuple(
-                    read_batch(each, _SHARED_INPUTS, recalled=len(found) > 1 and k < 2)
-                    for k, each in enumerate(found)
-                )
-            several = [each.load(path) for each in kept_batches[formula]]
-        # All functions of one stage must have the same number of points.
-        loaded = tuple(each for each in several if each is not None)
-        kept_functions[key] = loaded if len(loaded) == len(several) else functions()
+        loaded = None if path is None else _load_batches(path, formula, functions)
+        kept_functions[key] = functions() if loaded is None else loaded
     kept_functions.move_to_end(key)
+    if formula in kept_batches:
+        kept_batches.move_to_end(formula)
     for kept in (kept_functions, kept_batches):
         while len(kept) > MAX_KEPT:
             kept.popitem(last=False)
     return kept_functions[key]
+
+
+def _load_batches(
+    path: Path, formula: str, functions: Callable[[], tuple[ca.Function, ...]]
+) -> tuple[ca.Function, ...] | None:
+    """Return the functions in the compiled core at `path`; None where too many are in use."""
+    if formula not in kept_batches:
+        found = functions()
+        # Values and Jacobian are evaluated repeatedly at one iterate.
+        kept_batches[formula] = tuple(
+            read_batch(each, _SHARED_INPUTS, recalled=len(found) > 1 and k < 2)
+            for k, each in enumerate(found)
+        )
+    several = [each.load(path) for each in kept_batches[formula]]
+    # All functions of one stage must have the same number of points.
+    loaded = tuple(each for each in several if each is not None)
+    return loaded if len(loaded) == len(several) else None
 
 
 class PointFunction:

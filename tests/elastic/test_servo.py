@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from elastic_arms import arm, bang
@@ -13,7 +15,7 @@ from stiffopt.elastic.servo import Servo
 from stiffopt.elastic.servo_kinds import SERVO_KINDS
 from stiffopt.elastic.simulate import simulate
 from stiffopt.errors import InputError
-from stiffopt.result.trajectory import Trajectory
+from stiffopt.result.trajectory import ForceHistory, Trajectory
 
 RAMP = MotorMotion(
     np.linspace(0.0, 1.0, 201), np.linspace(0.0, 2.0, 201)[:, None], np.full((201, 1), 2.0)
@@ -118,3 +120,11 @@ def test_a_long_delay_rings():
 def test_invalid_servos_are_refused(numbers, what):
     with pytest.raises(InputError, match=what):
         Servo(*numbers)
+
+
+def test_command_that_leads_the_servo_is_under_the_force_of_its_motion():
+    plan = smooth()
+    force = ForceHistory(np.array([0.0, 0.6]), np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0]]))
+    led = Servo(kind="industrial").lead(replace(plan, force=force))
+    assert led.duration > plan.duration
+    assert led.link.force is force

@@ -14,6 +14,7 @@ from stiffopt.problem.files import load_problem
 from stiffopt.problem.formulation import Scales, formulate
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.stage_terms import Smoothing
+from stiffopt.result.provenance import inputs_hash
 from stiffopt.solver.family import ProblemFamily, WarmStart
 from stiffopt.transcription import build
 from stiffopt.transcription.mesh import uniform_mesh
@@ -95,6 +96,30 @@ def test_a_command_is_chosen_as_that_of_the_solved_state(tmp_path, monkeypatch):
     led = found.compensation.optimised
     assert (led.spacing, led.share, led.servo_share) == end.command
     assert led.compensated.worst_case <= 1.02 * again.compensation.optimised.compensated.worst_case
+
+
+def test_warm_solution_is_that_of_the_problem_as_stated(first, monkeypatch):
+    monkeypatch.setattr("stiffopt.solver.solve.questionable_springs", lambda *_: "soft springs")
+    family, _, end = first
+    stated = problem("payload.mass=0.33", "limits.travel=1.5")
+    found, _ = family.solve(stated, end, simulate=True, beside_rivals=False)
+    assert len(found.solver.homotopy) == 1
+    assert found.inputs_hash == inputs_hash(stated)
+    assert "soft springs" in found.notes
+
+
+@pytest.mark.parametrize(
+    ("goal", "other"),
+    [("tool_deviation", "torque_squared"), ("torque_squared", "dynamic_deflection")],
+)
+def test_state_of_another_objective_does_not_prevent_a_solve(tmp_path, goal, other):
+    stated, later = (
+        load(tmp_path, "planar", minimise=f'objective = "{each}"', duration="0.6")
+        for each in (goal, other)
+    )
+    _, end = ProblemFamily().solve(stated)
+    found, _ = ProblemFamily().solve(later, WarmStart.from_bytes(end.to_bytes()))
+    assert found.objective.value == pytest.approx(solve(later).objective.value, rel=1e-6)
 
 
 def test_another_programme_is_built(first):

@@ -82,6 +82,9 @@ def test_least_recently_used_functions_are_dropped(monkeypatch: pytest.MonkeyPat
     point_function.batched_function(fourth)
     assert point_function.batched_function(squares) is first
     assert len(point_function.kept_functions) == 2
+    # What a result folder stores of them are those in use.
+    formulas = {formula for formula, _ in point_function.kept_functions}
+    assert set(point_function.kept_batches) <= formulas
 
 
 @pytest.mark.skipif(native.library() is None, reason="needs the compiled core")
