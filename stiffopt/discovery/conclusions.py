@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import special
 
+from stiffopt.closed_loop.parameters import BODY_PARAMETERS
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.channel import Channel, channel_name
 from stiffopt.discovery.comparison.comparison import Comparison
@@ -23,8 +24,8 @@ from stiffopt.discovery.experiment.design import ExperimentPlan
 from stiffopt.discovery.judging.explained_shares import MismatchShare
 from stiffopt.discovery.judging.unexplained import ChannelVerdict, Unexplained
 from stiffopt.discovery.laws.law import LAW_FAMILY
-from stiffopt.discovery.loop_effects import LOOP_VALUES
-from stiffopt.discovery.loop_fit import DRIVE_PARAMETERS, stated_tolerance
+from stiffopt.discovery.loop_effects import DRIVE_PARAMETERS, LOOP_VALUES
+from stiffopt.discovery.loop_fit import stated_tolerance
 from stiffopt.discovery.position_fit import ClosedLoopModel
 from stiffopt.discovery.search.left_out_gain import left_out_gains
 from stiffopt.discovery.search.rivals import Selected
@@ -32,6 +33,7 @@ from stiffopt.discovery.search.uncertainty import (
     Estimate,
     null_probability,
 )
+from stiffopt.discovery.settings import DEFAULT_TOLERANCE
 from stiffopt.discovery.thresholds import (
     OPEN_RATIO,
     OPEN_SHARE,
@@ -42,6 +44,7 @@ from stiffopt.recording.recording_set import RecordingSet
 
 if TYPE_CHECKING:
     from stiffopt.discovery.effect import Constants
+    from stiffopt.discovery.signals import RobotConstants
 
 # Share of the amplitudes at which reported values are compared with the fitted ones.
 _SMALL_SHARE = 1e-3
@@ -226,7 +229,10 @@ def describe_next_recording(unexplained: Unexplained) -> str:
 
 
 def findings_with_loop_values(
-    recordings: RecordingSet, model: ClosedLoopModel | None, findings: Sequence[Finding]
+    recordings: RecordingSet,
+    constants: RobotConstants,
+    model: ClosedLoopModel | None,
+    findings: Sequence[Finding],
 ) -> tuple[Finding, ...]:
     """Return findings with the values of the simulation, where it has them as parameters.
 
@@ -235,36 +241,109 @@ def findings_with_loop_values(
     """
     if model is None:
         return tuple(findings)
-    return tuple(_with_loop_value(recordings, model, each) for each in findings)
+    return tuple(_with_loop_value(recordings, constants, model, each) for each in findings)
 
 
-def _with_loop_value(recordings: RecordingSet, model: ClosedLoopModel, finding: Finding) -> Finding:
-    joint, entry = finding.located.joint, finding.effect
-    name = DRIVE_PARAMETERS.get(entry.nominal) or LOOP_VALUES.get(entry.name)
-    if name is None or joint is None or entry.only_in:
+def _with_loop_value(
+    recordings: RecordingSet, constants: RobotConstants, model: ClosedLoopModel, finding: Finding
+) -> Finding:
+    located, entry = finding.located, finding.effect
+    scaled = model.loop.law.scaled
+    places = slice(None) if located.joint is None else int(recordings.order[located.joint])
+    found = _loop_amplitudes(recordings, model, finding)
+    if found is None or entry.only_in or not np.all(scaled[places]):
         return finding
-    place, robot = int(recordings.order[joint]), recordings.robot
-    if not model.loop.law.scaled[place]:
-        return finding
-    nominal, tolerance = 0.0, 0.0
-    if entry.nominal:
-        nominal = float(getattr(robot, entry.nominal)[place])
-        tolerance = nominal * stated_tolerance(recordings, entry.nominal)
-    value = float(model.fitted.of(name)[place]) - nominal
-    sd = float(np.hypot(model.deviations[model.fitted.place(name)][place], tolerance))
-    own, *others = finding.parameters
-    if sd == 0.0:
-        return finding
-    if not finding.located.calibrated:
-        # What reverses or vanishes where reversals are simulated was an error of filtered torques.
-        chance = (
-            float(special.erfc(abs(value) / sd / np.sqrt(2.0))) if value * own.value > 0.0 else 1.0
+    numbers, values, covariance = found
+    amplitudes = np.array(finding.estimated.amplitudes)
+    if entry.limits_drive:
+        limit, sd = float(values[0]), float(np.sqrt(covariance[0, 0]))
+        own = tuple(
+            replace(each, value=limit, sd=sd) if each.name == "limit" else each
+            for each in finding.parameters
         )
+        return replace(finding, parameters=own)
+    reversed_sign = len(numbers) == 1 and values[0] * amplitudes[numbers[0]] <= 0.0
+    if not located.calibrated:
+        # What reverses or vanishes where reversals are simulated was an error of filtered torques.
+        square = float(values @ np.linalg.lstsq(covariance, values)[0])
+        chance = 1.0 if reversed_sign else float(special.chdtrc(len(values), square))
         misfit = max(finding.misfit, _null_share(chance))
         share = (1.0 - misfit) / max(1.0 - finding.misfit, 1e-12)
         rivals = tuple(replace(r, probability=share * r.probability) for r in finding.rivals)
         probability = share * finding.probability
         finding = replace(finding, misfit=misfit, probability=probability, rivals=rivals)
-    if value * own.value <= 0.0:
+    if reversed_sign:
         return finding
-    return replace(finding, parameters=(replace(own, value=value, sd=sd), *others))
+    amplitudes[numbers] = values
+    steps = np.zeros((len(numbers), len(amplitudes)))
+    steps[range(len(numbers)), numbers] = np.sqrt(np.diag(covariance))
+
+    def report(at: np.ndarray) -> np.ndarray:
+        told = entry.parameters(tuple(at), located.shapes, located.constants(constants))
+        return np.array([told[each.name] for each in finding.parameters])
+
+    slopes = np.array([report(amplitudes + step) - report(amplitudes - step) for step in steps]) / 2
+    deviations = np.diag(steps[:, numbers])
+    correlation = covariance / np.outer(deviations, deviations)
+    spread = np.sqrt(np.einsum("ik,ij,jk->k", slopes, correlation, slopes))
+    each = zip(finding.parameters, report(amplitudes), spread, strict=True)
+    parameters = (
+        replace(own, value=float(value), sd=float(sd)) if sd > 0.0 else own
+        for own, value, sd in each
+    )
+    return replace(finding, parameters=tuple(parameters))
+
+
+def _loop_amplitudes(
+    recordings: RecordingSet, model: ClosedLoopModel, finding: Finding
+) -> tuple[list[int], np.ndarray, np.ndarray] | None:
+    """Return numbers, values and covariance of a finding's amplitudes that the simulation has.
+
+    None without any. A nominal value is as uncertain as its tolerance.
+    """
+    located, entry, fitted = finding.located, finding.effect, model.fitted
+    assert model.covariance is not None
+    robot, values = recordings.robot, fitted.values
+    if located.joint is None and "mass" in entry.tolerances:
+        return _loop_body(recordings, model, -1 if located.link is None else located.link)
+    name = DRIVE_PARAMETERS.get(entry.nominal) or LOOP_VALUES.get(entry.name)
+    numbers, nominal, tolerance = [0], np.zeros(1), np.zeros(1)
+    if name is not None and located.joint is not None:
+        joint = int(recordings.order[located.joint])
+        rows = np.array([fitted.place(name).start + joint])
+        if entry.nominal:
+            nominal = np.array([getattr(robot, entry.nominal)[joint]])
+            tolerance = nominal * stated_tolerance(recordings, entry.nominal)
+    else:
+        keys = model.loop.physics.amplitudes.names
+        own = [k for k, (key, _) in enumerate(keys) if key == located.key]
+        numbers = [keys[k][1] for k in own]
+        rows = np.array([fitted.amplitudes.start + k for k in own], dtype=int)
+        nominal = tolerance = np.zeros(len(own))
+    covariance = model.covariance[np.ix_(rows, rows)] + np.diag(tolerance**2)
+    if not len(rows) or not (np.diag(covariance) > 0.0).all():
+        return None
+    return numbers, values[rows] - nominal, covariance
+
+
+def _loop_body(
+    recordings: RecordingSet, model: ClosedLoopModel, link: int
+) -> tuple[list[int], np.ndarray, np.ndarray]:
+    """Return the change of a link's inertial parameters that the simulation has, as amplitudes."""
+    place, fitted, tolerance = int(recordings.order[link]), model.fitted, recordings.tolerance
+    nominal, own = (tree.bodies[place] for tree in (recordings.robot.tree, model.loop.tree))
+    count = len(BODY_PARAMETERS)
+    first = fitted.bodies.start + place * count
+    rows = slice(first, first + count)
+    assert model.covariance is not None
+    # A mass keeps its moments in proportion; first moments and the diagonal of inertia besides.
+    slopes = np.zeros((len(own.inertial_parameters), count))
+    slopes[:, 0] = own.inertial_parameters
+    slopes[[1, 2, 3, 4, 6, 9], range(1, count)] = 1.0
+    change = own.inertial_parameters - nominal.inertial_parameters + slopes @ fitted.values[rows]
+    covariance = slopes @ model.covariance[rows, rows] @ slopes.T
+    of_mass = DEFAULT_TOLERANCE.mass if tolerance.mass is None else tolerance.mass
+    stated = (of_mass or 0.0) * nominal.inertial_parameters
+    covariance += np.outer(stated, stated)
+    numbers = np.flatnonzero(np.diag(covariance) > 0.0)
+    return numbers.tolist(), change[numbers], covariance[np.ix_(numbers, numbers)]

@@ -53,11 +53,11 @@ def simulated(recordings: RecordingSet, *found: EstimatedEffect) -> np.ndarray:
     robot, physics, own_values = robot_in_loop(own.recordings, model)
     run = commanded_run(own.recordings, own.runs[0])
     loop = build_loop(own.recordings, [run], robot.tree, physics)
-    values = nominal_parameters(own.recordings, robot)
+    values = nominal_parameters(own.recordings, robot, physics)
     for name, value in (("armature", ARMATURE), ("viscous", VISCOUS), ("coulomb", COULOMB)):
         values.values[values.place(name)] = value
     for (name, place), value in own_values.items():
-        values.values[values.place(name)][place] = value
+        values.values[values.place(name)][place] += value
     quiet = replace(run, command=np.full_like(run.command, 0.8))
     return simulate(loop, quiet, values)[:, 0]
 
@@ -127,7 +127,11 @@ def test_backlash_before_the_encoder_lets_the_motor_travel_unseen(servo: Recordi
     assert spring.encoder_at_output
     assert physics.torque is None
     load = training.constants.joints[0].torque_rated
-    both = [float(spring.windup(ca.SX(sign * load))) for sign in (1.0, -1.0)]
+    unknown = physics.amplitudes
+    both = [
+        float(ca.substitute(spring.windup(ca.SX(sign * load)), unknown.symbols, unknown.values))
+        for sign in (1.0, -1.0)
+    ]
     # The flanks yield besides.
     assert width < both[0] - both[1] < width + 0.02
 
@@ -215,7 +219,10 @@ def test_a_value_that_the_simulation_refutes_is_not_claimed(
         nominal=nominal_parameters(servo, servo.robot),
         fitted=fitted,
         deviations=np.full(len(fitted.values), 0.005),
+        covariance=0.005**2 * np.eye(len(fitted.values)),
     )
-    (judged,) = findings_with_loop_values(servo, model, [claimed])
+    runs = open_training_runs(servo)
+    constants = prepare_training(servo, Settings(), None, lambda _: None, runs).constants
+    (judged,) = findings_with_loop_values(servo, constants, model, [claimed])
     assert judged.certainty == certainty
     assert judged.misfit + judged.group_probability == pytest.approx(1.0)
