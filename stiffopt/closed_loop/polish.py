@@ -110,6 +110,42 @@ def polish_leading(
     return _Fit(loop, _begin_runs(runs), prior, leading).polish(prior, say)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """Amplitudes that a fit lacks: what they would be, and how sure they are."""
+
+    evidence: float  # log evidence, by the slopes at the fit
+    deviations: float  # largest amplitude over its standard deviation
+    amplitudes: tuple[float, ...]
+    explained: float  # share of the weighted squares that they would remove
+
+
+def score_amplitudes(
+    loop: CommandedArm,
+    runs: Sequence[CommandedRun],
+    fitted: Polished,
+    groups: Sequence[Sequence[int]],
+) -> list[Score | None]:
+    """Score groups of further amplitudes of a loop beside its fit; None without any effect.
+
+    `loop`: with the physics of the fit, then the further ones. `groups`: which of these are of one
+    cause.
+    """
+    own = loop.physics.amplitudes
+    more = len(own.values) - len(fitted.parameters.lower_amplitudes)
+
+    def extended(values: np.ndarray, added: np.ndarray) -> np.ndarray:
+        return np.concatenate([values[:-1], added, values[-1:]])
+
+    def with_none(known: Parameters) -> Parameters:
+        values = extended(known.values, np.zeros(more))
+        return replace(known, values=values, lower_amplitudes=own.lower)
+
+    deviations = extended(fitted.expected_deviations, own.deviations[len(own.values) - more :])
+    fit = _Fit(loop, _begin_runs(runs), with_none(fitted.expected), deviations)
+    return fit.score(with_none(fitted.parameters), groups, more)
+
+
 def _begin_runs(runs: Sequence[CommandedRun]) -> list[CommandedRun]:
     """Return the beginnings of runs that the leading parameters are fitted to."""
     joints = runs[0].position.shape[1]
@@ -193,6 +229,42 @@ class _Fit:
             expected=self._prior,
             expected_deviations=expected,
         )
+
+    def score(
+        self, parameters: Parameters, groups: Sequence[Sequence[int]], more: int
+    ) -> list[Score | None]:
+        """Score groups of the last `more` amplitudes, with all other parameters free."""
+        point = self.evaluate(parameters)
+        noise = self.noise(point)
+        hessian, gradient = self._normal_equations(parameters, point, noise)
+        last = len(hessian) - 1
+        new, old = np.arange(last - more, last), np.append(np.arange(last - more), last)
+        across = np.linalg.solve(hessian[np.ix_(old, old)], hessian[np.ix_(old, new)]).T
+        curvature = hessian[np.ix_(new, new)] - across @ hessian[np.ix_(old, new)]
+        slope = gradient[new] - across @ gradient[old]
+        whole = float(np.nansum((point.residual / noise) ** 2))
+        found: list[Score | None] = []
+        for group in groups:
+            square, right = curvature[np.ix_(group, group)], slope[group]
+            if not group or not np.isfinite(square).all():
+                found.append(None)
+                continue
+            inverse = np.linalg.inv(square)
+            moved = -inverse @ right
+            gain = 0.5 * float(-moved @ right)
+            amplitudes = moved * self._size[new[group]]
+            if (amplitudes < parameters.lower_amplitudes[-more:][group]).any():
+                found.append(None)
+                continue
+            found.append(
+                Score(
+                    evidence=gain - 0.5 * float(np.linalg.slogdet(square)[1]),
+                    deviations=float(np.max(np.abs(moved) / np.sqrt(np.diag(inverse)))),
+                    amplitudes=tuple(amplitudes.tolist()),
+                    explained=min(2.0 * gain / whole, 1.0),
+                )
+            )
+        return found
 
     def evaluate(self, parameters: Parameters) -> _Point:
         """Simulate all runs by stretches."""

@@ -24,7 +24,7 @@ from stiffopt.discovery.experiment.design import ExperimentPlan
 from stiffopt.discovery.judging.explained_shares import MismatchShare
 from stiffopt.discovery.judging.unexplained import ChannelVerdict, Unexplained
 from stiffopt.discovery.laws.law import LAW_FAMILY
-from stiffopt.discovery.loop_effects import DRIVE_PARAMETERS, LOOP_VALUES
+from stiffopt.discovery.loop_effects import loop_parameter
 from stiffopt.discovery.loop_fit import stated_tolerance
 from stiffopt.discovery.position_fit import ClosedLoopModel
 from stiffopt.discovery.search.left_out_gain import left_out_gains
@@ -251,8 +251,12 @@ def _with_loop_value(
     scaled = model.loop.law.scaled
     places = slice(None) if located.joint is None else int(recordings.order[located.joint])
     found = _loop_amplitudes(recordings, model, finding)
-    if found is None or entry.only_in or not np.all(scaled[places]):
+    if entry.only_in or not np.all(scaled[places]):
         return finding
+    if found is None:
+        # One with memory, without which the simulation leaves nothing in its joint.
+        spare = located.is_of_one_joint and located.run is None and not model.lacks[places]
+        return _refuted(finding, 1.0) if spare and not located.calibrated else finding
     numbers, values, covariance = found
     amplitudes = np.array(finding.estimated.amplitudes)
     if entry.limits_drive:
@@ -267,11 +271,7 @@ def _with_loop_value(
         # What reverses or vanishes where reversals are simulated was an error of filtered torques.
         square = float(values @ np.linalg.lstsq(covariance, values)[0])
         chance = 1.0 if reversed_sign else float(special.chdtrc(len(values), square))
-        misfit = max(finding.misfit, _null_share(chance))
-        share = (1.0 - misfit) / max(1.0 - finding.misfit, 1e-12)
-        rivals = tuple(replace(r, probability=share * r.probability) for r in finding.rivals)
-        probability = share * finding.probability
-        finding = replace(finding, misfit=misfit, probability=probability, rivals=rivals)
+        finding = _refuted(finding, chance)
     if reversed_sign:
         return finding
     amplitudes[numbers] = values
@@ -294,6 +294,14 @@ def _with_loop_value(
     return replace(finding, parameters=tuple(parameters))
 
 
+def _refuted(finding: Finding, chance: float) -> Finding:
+    """Return a finding as likely as the p-value of its simulated values leaves it."""
+    misfit = max(finding.misfit, _null_share(chance))
+    share = (1.0 - misfit) / max(1.0 - finding.misfit, 1e-12)
+    rivals = tuple(replace(r, probability=share * r.probability) for r in finding.rivals)
+    return replace(finding, misfit=misfit, probability=share * finding.probability, rivals=rivals)
+
+
 def _loop_amplitudes(
     recordings: RecordingSet, model: ClosedLoopModel, finding: Finding
 ) -> tuple[list[int], np.ndarray, np.ndarray] | None:
@@ -302,13 +310,14 @@ def _loop_amplitudes(
     None without any. A nominal value is as uncertain as its tolerance.
     """
     located, entry, fitted = finding.located, finding.effect, model.fitted
-    assert model.covariance is not None
+    assert model.polished is not None
     robot, values = recordings.robot, fitted.values
     if located.joint is None and "mass" in entry.tolerances:
         return _loop_body(recordings, model, -1 if located.link is None else located.link)
-    name = DRIVE_PARAMETERS.get(entry.nominal) or LOOP_VALUES.get(entry.name)
-    numbers, nominal, tolerance = [0], np.zeros(1), np.zeros(1)
-    if name is not None and located.joint is not None:
+    parameter = loop_parameter(entry)
+    numbers, sign, nominal, tolerance = [0], 1.0, np.zeros(1), np.zeros(1)
+    if parameter is not None and located.joint is not None:
+        name, sign = parameter
         joint = int(recordings.order[located.joint])
         rows = np.array([fitted.place(name).start + joint])
         if entry.nominal:
@@ -320,10 +329,10 @@ def _loop_amplitudes(
         numbers = [keys[k][1] for k in own]
         rows = np.array([fitted.amplitudes.start + k for k in own], dtype=int)
         nominal = tolerance = np.zeros(len(own))
-    covariance = model.covariance[np.ix_(rows, rows)] + np.diag(tolerance**2)
+    covariance = model.polished.whole_covariance()[np.ix_(rows, rows)] + np.diag(tolerance**2)
     if not len(rows) or not (np.diag(covariance) > 0.0).all():
         return None
-    return numbers, values[rows] - nominal, covariance
+    return numbers, sign * values[rows] - nominal, covariance
 
 
 def _loop_body(
@@ -335,13 +344,13 @@ def _loop_body(
     count = len(BODY_PARAMETERS)
     first = fitted.bodies.start + place * count
     rows = slice(first, first + count)
-    assert model.covariance is not None
+    assert model.polished is not None
     # A mass keeps its moments in proportion; first moments and the diagonal of inertia besides.
     slopes = np.zeros((len(own.inertial_parameters), count))
     slopes[:, 0] = own.inertial_parameters
     slopes[[1, 2, 3, 4, 6, 9], range(1, count)] = 1.0
     change = own.inertial_parameters - nominal.inertial_parameters + slopes @ fitted.values[rows]
-    covariance = slopes @ model.covariance[rows, rows] @ slopes.T
+    covariance = slopes @ model.polished.whole_covariance()[rows, rows] @ slopes.T
     of_mass = DEFAULT_TOLERANCE.mass if tolerance.mass is None else tolerance.mass
     stated = (of_mass or 0.0) * nominal.inertial_parameters
     covariance += np.outer(stated, stated)

@@ -16,9 +16,10 @@ import numpy as np
 from stiffopt.closed_loop.physics import Amplitudes, LoopPhysics, LoopSignals, LoopSpring
 from stiffopt.discovery.catalogue.common import motor_inertia
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect
-from stiffopt.discovery.effect import Term, Values
+from stiffopt.discovery.effect import Effect, Term, Values
 from stiffopt.discovery.extended.model import ExtendedModel
 from stiffopt.discovery.extended.planning import joint_constants, planner_model
+from stiffopt.discovery.loop_fit import DRIVE_PARAMETERS
 from stiffopt.discovery.signals import (
     JOINT_SIGNAL_NAMES,
     JointSignals,
@@ -41,8 +42,6 @@ _LARGEST_MOTION = 1.5
 _FLANK_FREQUENCY = 300.0
 # Vibration on the flanks decays by itself, over critical damping.
 _FLANK_DAMPING = 0.3
-# Values of a robot that a set states, and the parameters that they are.
-DRIVE_PARAMETERS = {"rotor_inertia": "armature", "viscous": "viscous", "coulomb": "coulomb"}
 # Effects whose amplitude is a parameter of every loop, which a fit refines.
 LOOP_VALUES = {
     "load_friction": "load_friction",
@@ -54,14 +53,22 @@ _LIMIT_DEVIATION = 0.2
 _SIGNAL_NAMES = tuple(each.name for each in fields(LoopSignals))
 
 
+def loop_parameter(entry: Effect) -> tuple[str, float] | None:
+    """Return the parameter of every loop that an effect of a joint changes, and its sign."""
+    if entry.moves_zero:
+        return "zero", -1.0
+    name = DRIVE_PARAMETERS.get(entry.nominal) or LOOP_VALUES.get(entry.name)
+    return None if name is None else (name, 1.0)
+
+
 def robot_in_loop(
-    recordings: RecordingSet, model: ExtendedModel
+    recordings: RecordingSet, model: ExtendedModel, more: Sequence[EstimatedEffect] = ()
 ) -> tuple[Robot, LoopPhysics, dict[tuple[str, int], float]]:
     """Return the robot with findings, the physics that it cannot hold, and values of the loop.
 
     Values are by name of the loop's parameter and joint (from 0) of the robot. Effects with memory,
     of sensors and of single runs are in none of these. Amplitudes of the physics are named by the
-    key of their finding and their number.
+    key of their finding and their number; those of `more`, which the robot has not, come last.
     """
     planner = planner_model(recordings.robot, model)
     instant = _Instant(recordings, model)
@@ -82,6 +89,8 @@ def robot_in_loop(
                 assert joint is not None
                 whole = getattr(planner.robot, each.effect.loses)[place]
                 values[DRIVE_PARAMETERS[each.effect.loses], place] -= each.amplitudes[-1] * whole
+    for each in more:
+        instant.add(each)
     return planner.robot, instant.physics(planner.robot.added_torques), values
 
 
@@ -247,9 +256,8 @@ class _Instant:
                 for columns in zip(*found, strict=True)
             )
         )
-        fitted = ca.substitute(
-            [parts.torque, parts.deflection], [amplitudes], [ca.DM(list(each.amplitudes))]
-        )
+        sizes = each.located.sizes(self.constants).tolist()
+        fitted = ca.substitute([parts.torque, parts.deflection], [amplitudes], [ca.DM(sizes)])
         function = ca.Function("parts", inputs, fitted)
         rng = np.random.default_rng(0)
         limits = np.array([joint.torque_max for joint in self.joints])
@@ -263,7 +271,7 @@ class _Instant:
         samples = list(given.values())
         # What a formula does not know takes any values: terms that depend on it differ.
         other = np.cumsum(rng.uniform(0.5, 1.5, _SAMPLE_COUNT))
-        along = self._evaluate(each, each.amplitudes, samples, other)
+        along = self._evaluate(each, sizes, samples, other)
         in_robot = [x[:, np.argsort(self.order)].T for x in samples]
         both = function.map(_SAMPLE_COUNT)(*in_robot)
         for one, two in zip(along, both, strict=True):

@@ -17,7 +17,6 @@ from stiffopt.closed_loop.physics import LoopPhysics
 from stiffopt.closed_loop.polish import Polished, polish, polish_leading
 from stiffopt.closed_loop.simulation import CommandedRun
 from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter, bridge_gaps, derivative
-from stiffopt.discovery.loop_effects import DRIVE_PARAMETERS
 from stiffopt.discovery.settings import DEFAULT_TOLERANCE
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
@@ -46,7 +45,9 @@ _UNVOUCHED_MASS_SCALE = 0.2
 _SCALED_PARAMETERS = ("armature", "viscous", "coulomb", "friction_slope", "drag", "offset")
 # Motion of all training runs that a fit simulates at most, times joints [s]: more adds but time.
 _MAX_FIT_SECONDS = 120.0
-# A finding changes what a set states by more than so many of its tolerances.
+# Values of a robot that a set states, and the parameters that they are; a finding changes them by
+# more than so many of their tolerances.
+DRIVE_PARAMETERS = {"rotor_inertia": "armature", "viscous": "viscous", "coulomb": "coulomb"}
 _KEPT_DEVIATIONS = 1.5
 
 
@@ -201,7 +202,7 @@ def fit_loop(
         return None
     loop = build_loop(recordings, commanded, tree or recordings.robot.tree, physics)
     prior, deviations = expect_parameters(recordings, commanded, loop, prior)
-    limited = _limit_motion(commanded)
+    limited = limit_motion(commanded)
     try:
         if leading:
             found = polish_leading(loop, limited, prior, deviations, say)
@@ -229,7 +230,7 @@ def _add_mass_scale(found: Polished, estimated: np.ndarray | None) -> Polished:
     return replace(found, deviations=spread)
 
 
-def _limit_motion(runs: Sequence[CommandedRun]) -> list[CommandedRun]:
+def limit_motion(runs: Sequence[CommandedRun]) -> list[CommandedRun]:
     """Return the beginnings of runs, together of the duration that a fit needs at most."""
     each = _MAX_FIT_SECONDS / (len(runs) * runs[0].position.shape[1])
     return [run.until(run.time[0] + each) for run in runs]

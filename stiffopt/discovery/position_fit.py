@@ -26,8 +26,9 @@ from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.extended.model import ExtendedModel
 from stiffopt.discovery.extended.schema import ClosedLoopSection
 from stiffopt.discovery.extended.value_changes import extended_model
-from stiffopt.discovery.loop_effects import DRIVE_PARAMETERS, robot_in_loop
+from stiffopt.discovery.loop_effects import robot_in_loop
 from stiffopt.discovery.loop_fit import (
+    DRIVE_PARAMETERS,
     commanded_run,
     fit_loop,
     is_commanded,
@@ -43,6 +44,10 @@ from stiffopt.robot.batched_kinematics import frame_positions
 from stiffopt.robot.robot import Robot
 from stiffopt.units import joint_unit
 
+# Residual over the encoders' noise from which something is missing: fits of arms that lack nothing
+# leave up to 1.2.
+_OPEN_NOISE_RATIO = 1.3
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ClosedLoopModel:
@@ -54,13 +59,26 @@ class ClosedLoopModel:
     nominal: Parameters
     fitted: Parameters
     deviations: np.ndarray  # (p,) one standard deviation of each fitted parameter
-    # (p, p) of the fitted parameters; None of a model that was read.
-    covariance: np.ndarray | None = None
+    # The fit, and its residual (n,) over the noise of the encoders; None of a model that was read.
+    polished: Polished | None = None
+    noise_ratio: np.ndarray | None = None
     # expected, expected_deviations: the same before the fit; None of a model that was read.
     expected: Parameters | None = None
     expected_deviations: np.ndarray | None = None
     # (n,) parameters over the gain with standard deviations, where torque has no scale; else nan.
     ratios: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+
+    @property
+    def misfit(self) -> float:
+        """Sum of the logarithms of the residuals over the encoders' noise."""
+        assert self.noise_ratio is not None
+        return float(np.log(self.noise_ratio).sum())
+
+    @property
+    def lacks(self) -> np.ndarray:
+        """Return the joints (n,) in which the simulation leaves more than noise."""
+        assert self.noise_ratio is not None
+        return np.asarray(self.noise_ratio > _OPEN_NOISE_RATIO)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,11 +126,25 @@ def fit_positions(
         nominal=nominal_parameters(recordings, recordings.robot),
         fitted=fitted.parameters,
         deviations=fitted.deviations,
-        covariance=fitted.whole_covariance(),
+        polished=fitted,
+        noise_ratio=fitted.residual / _encoder_noise(recordings, runs),
         expected=fitted.expected,
         expected_deviations=fitted.expected_deviations,
         ratios=_ratios_to_gain(loop.law, fitted),
     )
+
+
+def _encoder_noise(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> np.ndarray:
+    """Return the standard deviation (n,) of readings that change independently [rad].
+
+    The third difference of a slow motion vanishes, that of white noise has 20 times its variance.
+    """
+    each = [
+        np.nanstd(np.diff(commanded_run(recordings, run).position, n=3, axis=0), axis=0)
+        for run in runs
+        if is_commanded(run)
+    ]
+    return np.maximum(np.median(each, axis=0) / np.sqrt(20.0), 1e-12)
 
 
 def fit_simulation(

@@ -12,6 +12,7 @@ import pytest
 from servo_sets import ARMATURE, COULOMB, DELAY, KP, VISCOUS, write_servo_set
 
 from stiffopt.closed_loop.arm import CommandedArm
+from stiffopt.closed_loop.polish import Polished
 from stiffopt.closed_loop.simulation import simulate
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.located_effect import (
@@ -213,13 +214,24 @@ def test_a_value_that_the_simulation_refutes_is_not_claimed(
     law = resolve_actuator(servo, open_training_runs(servo)).recordings.actuator
     assert law is not None
     loop = CommandedArm(servo.robot.tree, law, np.zeros(1))
+    count = len(fitted.values)
+    spread = np.full(count, 0.005)
+    polished = Polished(
+        parameters=fitted,
+        deviations=spread,
+        residual=np.ones(1),
+        places=np.arange(count),
+        covariance=np.diag(spread**2),
+        expected=fitted,
+        expected_deviations=spread,
+    )
     model = ClosedLoopModel(
         nominal_loop=loop,
         loop=loop,
         nominal=nominal_parameters(servo, servo.robot),
         fitted=fitted,
-        deviations=np.full(len(fitted.values), 0.005),
-        covariance=0.005**2 * np.eye(len(fitted.values)),
+        deviations=spread,
+        polished=polished,
     )
     runs = open_training_runs(servo)
     constants = prepare_training(servo, Settings(), None, lambda _: None, runs).constants

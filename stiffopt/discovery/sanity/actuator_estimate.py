@@ -12,8 +12,7 @@ from stiffopt.actuator.law import ActuatorLaw
 from stiffopt.closed_loop.parameters import Parameters
 from stiffopt.discovery.comparison.filtering import SLOW_CUTOFF, filter_slow_motion
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.loop_effects import DRIVE_PARAMETERS
-from stiffopt.discovery.loop_fit import fit_loop, nominal_parameters
+from stiffopt.discovery.loop_fit import DRIVE_PARAMETERS, fit_loop, nominal_parameters
 from stiffopt.discovery.progress import Say
 from stiffopt.discovery.sanity.command_doubts import doubt_commands
 from stiffopt.discovery.sanity.doubt import format_joints

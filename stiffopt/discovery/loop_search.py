@@ -1,0 +1,239 @@
+"""Search in the simulation from commands, for effects that filtered torques do not show."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import softmax
+
+from stiffopt.closed_loop.arm import CommandedArm
+from stiffopt.closed_loop.parameters import Parameters
+from stiffopt.closed_loop.polish import Score, score_amplitudes
+from stiffopt.discovery.comparison.located_effect import (
+    EstimatedEffect,
+    Extension,
+    LocatedEffect,
+    effect_places,
+)
+from stiffopt.discovery.conclusions import findings_with_loop_values
+from stiffopt.discovery.diagnosis import Finding, Parameter, Rival
+from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.extended.value_changes import extended_model
+from stiffopt.discovery.loop_effects import loop_parameter, robot_in_loop
+from stiffopt.discovery.loop_fit import commanded_run, is_commanded, limit_motion
+from stiffopt.discovery.position_fit import ClosedLoopModel, fit_simulation
+from stiffopt.discovery.progress import Say
+from stiffopt.discovery.search.rivals import tempering_width
+from stiffopt.discovery.thresholds import (
+    MAX_EFFECTS,
+    NAMED_DEVIATIONS,
+    NAMED_EVIDENCE,
+    PARAMETER_LOG_PRICE,
+    RIVAL_LOG_ODDS,
+)
+from stiffopt.discovery.training import Training
+from stiffopt.recording.recording_set import RecordingSet
+from stiffopt.recording.run import RecordedRun
+
+# Difference of the sum of log residuals over noise between fits that are equally good.
+_EQUAL_MISFIT = 0.05
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LoopSearch:
+    """Fits of the simulation, with one more effect at a time."""
+
+    recordings: RecordingSet
+    training: Training
+    asked: Sequence[Effect]  # effects that the recordings can identify
+    runs: Sequence[RecordedRun]
+    estimated: Parameters | None  # drives of joints whose gain gives torque no scale
+    say: Say
+
+    def run(
+        self, found: Extension, findings: Sequence[Finding]
+    ) -> tuple[ClosedLoopModel | None, tuple[Finding, ...]]:
+        """Return the fit beginning with some findings, and these with what it needs besides.
+
+        Findings whose values it takes to be zero may only stand in for simpler ones: it is tried
+        without them.
+        """
+        model, added = self._fit(found), list[Finding]()
+        judged = self._judge(model, findings)
+        refuted = {each.estimated for each in judged if each.certainty == "possible"}
+        if model is not None and refuted:
+            rest = replace(found, effects=tuple(e for e in found.effects if e not in refuted))
+            simpler = self._fit(rest)
+            if simpler is not None and simpler.misfit < model.misfit + _EQUAL_MISFIT:
+                model, found = simpler, rest
+        while model is not None and len(added) < MAX_EFFECTS:
+            self.say("search the simulation's residual")
+            taken = [each.located for each in (*found.effects, *(own.estimated for own in added))]
+            new = self._best(model, self._model(found, added), taken, added)
+            if new is None:
+                break
+            self.say(f"found {new.located.label} in the simulation")
+            better = self._fit(found, [*added, new])
+            if better is None or better.misfit >= model.misfit:
+                break
+            model, added = better, [*added, new]
+        judged = self._judge(model, (*findings, *added))
+        if model is None:
+            return None, judged
+        claimed = [each.located for each in judged if each.certainty != "possible"]
+        return model, (*judged, *self._judge(model, tuple(self._own_values(model, claimed))))
+
+    def _judge(
+        self, model: ClosedLoopModel | None, findings: Sequence[Finding]
+    ) -> tuple[Finding, ...]:
+        constants = self.training.constants
+        return findings_with_loop_values(self.recordings, constants, model, findings)
+
+    def _own_values(
+        self, model: ClosedLoopModel, taken: Sequence[LocatedEffect]
+    ) -> Iterator[Finding]:
+        """Yield values of the fit that no nominal model has, that are not zero, beside findings."""
+        constants, fitted = self.training.constants, model.fitted
+        assert model.expected_deviations is not None
+        for entry in self.asked:
+            parameter = loop_parameter(entry)
+            if parameter is None or entry.nominal or entry.scope != "joint" or entry.only_in:
+                continue
+            name, sign = parameter
+            shifted = entry.shifts_weight and any(each.effect.shifts_weight for each in taken)
+            for located in effect_places(entry, constants, ()):
+                assert located.joint is not None
+                place = fitted.place(name).start + int(self.recordings.order[located.joint])
+                sd, prior = model.deviations[place], model.expected_deviations[place]
+                if shifted or sd <= 0.0 or any(located.same_place(other) for other in taken):
+                    continue
+                taken = [*taken, located]
+                value = float(fitted.values[place])
+                evidence = 0.5 * (value / sd) ** 2 - float(np.log(prior / sd))
+                if evidence > NAMED_EVIDENCE and abs(value) > NAMED_DEVIATIONS * sd:
+                    score = Score(
+                        evidence=evidence,
+                        deviations=abs(value) / sd,
+                        amplitudes=(sign * value,),
+                        explained=1.0,
+                    )
+                    yield self._finding(located, score)
+
+    def _finding(
+        self,
+        located: LocatedEffect,
+        score: Score,
+        probability: float = 1.0,
+        rivals: tuple[Rival, ...] = (),
+    ) -> Finding:
+        constants = self.training.constants
+        own = located.constants(constants)
+        told = located.effect.parameters(score.amplitudes, located.shapes, own)
+        return Finding(
+            estimated=EstimatedEffect(located=located, amplitudes=score.amplitudes),
+            link=None,
+            probability=probability,
+            misfit=0.0,
+            rivals=rivals,
+            parameters=tuple(
+                Parameter(
+                    name=name,
+                    value=value,
+                    sd=0.0,
+                    unit=located.unit_of(name, constants),
+                    prior_sd=np.inf,
+                )
+                for name, value in told.items()
+            ),
+            where=located.effect.signature,
+            channel=f"torque_{(located.joint or 0) + 1}",
+            variance_explained=score.explained,
+        )
+
+    def _model(self, found: Extension, added: Sequence[Finding]) -> Extension:
+        return found.plus(Extension(effects=tuple(each.estimated for each in added)))
+
+    def _fit(self, found: Extension, added: Sequence[Finding] = ()) -> ClosedLoopModel | None:
+        whole = self._model(found, added)
+        return fit_simulation(
+            self.recordings, self.training, whole, self.runs, self.estimated, self.say
+        )
+
+    def _best(
+        self,
+        model: ClosedLoopModel,
+        whole: Extension,
+        taken: Sequence[LocatedEffect],
+        added: Sequence[Finding],
+    ) -> Finding | None:
+        """Return the likeliest effect that the simulation lacks, with its rivals."""
+        constants, order = self.training.constants, self.recordings.order
+        busy = {each.located.joint for each in added}
+        # What the initial shapes of an effect leave is no second effect.
+        joints = [j for j in range(len(order)) if model.lacks[order[j]] and j not in busy]
+        if not joints:
+            return None
+        candidates = list(self._candidates(joints, taken))
+        scores = self._scores(model, whole, candidates)
+        best: dict[tuple[object, ...], tuple[float, LocatedEffect, Score]] = {}
+        for located, score in zip(candidates, scores, strict=True):
+            if score is None:
+                continue
+            price = PARAMETER_LOG_PRICE * (len(score.amplitudes) + len(located.shapes))
+            usual = located.effect.log_prior
+            prior = usual(located.constants(constants)) if usual else 0.0
+            key = located.key[:-1]
+            if key not in best or score.evidence > best[key][2].evidence:
+                best[key] = (score.evidence + prior - price, located, score)
+        ranked = sorted(best.values(), key=lambda each: -each[0])
+        if not ranked or ranked[0][2].evidence < NAMED_EVIDENCE:
+            return None
+        if ranked[0][2].deviations < NAMED_DEVIATIONS:
+            return None
+        width = tempering_width(ranked[0][2].evidence)
+        near = [each for each in ranked if (each[0] - ranked[0][0]) / width > -RIVAL_LOG_ODDS]
+        near = near[:4]
+        shares = softmax([each[0] / width for each in near])
+        _, located, score = near[0]
+        rivals = tuple(
+            Rival(located=each[1], probability=float(share))
+            for each, share in zip(near[1:], shares[1:], strict=True)
+        )
+        return self._finding(located, score, float(shares[0]), rivals)
+
+    def _candidates(
+        self, joints: Sequence[int], taken: Sequence[LocatedEffect]
+    ) -> Iterator[LocatedEffect]:
+        """Yield effects at some joints whose torque a formula of an instant gives."""
+        constants = self.training.constants
+        for entry in self.asked:
+            # Every fit has values that no nominal one bounds.
+            fitted = loop_parameter(entry) is not None and not entry.nominal
+            if fitted or entry.limits_drive or entry.at_motor or entry.of_runs:
+                continue
+            if entry.scope != "joint":
+                continue
+            for located in effect_places(entry, constants, ()):
+                known = any(located.same_place(other) for other in taken)
+                if located.joint in joints and not known and located.possible(constants):
+                    yield located
+
+    def _scores(
+        self, model: ClosedLoopModel, whole: Extension, candidates: Sequence[LocatedEffect]
+    ) -> list[Score | None]:
+        """Return the log evidence of each candidate beside all that is fitted; None without one."""
+        recordings, constants = self.recordings, self.training.constants
+        none = [
+            EstimatedEffect(located=each, amplitudes=(0.0,) * len(each.effect.amplitudes))
+            for each in candidates
+        ]
+        known = extended_model(recordings, constants, whole)
+        robot, physics, _ = robot_in_loop(recordings, known, none)
+        loop = CommandedArm(robot.tree, model.loop.law, model.loop.middle, physics)
+        runs = [commanded_run(recordings, run) for run in self.runs if is_commanded(run)]
+        count = len(model.loop.physics.amplitudes.names)
+        names = physics.amplitudes.names[count:]
+        groups = [[k for k, (key, _) in enumerate(names) if key == each.key] for each in candidates]
+        return score_amplitudes(loop, limit_motion(runs), model.polished, groups)
