@@ -14,7 +14,7 @@ from stiffopt.closed_loop.simulation import CommandedRun, Stretch, simulate_stre
 
 # Duration of a stretch that is judged, and of the motion before it that forgets the state that it
 # began with, several times the settling of a servo [s].
-_STRETCH_SECONDS, _LEAD_SECONDS = 2.0, 0.5
+STRETCH_SECONDS, _LEAD_SECONDS = 2.0, 0.5
 # Iterations, the last but one at most; and the relative decrease below which they end.
 _MAX_ITERATIONS, _MIN_DECREASE = 12, 1e-3
 # Rounds in which noise is estimated anew from the residual.
@@ -149,7 +149,7 @@ def score_amplitudes(
 def _begin_runs(runs: Sequence[CommandedRun]) -> list[CommandedRun]:
     """Return the beginnings of runs that the leading parameters are fitted to."""
     joints = runs[0].position.shape[1]
-    count = max(1, min(len(runs), round(_LEADING_SECONDS / joints / _STRETCH_SECONDS)))
+    count = max(1, min(len(runs), round(_LEADING_SECONDS / joints / STRETCH_SECONDS)))
     span = _LEADING_SECONDS / joints / count
     return [run.until(run.time[0] + span) for run in runs[:count]]
 
@@ -169,7 +169,7 @@ def _divide(
 
     Every row is judged once, but those that lead into a run.
     """
-    lead, rows = (round(seconds / step) for seconds in (_LEAD_SECONDS, _STRETCH_SECONDS))
+    lead, rows = (round(seconds / step) for seconds in (_LEAD_SECONDS, STRETCH_SECONDS))
     stretches, leads, counts = [], [], []
     for run in runs:
         count = len(run.time)

@@ -45,7 +45,7 @@ from stiffopt.discovery.judging.run_deviations import find_friction_drift, find_
 from stiffopt.discovery.judging.tool_force import explain_by_tool_force
 from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings, judge_channels
 from stiffopt.discovery.law_search.find import LawSearch, find_laws, located_tables
-from stiffopt.discovery.loop_search import LoopSearch
+from stiffopt.discovery.loop_search import LoopSearch, with_findings
 from stiffopt.discovery.opening import open_set
 from stiffopt.discovery.position_fit import model_section, simulate_held_out
 from stiffopt.discovery.prediction_bands import choose_prediction_bands
@@ -251,8 +251,7 @@ def _run_diagnosis(
             None,
             before,
         )
-        more = Extension(effects=tuple(each.estimated for each in findings[len(before) :]))
-        found, whole = found.plus(more), whole.plus(more)
+        found, whole = (with_findings(each, before, findings) for each in (found, whole))
     # The findings are fixed: held-out runs are read only from here on.
     tracks = steps.finish(lambda: training_tracks(result.comparison, result.fit))
     parts = split_extension(found, recordings.unstated)

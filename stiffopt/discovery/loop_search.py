@@ -6,11 +6,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import softmax
+from scipy.special import expit, softmax
 
 from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.parameters import Parameters
-from stiffopt.closed_loop.polish import Score, score_amplitudes
+from stiffopt.closed_loop.polish import STRETCH_SECONDS, Score, score_amplitudes
 from stiffopt.discovery.comparison.located_effect import (
     EstimatedEffect,
     Extension,
@@ -58,7 +58,7 @@ class LoopSearch:
         """Return the fit beginning with some findings, and these with what it needs besides.
 
         Findings whose values it takes to be zero may only stand in for simpler ones: it is tried
-        without them.
+        without them. Findings that another one brings about are left out.
         """
         model, added = self._fit(found), list[Finding]()
         judged = self._judge(model, findings)
@@ -68,6 +68,8 @@ class LoopSearch:
             simpler = self._fit(rest)
             if simpler is not None and simpler.misfit < model.misfit + _EQUAL_MISFIT:
                 model, found = simpler, rest
+        if model is not None:
+            model, found, findings = self._replace_losses(model, found, findings)
         while model is not None and len(added) < MAX_EFFECTS:
             self.say("search the simulation's residual")
             taken = [each.located for each in (*found.effects, *(own.estimated for own in added))]
@@ -113,26 +115,21 @@ class LoopSearch:
                 value = float(fitted.values[place])
                 evidence = 0.5 * (value / sd) ** 2 - float(np.log(prior / sd))
                 if evidence > NAMED_EVIDENCE and abs(value) > NAMED_DEVIATIONS * sd:
-                    score = Score(
-                        evidence=evidence,
-                        deviations=abs(value) / sd,
-                        amplitudes=(sign * value,),
-                        explained=1.0,
-                    )
-                    yield self._finding(located, score)
+                    estimated = EstimatedEffect(located=located, amplitudes=(sign * value,))
+                    yield self._finding(estimated, 1.0)
 
     def _finding(
         self,
-        located: LocatedEffect,
-        score: Score,
+        estimated: EstimatedEffect,
+        explained: float,
         probability: float = 1.0,
         rivals: tuple[Rival, ...] = (),
     ) -> Finding:
-        constants = self.training.constants
+        constants, located = self.training.constants, estimated.located
         own = located.constants(constants)
-        told = located.effect.parameters(score.amplitudes, located.shapes, own)
+        told = located.effect.parameters(estimated.amplitudes, located.shapes, own)
         return Finding(
-            estimated=EstimatedEffect(located=located, amplitudes=score.amplitudes),
+            estimated=estimated,
             link=None,
             probability=probability,
             misfit=0.0,
@@ -149,7 +146,7 @@ class LoopSearch:
             ),
             where=located.effect.signature,
             channel=f"torque_{(located.joint or 0) + 1}",
-            variance_explained=score.explained,
+            variance_explained=explained,
         )
 
     def _model(self, found: Extension, added: Sequence[Finding]) -> Extension:
@@ -201,7 +198,8 @@ class LoopSearch:
             Rival(located=each[1], probability=float(share))
             for each, share in zip(near[1:], shares[1:], strict=True)
         )
-        return self._finding(located, score, float(shares[0]), rivals)
+        estimated = EstimatedEffect(located=located, amplitudes=score.amplitudes)
+        return self._finding(estimated, score.explained, float(shares[0]), rivals)
 
     def _candidates(
         self, joints: Sequence[int], taken: Sequence[LocatedEffect]
@@ -232,8 +230,57 @@ class LoopSearch:
         known = extended_model(recordings, constants, whole)
         robot, physics, _ = robot_in_loop(recordings, known, none)
         loop = CommandedArm(robot.tree, model.loop.law, model.loop.middle, physics)
-        runs = [commanded_run(recordings, run) for run in self.runs if is_commanded(run)]
         count = len(model.loop.physics.amplitudes.names)
-        names = physics.amplitudes.names[count:]
-        groups = [[k for k, (key, _) in enumerate(names) if key == each.key] for each in candidates]
+        keys = [key for key, _ in physics.amplitudes.names[count:]]
+        groups = [[k for k, key in enumerate(keys) if key == each.key] for each in candidates]
+        runs = [commanded_run(recordings, run) for run in self.runs if is_commanded(run)]
+        assert model.polished is not None
         return score_amplitudes(loop, limit_motion(runs), model.polished, groups)
+
+    def _causes(self, model: ClosedLoopModel, finding: Finding) -> Iterator[LocatedEffect]:
+        """Yield effects that bring about a friction that vanishes in the simulation."""
+        located, constants = finding.located, self.training.constants
+        parameter = loop_parameter(finding.effect)
+        if parameter is None or located.joint is None or not finding.effect.nominal:
+            return
+        joint = int(self.recordings.order[located.joint])
+        place = model.fitted.place(parameter[0]).start + joint
+        if model.lacks[joint] and model.fitted.values[place] <= model.deviations[place]:
+            for entry in self.asked:
+                if entry.loses == finding.effect.nominal:
+                    every = effect_places(entry, constants, ())
+                    yield from [each for each in every if each.joint == located.joint][:1]
+
+    def _replace_losses(
+        self, model: ClosedLoopModel, found: Extension, findings: Sequence[Finding]
+    ) -> tuple[ClosedLoopModel, Extension, tuple[Finding, ...]]:
+        """Replace friction that vanishes by its cause where the simulation fits better with it.
+
+        Stretches count once, since residuals repeat one another within them.
+        """
+        constants, kept = self.training.constants, list(findings)
+        for finding in findings:
+            for cause in self._causes(model, finding):
+                size = float(cause.sizes(constants)[0])
+                estimated = EstimatedEffect(located=cause, amplitudes=(size, 1.0))
+                new = with_findings(found, [finding], [])
+                new = new.plus(Extension(effects=(estimated,)))
+                better = self._fit(new)
+                if better is None or better.misfit >= model.misfit:
+                    continue
+                stretches = sum(run.time[-1] - run.time[0] for run in self.runs) / STRETCH_SECONDS
+                share = float(expit(stretches * (model.misfit - better.misfit)))
+                rival = Rival(located=finding.located, probability=1.0 - share)
+                own = self._finding(estimated, finding.variance_explained, share, (rival,))
+                kept[kept.index(finding)] = own
+                model, found = better, new
+        return model, found, tuple(kept)
+
+
+def with_findings(
+    extension: Extension, before: Sequence[Finding], after: Sequence[Finding]
+) -> Extension:
+    """Return an extension with findings that have come, and without those that have gone."""
+    old, new = ([each.estimated for each in some] for some in (before, after))
+    kept = [each for each in extension.effects if each in new or each not in old]
+    return replace(extension, effects=(*kept, *(each for each in new if each not in old)))

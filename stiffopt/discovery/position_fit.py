@@ -187,6 +187,7 @@ def _fit_robot(
         for name in DRIVE_PARAMETERS.values():
             place = prior.place(name)
             prior.values[place] = np.where(unscaled, estimated.of(name), prior.of(name))
+    prior.values[:] = np.maximum(prior.values, prior.lower)
     return fit_loop(recordings, runs, prior, say, tree=robot.tree, physics=physics)
 
 
