@@ -170,9 +170,10 @@ class LoopSearch:
         busy = {each.located.joint for each in added}
         # What the initial shapes of an effect leave is no second effect.
         joints = [j for j in range(len(order)) if model.lacks[order[j]] and j not in busy]
-        if not joints:
+        if not joints or model.noise_ratio is None:
             return None
-        candidates = list(self._candidates(joints, taken))
+        worst = max(joints, key=lambda j: model.noise_ratio[order[j]])
+        candidates = list(self._candidates(worst, taken))
         scores = self._scores(model, whole, candidates)
         best: dict[tuple[object, ...], tuple[float, LocatedEffect, Score]] = {}
         for located, score in zip(candidates, scores, strict=True):
@@ -201,10 +202,8 @@ class LoopSearch:
         estimated = EstimatedEffect(located=located, amplitudes=score.amplitudes)
         return self._finding(estimated, score.explained, float(shares[0]), rivals)
 
-    def _candidates(
-        self, joints: Sequence[int], taken: Sequence[LocatedEffect]
-    ) -> Iterator[LocatedEffect]:
-        """Yield effects at some joints whose torque a formula of an instant gives."""
+    def _candidates(self, joint: int, taken: Sequence[LocatedEffect]) -> Iterator[LocatedEffect]:
+        """Yield effects at a joint whose torque a formula of an instant gives."""
         constants = self.training.constants
         for entry in self.asked:
             # Every fit has values that no nominal one bounds.
@@ -215,7 +214,7 @@ class LoopSearch:
                 continue
             for located in effect_places(entry, constants, ()):
                 known = any(located.same_place(other) for other in taken)
-                if located.joint in joints and not known and located.possible(constants):
+                if located.joint == joint and not known and located.possible(constants):
                     yield located
 
     def _scores(
