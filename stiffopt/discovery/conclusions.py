@@ -12,7 +12,7 @@ from scipy import special
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.channel import Channel, channel_name
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.located_effect import EstimatedEffect
+from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension
 from stiffopt.discovery.diagnosis import (
     Finding,
     Parameter,
@@ -226,19 +226,31 @@ def describe_next_recording(unexplained: Unexplained) -> str:
 
 
 def findings_with_loop_values(
-    recordings: RecordingSet, model: ClosedLoopModel | None, findings: Sequence[Finding]
+    recordings: RecordingSet,
+    model: ClosedLoopModel | None,
+    findings: Sequence[Finding],
+    before: Sequence[Extension],
 ) -> tuple[Finding, ...]:
     """Return findings with the values of the simulation, where it has them as parameters.
+
+    `before`: extensions of the model that the diagnosis started from: their part of a value is no
+    finding's.
 
     Torques derived from commands are filtered, and so are friction and its reversals: simulated,
     they are where the arm has them. What a value adds to its nominal one is as uncertain as both.
     """
     if model is None:
         return tuple(findings)
-    return tuple(_with_loop_value(recordings, model, each) for each in findings)
+    known = [each for extension in before for each in extension.effects]
+    return tuple(_with_loop_value(recordings, model, each, known) for each in findings)
 
 
-def _with_loop_value(recordings: RecordingSet, model: ClosedLoopModel, finding: Finding) -> Finding:
+def _with_loop_value(
+    recordings: RecordingSet,
+    model: ClosedLoopModel,
+    finding: Finding,
+    known: Sequence[EstimatedEffect],
+) -> Finding:
     joint, entry = finding.located.joint, finding.effect
     name = DRIVE_PARAMETERS.get(entry.nominal) or LOOP_VALUES.get(entry.name)
     if name is None or joint is None or entry.only_in:
@@ -250,7 +262,8 @@ def _with_loop_value(recordings: RecordingSet, model: ClosedLoopModel, finding: 
     if entry.nominal:
         nominal = float(getattr(robot, entry.nominal)[place])
         tolerance = nominal * stated_tolerance(recordings, entry.nominal)
-    value = float(model.fitted.of(name)[place]) - nominal
+    alike = (e for e in known if e.effect.name == entry.name and e.located.joint == joint)
+    value = float(model.fitted.of(name)[place]) - nominal - sum(e.amplitudes[0] for e in alike)
     sd = float(np.hypot(model.deviations[model.fitted.place(name)][place], tolerance))
     own, *others = finding.parameters
     if sd == 0.0:
