@@ -18,6 +18,7 @@ from stiffopt.discovery.search.tournament import (
     hold_tournament,
 )
 from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.thresholds import NAMED_EVIDENCE
 from stiffopt.discovery.training import prepare_training
 from stiffopt.recording.recording_set import load_recordings
 
@@ -39,7 +40,19 @@ def _selected(located: LocatedEffect) -> Selected:
 def test_present_effect_is_named_by_all_members_and_absent_by_none(comparison: Comparison) -> None:
     found = [_selected(PRESENT), _selected(ABSENT)]
     again, _ = recurrence(comparison, found, None, free_bodies=False)
-    np.testing.assert_array_equal(again, [1.0, 0.0])
+    np.testing.assert_allclose(again, [1.0, 0.0], atol=0.01)
+
+
+def test_share_of_members_falls_steadily_with_the_evidence(comparison: Comparison) -> None:
+    found = comparison.extension_of(comparison.fit([PRESENT]))
+    ranked = [Selected(PRESENT, NAMED_EVIDENCE, 1.0, 1.0, (), 1)]
+    shares = []
+    for noise in np.geomspace(10.0, 300.0, 12):
+        loud = comparison.with_extension(found, noise * comparison.inflation)
+        again, _ = recurrence(loud, ranked, None, free_bodies=False)
+        shares.append(float(again[0]))
+    assert shares == sorted(shares, reverse=True)
+    assert sum(0.05 < share < 0.95 for share in shares) >= 2
 
 
 @pytest.mark.parametrize("width", [1.5, 5.0])
