@@ -198,7 +198,7 @@ def _simulated(diagnosis: Diagnosis) -> dict[str, Any]:
                 f"{v['value']:.3g} ± {v['sd']:.2g} {v['unit']}",
             ]
             for v in values
-            if v["sd"] > 0.0
+            if abs(v["value"]) > v["sd"] > 0.0
         ],
     }
 
