@@ -295,6 +295,27 @@ def test_an_overtone_is_found_beside_its_wave() -> None:
     assert found.best.fit.amplitudes == pytest.approx([0.0, 9.0, 1.8, 0.0], abs=0.2)
 
 
+def test_equal_frequencies_of_recordings_apart_are_laws_of_their_own() -> None:
+    """Recordings of 30 s every 500 s tell a frequency up to multiples of 2 mHz."""
+    channel = KnownChannel(lambda s: np.zeros(len(s.time)))
+    for number, run in enumerate(channel.comparison.runs):
+        run.signals = replace(run.signals, session_time=run.time + 500.0 * number)
+    clock = channel.comparison.rows.sample_signal(lambda run: run.signals.session_time)
+    channel.target = channel.target + 1.5 * np.sin(2.0 * np.pi * 1.3 * clock)
+    found = search_channel(channel)
+    assert found.best is not None
+    every = [found.best, *found.near]
+    frequencies = [law.law.frequencies for law in every if law.law.frequencies]
+    assert len(frequencies) >= 3
+    for frequency in (1.298, 1.3, 1.302):
+        assert min(abs(own - frequency) for (own,) in frequencies) < 1e-4
+    first, second = (find._Ranked(0.0, law.law, None, np.ones(4)) for law in (every[0], every[1]))
+    assert not first.is_same_as(second, width=1.0)
+    assert first.is_same_as(first, width=1.0)
+    titles = {law_effect(law.law, law.fit.amplitudes).title for law in every}
+    assert len(titles) == len(every)
+
+
 def test_shapes_are_fitted_to_their_true_values() -> None:
     def content(signals):
         return 8.0 * np.tanh(signals.motor_velocity[:, 2] / 0.8)

@@ -178,8 +178,12 @@ class _Ranked:
         """Return True where both are one function of the same signals, in other words.
 
         The rows hold less evidence of their difference, in units of `width`, than the parameters of
-        one of them are worth.
+        one of them are worth. Waves of frequencies that the rows do not tell apart are two
+        functions: they part between the recordings.
         """
+        waves = self.law.frequencies, other.law.frequencies
+        if all(waves) and not np.allclose(*waves):
+            return False
         signals = [{f.source for f in each.law.factors} for each in (self, other)]
         apart = 0.5 * float(np.sum((self.rows - other.rows) ** 2)) / width
         return signals[0] == signals[1] and apart < PARAMETER_LOG_PRICE * self.law.parameter_count
