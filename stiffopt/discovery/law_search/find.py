@@ -218,7 +218,11 @@ class _State:
         """
         fit, n = self.comparison.fit(self.effects), self.comparison.robot.n
         beyond = np.nan_to_num(self.comparison.channel_ratio(fit.residual) / self.comparison.least)
-        named = {each.channel % n for each in self.kept if not each.located.calibrated}
+        named = {
+            each.channel % n
+            for each in self.kept
+            if not each.located.calibrated and each.located.key not in self._irreplaceable
+        }
         found = [
             int(c)
             for c in np.argsort(-beyond)
@@ -413,9 +417,10 @@ def _mean_stiffness(comparison: Comparison, joint: int) -> float:
 def _is_determined(
     comparison: Comparison, effects: Sequence[LocatedEffect], law: LocatedEffect
 ) -> bool:
-    """Return True where a law's amplitude stands out of its deviation, all else free.
+    """Return True where a law's amplitude stands out of its deviation between parts and runs.
 
-    Sharp forms in a few samples gain evidence with an amplitude that is anything.
+    Sharp forms in a few samples gain evidence with an amplitude that is anything. The shapes are
+    held: the amplitude of a power or a hinge is told only together with its place.
     """
-    estimate = estimate_parameters(comparison, effects)
-    return estimate.amplitude_deviations(list(effects).index(law)) >= CONFIRMED_DEVIATIONS
+    estimate, index = estimate_parameters(comparison, effects), list(effects).index(law)
+    return estimate.amplitude_deviations(index, shapes_held=True) >= CONFIRMED_DEVIATIONS
