@@ -57,12 +57,15 @@ class Factor:
     ) -> list[Quantity]:
         """Return the values (K,) of every formula."""
         at = self.shapes if shapes is None else shapes
-        return self.own.values(self.source.value(signals), signals.dt, self.source.own.before, at)
+        return self.own.values(self.source.value(signals), signals.dt, self._before(signals), at)
 
     def derivatives(self, signals: RobotSignals | JointSignals) -> list[list[np.ndarray]]:
         """Return the derivative (K,) of every formula by every shape."""
-        x, before = self.source.value(signals), self.source.own.before
+        x, before = self.source.value(signals), self._before(signals)
         return self.own.derivatives(x, signals.dt, before, self.shapes)
+
+    def _before(self, signals: RobotSignals | JointSignals) -> np.ndarray | None:
+        return self.source.value_before(signals) if self.own.has_memory else None
 
     def generalised(self, extent: SignalRange) -> Factor:
         """Return the factor in its more general form, from its own shapes."""
@@ -246,8 +249,9 @@ class Law:
         for factor in self.factors:
             words = {"x": factor.source.symbol, "dt": "dt"}
             if code:
-                words["x"] = factor.source.expression(self.joint, of_robot=self.of_robot)
-                words |= {"dt": "signals.dt", "before": str(factor.source.own.before)}
+                at = {"joint": self.joint, "of_robot": self.of_robot}
+                words["x"] = factor.source.expression(**at)
+                words |= {"dt": "signals.dt", "before": factor.source.expression_before(**at)}
             for shape in factor.own.shapes:
                 words[shape.name] = names.pop(0)
             parts = [_substitute(each, words) for each in factor.own.formulas]
