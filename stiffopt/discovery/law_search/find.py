@@ -255,7 +255,7 @@ class _State:
     def search(self, number: int, *, is_open: bool) -> ChannelLaw | None:
         """Search a channel for a law in place of its findings or, where it is open, beside them.
 
-        None where no law could be likelier than findings that explain the channel.
+        None where no law is likelier than findings that explain the channel.
         """
         own = self._findings_at(number)
         beside = OpenChannel(self.comparison, self.effects, number)
@@ -267,8 +267,6 @@ class _State:
                 if outcome.best is not None and beats(apart, outcome.best, beside.square, own):
                     self.effects, self._dropped = others, own
                     return outcome
-                if not is_open:
-                    return replace(outcome, best=None)
             if not is_open:
                 return None
         return search_channel(beside)
