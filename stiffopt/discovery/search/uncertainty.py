@@ -141,12 +141,18 @@ class Estimate:
             chances.append(min(_jackknife_p_value(values, *way) for way in ways if way[1] > 1))
         return max(chances)
 
-    def amplitude_deviations(self, index: int) -> float:
+    def amplitude_deviations(self, index: int, *, shapes_held: bool = False) -> float:
         """Return the largest ratio of an amplitude to its standard deviation, all else free."""
-        rows = self._parameter_rows(index)[0][: len(self.sizes[index])]
-        known = [self.covariance, self.spread, self._between_runs(index)]
-        sd = np.sqrt(np.max([np.diag(each)[rows] for each in known], axis=0))
-        return float(np.max(np.abs(self.values[rows]) / np.maximum(sd, 1e-300)))
+        rows, _ = self._parameter_rows(index)
+        k = len(self.sizes[index])
+        known = [
+            each[np.ix_(rows, rows)]
+            for each in (self.covariance, self.spread, self._between_runs(index))
+        ]
+        if shapes_held:
+            known = [_conditional_covariance(each, k) for each in known]
+        sd = np.sqrt(np.max([np.diag(each)[:k] for each in known], axis=0))
+        return float(np.max(np.abs(self.values[rows[:k]]) / np.maximum(sd, 1e-300)))
 
     def min_deviations(self, index: int) -> float:
         """Return the least significance of one effect over all covariance estimates [sigma].
