@@ -37,6 +37,7 @@ from stiffopt.solver.between_rivals import BetweenRivals
 from stiffopt.solver.ipopt import RawSolution
 from stiffopt.solver.programme import solve_stage
 from stiffopt.solver.ringing import RingingBesideRivals
+from stiffopt.solver.rival_errors import RivalErrors
 from stiffopt.solver.simulated_solution import _judge_beside_rivals, with_simulation
 from stiffopt.solver.solve import solve
 from stiffopt.solver.stage_plan import SolveStage
@@ -200,14 +201,16 @@ def test_weight_of_the_ringing_follows_the_phase_that_is_worse_than_the_rival(
     monkeypatch, flight, after, weight
 ):
     oracle = RingingBesideRivals.__new__(RingingBesideRivals)
-    one = SimpleNamespace(worst=1.0)
-    oracle._best = SimpleNamespace(flight=one, after=one)
+    oracle._rivals = RivalErrors(
+        None, [(1.0, LedError(in_flight=1.0, after_arrival=1.0, shares={}))]
+    )
     monkeypatch.setattr(oracle, "_solve", lambda last, robust: 1.0 + robust, raising=False)
     led = LedError(in_flight=flight, after_arrival=after, shares={})
     last = SimpleNamespace(
         assessment=SimpleNamespace(led=led),
         raw=SimpleNamespace(converged=True),
         smoothing=SimpleNamespace(robust=0.0),
+        planned=SimpleNamespace(duration=1.0),
     )
     proposal = oracle.propose(last, 0)
     assert (None if proposal is None else proposal.solve()) == (weight and pytest.approx(weight))
@@ -230,9 +233,10 @@ def test_motion_between_is_the_best_one_whose_motors_keep_their_limits(
 ):
     """The error in flight falls toward the rival, that after arrival is least at half of it."""
     oracle = BetweenRivals.__new__(BetweenRivals)
-    oracle._rivals, oracle._best, oracle.run = (
+    errors = RivalErrors(None, [] if best is None else [(1.0, best)])
+    oracle._rivals, oracle._errors, oracle.run = (
         {"quintic": straight(1.0)},
-        best,
+        errors,
         SimpleNamespace(problem=None),
     )
 
@@ -240,7 +244,7 @@ def test_motion_between_is_the_best_one_whose_motors_keep_their_limits(
         x = float(plan(1.0)[0])
         return LedError(in_flight=1.1 - x, after_arrival=1.0 + 2.0 * abs(x - 0.5), shares={})
 
-    monkeypatch.setattr(oracle, "_led_error", led_of, raising=False)
+    monkeypatch.setattr(errors, "of_plan", led_of)
     monkeypatch.setattr(between_rivals, "follow_plan", lambda run, plan, law: plan)
     monkeypatch.setattr(
         between_rivals, "drive_violations", lambda *_: [SimpleNamespace(value=-1.0)]
@@ -261,6 +265,21 @@ def test_motion_between_is_the_best_one_whose_motors_keep_their_limits(
     assert proposal.reason.startswith(f"with {share} % of the quintic motion")
     oracle._rivals = {}
     assert oracle.propose(last, 0) is None
+
+
+def test_slower_rival_is_compared_with_the_motion_slowed_to_its_duration(monkeypatch):
+    """The error falls with the square of the duration; the slow rival's does too, from more."""
+
+    def error(flight, after):
+        return LedError(in_flight=flight, after_arrival=after, shares={})
+
+    slow, equal, beaten = error(0.5, 0.5), error(1.2, 0.9), error(3.0, 2.0)
+    errors = RivalErrors(None, [(2.0, slow), (1.0, equal), (2.0, beaten)])
+    monkeypatch.setattr(
+        errors, "of_plan", lambda plan: error(1.0 / plan.duration**2, 1.0 / plan.duration**2)
+    )
+    found = errors.ratios(straight(1.0), error(1.0, 1.0))
+    assert found == pytest.approx((1.0 / 1.2, 1.0 / 0.9))
 
 
 @pytest.mark.slow
