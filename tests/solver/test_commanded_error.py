@@ -18,12 +18,13 @@ from stiffopt.drivetrain.bearing import OutputBearing
 from stiffopt.drivetrain.chain import Chain, Stage
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.led_error import _ideal_command, _ServoChange, led_error
+from stiffopt.elastic.servo import Servo
 from stiffopt.elastic.uncertain_arms import Member, UncertainArms
 from stiffopt.elastic.uncertainty import ParameterBox, Uncertainty
 from stiffopt.errors import ProblemError
 from stiffopt.problem.limits.travel import with_bounded_travel
 from stiffopt.problem.motor_model import MotorModel
-from stiffopt.problem.objective import Objective
+from stiffopt.problem.objective import OBJECTIVES, Objective
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.result.joint_path import JointPath
@@ -108,7 +109,7 @@ def test_quasi_static_error_is_that_of_simulated_arms_in_a_slow_motion(problem, 
         problem.robot, rates, 0.01, np.zeros(2), rest_poses=(motion.start, motion.end)
     )
     error = model.commanded_error(unsure, problem.servo)
-    square = ca.Function("square", [ca.vertcat(*rates)], [error.quasi_static])
+    square = ca.Function("square", [ca.vertcat(*rates)], [error.quasi_static + error.lateness])
     times = np.linspace(0.0, duration, 201)
     states = np.hstack([*(path(times, k) for k in range(3)), np.zeros((201, 6))])
     found = np.sqrt(np.array(square(states.T))[0])
@@ -128,6 +129,31 @@ def test_quasi_static_error_is_that_of_simulated_arms_in_a_slow_motion(problem, 
     true = np.sqrt(np.sum((away / steps[:, None, None]) ** 2, axis=(0, 2)))
     at = np.interp(times, simulated.time, true)
     assert found == pytest.approx(at, abs=0.05 * at.max())
+
+
+def test_worst_error_is_the_lateness_of_the_servo_plus_the_errors_of_the_other_parameters(problem):
+    """Of a servo that is late by 4 ms, and of one that is exact."""
+    motion = resolve(problem)
+    rates = [ca.SX.sym(f"d{k}", 2) for k in range(6)]
+    model = MotorModel(
+        problem.robot, rates, 0.01, np.zeros(2), rest_poses=(motion.start, motion.end)
+    )
+    kind, bound, scale = OBJECTIVES["tool_error"], 3e-4, 2e-4
+    state = np.concatenate([motion.start, [1.0, 0.5], [2.0, 1.0], np.zeros(6)])
+
+    def row(servo, **unsure):
+        uncertainty = replace(problem.uncertainty, **unsure)
+        own = replace(problem, servo=servo, uncertainty=uncertainty)
+        given = SimpleNamespace(problem=own, statics=(bound,), model=model, scale=scale)
+        (found,) = kind.terms(given).path_rows[0].expressions
+        error = model.commanded_error(uncertainty, servo)
+        parts = [found, error.quasi_static, error.lateness]
+        return np.array(ca.Function("row", [ca.vertcat(*rates)], [ca.vertcat(*parts)])(state))[:, 0]
+
+    for servo in (Servo(), Servo(bandwidth=20.0, feed_forward=0.9, delay=4e-3)):
+        found, others, late = row(servo)
+        worst = np.sqrt(late) + 1.5 * np.sqrt(others)
+        assert (found + (bound / scale) ** 2) * scale**2 == pytest.approx(worst**2, rel=1e-2)
 
 
 def test_known_error_of_the_links_is_not_searched_again(problem, solution, monkeypatch):
