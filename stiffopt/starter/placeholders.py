@@ -23,7 +23,7 @@ _MAX_TOOL_SPEED, _MAX_SLIDE_SPEED, _MAX_JOINT_SPEED = 30.0, 15.0, 60.0
 _MAX_CREDIBLE_TORQUE = 1e5
 # Rounding in the triangle inequality of principal moments [-].
 _INERTIA_ROUNDING = 1.02
-# Fewest joints whose equal limits are one statement: implausible for one joint, a placeholder of all.
+# Fewest joints whose equal limits are one statement: implausible for one, a placeholder of all.
 _MIN_EQUAL_LIMITS = 4
 
 

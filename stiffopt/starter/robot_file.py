@@ -199,15 +199,15 @@ def _describe_guesses(
         for each in doubted:
             if each.quantity == quantity:
                 taken.setdefault(str(each), []).append(each.joint)
+        doubtful = {name for names in taken.values() for name in names}
         silent = [name for name, stated in arm.joints.items() if not stated[quantity]]
-        silent = [name for name in silent if name not in sum(taken.values(), [])]
+        silent = [name for name in silent if name not in doubtful]
         if silent:
             yield f"GUESSED: the {arm.format} has no {quantity} for {', '.join(silent)}."
         if taken:
             said = "; ".join(f"{', '.join(names)}: {text}" for text, names in taken.items())
-            number = sum(map(len, taken.values()))
             yield (
-                f"QUESTION: the {quantity} of {number} joints is a placeholder: {said}. Guessed"
+                f"QUESTION: the {quantity} of {len(doubtful)} joints is a placeholder: {said}. Guessed"
                 f" values are in the file, marked estimated: replace them by the data sheet's."
             )
     bare = [line for line in lines if line.startswith(_NO_REDUCER_COMMENT)]
