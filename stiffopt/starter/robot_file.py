@@ -207,8 +207,9 @@ def _describe_guesses(
         if taken:
             said = "; ".join(f"{', '.join(names)}: {text}" for text, names in taken.items())
             yield (
-                f"QUESTION: the {quantity} of {len(doubtful)} joints is a placeholder: {said}. Guessed"
-                f" values are in the file, marked estimated: replace them by the data sheet's."
+                f"QUESTION: the {quantity} of {len(doubtful)} joints is a placeholder: {said}."
+                " Guessed values are in the file, marked estimated: replace them by the data"
+                " sheet's."
             )
     bare = [line for line in lines if line.startswith(_NO_REDUCER_COMMENT)]
     if bare:
