@@ -112,9 +112,10 @@ def difference_text(problem: TrajectoryProblem, solution: Solution) -> str:
 def comparison(problem: TrajectoryProblem, solution: Solution) -> str:
     """Return sentences on the best rival: on uncertain arms where commands were made for them."""
     led = solution.compensation
-    if led is None or led.best_rival is None:
-        return _certified_comparison(problem, solution)
-    return rival_text(led)
+    if led is not None and led.best_rival is not None:
+        return rival_text(led)
+    certified = _certified_comparison(problem, solution)
+    return certified if led is None else f"{certified} {rival_text(led)}"
 
 
 def rival_text(compensation: Compensation) -> str:
