@@ -234,7 +234,7 @@ def describe_optimality(
     rivals = "it was not compared with baselines"
     if compared:
         rivals = (
-            f"no baseline that keeps every limit ({', '.join(kept)}) is better"
+            f"no baseline that keeps every limit ({', '.join(kept)}) has a better objective"
             if kept
             else "no baseline keeps every limit within the duration"
         )
