@@ -103,7 +103,7 @@ def _describe_placeholders(
             quantity=quantity,
             value=value,
             unit=units[bodies[j].prismatic],
-            why=reasons.get(name) or f"the same number as for {shared[value]}",
+            why=reasons.get(name) or f"a placeholder as for {shared[value]}",
             format=arm.format,
         )
         for j, (name, value) in enumerate(stated.items())

@@ -150,12 +150,16 @@ def test_placeholders_are_questioned_by_name_and_guessed(effort, velocity, said,
     ("effort", "velocity", "said"),
     [
         # The first joint alone would move the tool too fast; the wrist has the same number.
-        ("150", "24", r"the velocity of 6 joints .* 5, 6: the URDF says 24 rad/s, the same number"),
+        (
+            "150",
+            "24",
+            r"the velocity of 6 joints .* 5, 6: the URDF says 24 rad/s, a placeholder as for 1",
+        ),
         # Only the first joints cannot hold the weight.
         (
             "30",
             "2",
-            r"the effort of 6 joints .* the same number as for 2; 2: .* weight alone takes",
+            r"the effort of 6 joints .* a placeholder as for 2; 2: .* weight alone takes",
         ),
     ],
 )
