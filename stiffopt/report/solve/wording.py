@@ -100,7 +100,8 @@ def difference_text(problem: TrajectoryProblem, solution: Solution) -> str:
         else "the quasi-static plan does not include the vibration of the links"
     )
     text = (
-        f"The elastic arm {deviates} up to {si(part.simulated.peak, 'm', 3)} in flight where "
+        f"With motors that follow exactly the elastic arm {deviates} up to "
+        f"{si(part.simulated.peak, 'm', 3)} in flight where "
         f"{si(part.planned.peak, 'm', 3)} was planned ({percent(abs(change), 2)} "
         f"{'more' if change > 0 else 'less'}): {why}."
     )
