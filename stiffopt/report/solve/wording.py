@@ -115,6 +115,8 @@ def comparison(problem: TrajectoryProblem, solution: Solution) -> str:
     led = solution.compensation
     if led is not None and led.best_rival is not None:
         return rival_text(led)
+    if led is not None and not solution.baselines and len(led.motions) == 1:
+        return "It was compared with neither baselines nor rivals."
     certified = _certified_comparison(problem, solution)
     return certified if led is None else f"{certified} {rival_text(led)}"
 
