@@ -13,7 +13,7 @@ from stiffopt.closed_loop.parameters import BODY_PARAMETERS
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.channel import Channel, channel_name
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.located_effect import EstimatedEffect
+from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension
 from stiffopt.discovery.diagnosis import (
     Finding,
     Parameter,
@@ -21,6 +21,7 @@ from stiffopt.discovery.diagnosis import (
     build_rivals,
 )
 from stiffopt.discovery.experiment.design import ExperimentPlan
+from stiffopt.discovery.judging.ensemble import START_CUTS
 from stiffopt.discovery.judging.explained_shares import MismatchShare
 from stiffopt.discovery.judging.unexplained import ChannelVerdict, Unexplained
 from stiffopt.discovery.laws.law import LAW_FAMILY
@@ -67,17 +68,20 @@ def build_findings(
 
     `comparison`: with the noise estimated beside the effects. `parameters`: joint estimate of the
     same effects. `again` (e,): share of the perturbation ensemble in which each is named again.
+
+    The gain in stretches left out counts as the mean over runs whose start is cut: folds and
+    stretches have other limits there, and a gain near the noise moves with them.
     """
     constants, n = training.constants, training.robot.n
-    gains = left_out_gains(comparison, tuple(s.located for s in kept))
+    each = tuple(s.located for s in kept)
+    gains = [left_out_gains(comparison, each, begin) for begin in (0.0, *START_CUTS)]
     findings = []
-    for index, (selected, gain) in enumerate(zip(kept, gains, strict=True)):
+    for index, (selected, *own) in enumerate(zip(kept, *gains, strict=True)):
         if selected.located.calibrated and parameters.min_deviations(index) < UNSTATED_DEVIATIONS:
             continue
         located, effect = selected.located, selected.located.effect
         # Friction and rotors exist, whatever else acts there; an offset may be the mean of any law.
         exists = located.calibrated and bool(effect.nominal)
-        unknown = 0.0 if exists else gain.open_share
         values = parameters.parameters(index, located.constants(constants))
         before = parameters.prior_deviations(index, located.constants(constants))
         reported = tuple(
@@ -98,9 +102,13 @@ def build_findings(
         # any effect of its family.
         alike = sum(each.family == effect.family for each in CATALOGUE)
         places = n * alike if effect.only_in and located.joint is not None else 1
-        sure = gain.support * float(again[index])
-        zero = null_probability(chance, _ABSENCE_ODDS) if exists else _null_share(chance, places)
-        misfit = 1.0 - (1.0 - max(unknown, zero)) * sure
+        if exists:
+            zero = null_probability(chance, _ABSENCE_ODDS)
+            sure = [_with_odds_against(gain.support, _ABSENCE_ODDS) * (1.0 - zero) for gain in own]
+        else:
+            zero = _null_share(chance, places)
+            sure = [gain.support * (1.0 - max(gain.open_share, zero)) for gain in own]
+        misfit = 1.0 - float(np.mean(sure) * again[index])
         findings.append(
             Finding(
                 estimated=parameters.effects[index],
@@ -111,10 +119,15 @@ def build_findings(
                 parameters=reported,
                 where=effect.signature,
                 channel=channel_name(selected.channel, n),
-                variance_explained=gain.explained,
+                variance_explained=own[0].explained,
             )
         )
     return tuple(findings)
+
+
+def _with_odds_against(probability: float, odds: float) -> float:
+    """Return a probability, found at even odds, at other prior odds against it."""
+    return probability / (probability + odds * (1.0 - probability))
 
 
 def _null_share(chance: float, places: int = 1) -> float:
@@ -233,24 +246,34 @@ def findings_with_loop_values(
     constants: RobotConstants,
     model: ClosedLoopModel | None,
     findings: Sequence[Finding],
+    before: Sequence[Extension],
 ) -> tuple[Finding, ...]:
     """Return findings with the values of the simulation, where it has them as parameters.
+
+    `before`: extensions of the model that the diagnosis started from: their part of a value is no
+    finding's.
 
     Torques derived from commands are filtered, and so are friction and its reversals: simulated,
     they are where the arm has them. What a value adds to its nominal one is as uncertain as both.
     """
     if model is None:
         return tuple(findings)
-    return tuple(_with_loop_value(recordings, constants, model, each) for each in findings)
+    known = [each for extension in before for each in extension.effects]
+    return tuple(_with_loop_value(recordings, constants, model, each, known) for each in findings)
 
 
 def _with_loop_value(
-    recordings: RecordingSet, constants: RobotConstants, model: ClosedLoopModel, finding: Finding
+    recordings: RecordingSet,
+    constants: RobotConstants,
+    model: ClosedLoopModel,
+    finding: Finding,
+    known: Sequence[EstimatedEffect],
 ) -> Finding:
     located, entry = finding.located, finding.effect
     scaled = model.loop.law.scaled
     places = slice(None) if located.joint is None else int(recordings.order[located.joint])
-    found = _loop_amplitudes(recordings, model, finding)
+    alike = [each.amplitudes for each in known if each.located.same_place(located)]
+    found = _loop_amplitudes(recordings, model, finding, alike)
     if entry.only_in or not np.all(scaled[places]):
         return finding
     if found is None:
@@ -303,17 +326,22 @@ def _refuted(finding: Finding, chance: float) -> Finding:
 
 
 def _loop_amplitudes(
-    recordings: RecordingSet, model: ClosedLoopModel, finding: Finding
+    recordings: RecordingSet,
+    model: ClosedLoopModel,
+    finding: Finding,
+    alike: Sequence[Sequence[float]],
 ) -> tuple[list[int], np.ndarray, np.ndarray] | None:
     """Return numbers, values and covariance of a finding's amplitudes that the simulation has.
 
-    None without any. A nominal value is as uncertain as its tolerance.
+    None without any. A nominal value is as uncertain as its tolerance. `alike`: amplitudes of the
+    same effect in the starting model.
     """
     located, entry, fitted = finding.located, finding.effect, model.fitted
     assert model.polished is not None
     robot, values = recordings.robot, fitted.values
     if located.joint is None and "mass" in entry.tolerances:
-        return _loop_body(recordings, model, -1 if located.link is None else located.link)
+        body = _loop_body(recordings, model, -1 if located.link is None else located.link)
+        return body[0], body[1] - np.sum(alike, axis=0)[body[0]] if alike else body[1], body[2]
     parameter = loop_parameter(entry)
     numbers, sign, nominal, tolerance = [0], 1.0, np.zeros(1), np.zeros(1)
     if parameter is not None and located.joint is not None:
@@ -323,11 +351,13 @@ def _loop_amplitudes(
         if entry.nominal:
             nominal = np.array([getattr(robot, entry.nominal)[joint]])
             tolerance = nominal * stated_tolerance(recordings, entry.nominal)
+        nominal = nominal + sum(amplitudes[0] for amplitudes in alike)
     else:
         keys = model.loop.physics.amplitudes.names
-        own = [k for k, (key, _) in enumerate(keys) if key == located.key]
-        numbers = [keys[k][1] for k in own]
-        rows = np.array([fitted.amplitudes.start + k for k in own], dtype=int)
+        # Those of the starting model come before those found.
+        own = {number: k for k, (key, number) in enumerate(keys) if key == located.key}
+        numbers = list(own)
+        rows = np.array([fitted.amplitudes.start + k for k in own.values()], dtype=int)
         nominal = tolerance = np.zeros(len(own))
     covariance = model.polished.whole_covariance()[np.ix_(rows, rows)] + np.diag(tolerance**2)
     if not len(rows) or not (np.diag(covariance) > 0.0).all():

@@ -90,8 +90,8 @@ class LoopSearch:
     def _judge(
         self, model: ClosedLoopModel | None, findings: Sequence[Finding]
     ) -> tuple[Finding, ...]:
-        constants = self.training.constants
-        return findings_with_loop_values(self.recordings, constants, model, findings)
+        constants, before = self.training.constants, self.training.before
+        return findings_with_loop_values(self.recordings, constants, model, findings, before)
 
     def _own_values(
         self, model: ClosedLoopModel, taken: Sequence[LocatedEffect]
@@ -112,7 +112,9 @@ class LoopSearch:
                 if shifted or sd <= 0.0 or any(located.same_place(other) for other in taken):
                     continue
                 taken = [*taken, located]
-                value = float(fitted.values[place])
+                known = (e for own in self.training.before for e in own.effects)
+                alike = [e.amplitudes[0] for e in known if e.located.same_place(located)]
+                value = float(fitted.values[place]) - sign * sum(alike)
                 evidence = 0.5 * (value / sd) ** 2 - float(np.log(prior / sd))
                 if evidence > NAMED_EVIDENCE and abs(value) > NAMED_DEVIATIONS * sd:
                     estimated = EstimatedEffect(located=located, amplitudes=(sign * value,))
