@@ -279,7 +279,7 @@ def _with_loop_value(
     if found is None:
         # One with memory, without which the simulation leaves nothing in its joint.
         spare = located.is_of_one_joint and located.run is None and not model.lacks[places]
-        return _refuted(finding, 1.0) if spare and not located.calibrated else finding
+        return refuted(finding, 1.0) if spare and not located.calibrated else finding
     numbers, values, covariance = found
     amplitudes = np.array(finding.estimated.amplitudes)
     if entry.limits_drive:
@@ -294,7 +294,7 @@ def _with_loop_value(
         # What reverses or vanishes where reversals are simulated was an error of filtered torques.
         square = float(values @ np.linalg.lstsq(covariance, values)[0])
         chance = 1.0 if reversed_sign else float(special.chdtrc(len(values), square))
-        finding = _refuted(finding, chance)
+        finding = refuted(finding, chance)
     if reversed_sign:
         return finding
     amplitudes[numbers] = values
@@ -317,7 +317,7 @@ def _with_loop_value(
     return replace(finding, parameters=tuple(parameters))
 
 
-def _refuted(finding: Finding, chance: float) -> Finding:
+def refuted(finding: Finding, chance: float) -> Finding:
     """Return a finding as likely as the p-value of its simulated values leaves it."""
     misfit = max(finding.misfit, _null_share(chance))
     share = (1.0 - misfit) / max(1.0 - finding.misfit, 1e-12)

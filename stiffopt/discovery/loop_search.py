@@ -17,7 +17,7 @@ from stiffopt.discovery.comparison.located_effect import (
     LocatedEffect,
     effect_places,
 )
-from stiffopt.discovery.conclusions import findings_with_loop_values
+from stiffopt.discovery.conclusions import findings_with_loop_values, refuted
 from stiffopt.discovery.diagnosis import Finding, Parameter, Rival
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.extended.value_changes import extended_model
@@ -61,10 +61,18 @@ class LoopSearch:
         without them. Findings that another one brings about are left out.
         """
         model, added = self._fit(found), list[Finding]()
+        limits = [each for each in found.effects if each.effect.limits_drive]
+        if model is not None and model.lacks.any() and limits:
+            # One too low lets the joint drift: no slope leads back from there.
+            rest = replace(found, effects=tuple(e for e in found.effects if e not in limits))
+            free = self._fit(rest)
+            if free is not None and free.misfit < model.misfit:
+                model, found = free, rest
+                findings = [refuted(f, 1.0) if f.estimated in limits else f for f in findings]
         judged = self._judge(model, findings)
-        refuted = {each.estimated for each in judged if each.certainty == "possible"}
-        if model is not None and refuted:
-            rest = replace(found, effects=tuple(e for e in found.effects if e not in refuted))
+        zero = {each.estimated for each in judged if each.certainty == "possible"}
+        if model is not None and any(each in zero for each in found.effects):
+            rest = replace(found, effects=tuple(e for e in found.effects if e not in zero))
             simpler = self._fit(rest)
             if simpler is not None and simpler.misfit < model.misfit + _EQUAL_MISFIT:
                 model, found = simpler, rest
@@ -74,12 +82,13 @@ class LoopSearch:
             self.say("search the simulation's residual")
             taken = [each.located for each in (*found.effects, *(own.estimated for own in added))]
             new = self._best(model, self._model(found, added), taken, added)
-            if new is None:
-                break
+            better = None if new is None else self._fit(found, [*added, new])
+            if new is None or better is None or better.misfit >= model.misfit:
+                tried = self._try_fits(model, found, taken, added)
+                if tried is None:
+                    break
+                better, new = tried
             self.say(f"found {new.located.label} in the simulation")
-            better = self._fit(found, [*added, new])
-            if better is None or better.misfit >= model.misfit:
-                break
             model, added = better, [*added, new]
         judged = self._judge(model, (*findings, *added))
         if model is None:
@@ -204,6 +213,48 @@ class LoopSearch:
         estimated = EstimatedEffect(located=located, amplitudes=score.amplitudes)
         return self._finding(estimated, score.explained, float(shares[0]), rivals)
 
+    def _try_fits(
+        self,
+        model: ClosedLoopModel,
+        found: Extension,
+        taken: Sequence[LocatedEffect],
+        added: Sequence[Finding],
+    ) -> tuple[ClosedLoopModel, Finding] | None:
+        """Return the best fit with an effect that is no added torque, and the effect.
+
+        None where it would not be named even if it left nothing but noise.
+        """
+        constants, order = self.training.constants, self.recordings.order
+        assert model.noise_ratio is not None
+        worst = int(np.argmax(model.noise_ratio[order]))
+        needed = NAMED_EVIDENCE / self._stretches()
+        best: tuple[ClosedLoopModel, Finding] | None = None
+        if np.log(model.noise_ratio[order[worst]]) < needed:
+            return None
+        for entry in self.asked:
+            if not (entry.at_motor or entry.limits_drive):
+                continue
+            places = [each for each in effect_places(entry, constants, ()) if each.joint == worst]
+            known = any(own.same_place(other) for own in places[:1] for other in taken)
+            places = [each for each in places if not known and each.possible(constants)]
+            if not places:
+                continue
+            # A limit has to be met for its slope to show.
+            located = min(places, key=lambda each: each.shapes[-1])
+            first, *others = located.sizes(constants).tolist()
+            estimated = EstimatedEffect(located=located, amplitudes=(first, *(0.0 for _ in others)))
+            finding = self._finding(estimated, 1.0)
+            better = self._fit(found, [*added, finding])
+            reached = (model if best is None else best[0]).misfit
+            if better is not None and better.misfit < min(reached, model.misfit - needed):
+                best = better, finding
+        return best
+
+    def _stretches(self) -> float:
+        """Return the number of stretches of a fit: within one, residuals repeat one another."""
+        runs = [commanded_run(self.recordings, run) for run in self.runs if is_commanded(run)]
+        return sum(float(np.ptp(run.time)) for run in limit_motion(runs)) / STRETCH_SECONDS
+
     def _candidates(self, joint: int, taken: Sequence[LocatedEffect]) -> Iterator[LocatedEffect]:
         """Yield effects at a joint whose torque a formula of an instant gives."""
         constants = self.training.constants
@@ -255,10 +306,7 @@ class LoopSearch:
     def _replace_losses(
         self, model: ClosedLoopModel, found: Extension, findings: Sequence[Finding]
     ) -> tuple[ClosedLoopModel, Extension, tuple[Finding, ...]]:
-        """Replace friction that vanishes by its cause where the simulation fits better with it.
-
-        Stretches count once, since residuals repeat one another within them.
-        """
+        """Replace friction that vanishes by its cause where the simulation fits better with it."""
         constants, kept = self.training.constants, list(findings)
         for finding in findings:
             for cause in self._causes(model, finding):
@@ -269,8 +317,7 @@ class LoopSearch:
                 better = self._fit(new)
                 if better is None or better.misfit >= model.misfit:
                     continue
-                stretches = sum(run.time[-1] - run.time[0] for run in self.runs) / STRETCH_SECONDS
-                share = float(expit(stretches * (model.misfit - better.misfit)))
+                share = float(expit(self._stretches() * (model.misfit - better.misfit)))
                 rival = Rival(located=finding.located, probability=1.0 - share)
                 own = self._finding(estimated, finding.variance_explained, share, (rival,))
                 kept[kept.index(finding)] = own
