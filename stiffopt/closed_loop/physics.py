@@ -41,7 +41,7 @@ class LoopSpring:
 class Amplitudes:
     """Unknown values (m,) of a loop's physics, parameters of its fit."""
 
-    names: tuple[Hashable, ...] = ()
+    names: tuple[tuple[Hashable, int], ...] = ()  # key of the cause, and number
     symbols: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
     values: np.ndarray = field(default_factory=lambda: np.zeros(0))  # to begin with
     deviations: np.ndarray = field(default_factory=lambda: np.zeros(0))  # before the fit

@@ -84,10 +84,7 @@ class LoopSearch:
             new = self._best(model, self._model(found, added), taken, added)
             better = None if new is None else self._fit(found, [*added, new])
             if new is None or better is None or better.misfit >= model.misfit:
-                tried = self._try_fits(model, found, taken, added)
-                if tried is None:
-                    break
-                better, new = tried
+                break
             self.say(f"found {new.located.label} in the simulation")
             model, added = better, [*added, new]
         judged = self._judge(model, (*findings, *added))
@@ -181,9 +178,11 @@ class LoopSearch:
         busy = {each.located.joint for each in added}
         # What the initial shapes of an effect leave is no second effect.
         joints = [j for j in range(len(order)) if model.lacks[order[j]] and j not in busy]
-        if not joints or model.noise_ratio is None:
+        if not joints:
             return None
-        worst = max(joints, key=lambda j: model.noise_ratio[order[j]])
+        assert model.noise_ratio is not None
+        ratio = model.noise_ratio[order]
+        worst = max(joints, key=lambda j: float(ratio[j]))
         candidates = list(self._candidates(worst, taken))
         scores = self._scores(model, whole, candidates)
         best: dict[tuple[object, ...], tuple[float, LocatedEffect, Score]] = {}
@@ -212,43 +211,6 @@ class LoopSearch:
         )
         estimated = EstimatedEffect(located=located, amplitudes=score.amplitudes)
         return self._finding(estimated, score.explained, float(shares[0]), rivals)
-
-    def _try_fits(
-        self,
-        model: ClosedLoopModel,
-        found: Extension,
-        taken: Sequence[LocatedEffect],
-        added: Sequence[Finding],
-    ) -> tuple[ClosedLoopModel, Finding] | None:
-        """Return the best fit with an effect that is no added torque, and the effect.
-
-        None where it would not be named even if it left nothing but noise.
-        """
-        constants, order = self.training.constants, self.recordings.order
-        assert model.noise_ratio is not None
-        worst = int(np.argmax(model.noise_ratio[order]))
-        needed = NAMED_EVIDENCE / self._stretches()
-        best: tuple[ClosedLoopModel, Finding] | None = None
-        if np.log(model.noise_ratio[order[worst]]) < needed:
-            return None
-        for entry in self.asked:
-            if not (entry.at_motor or entry.limits_drive):
-                continue
-            places = [each for each in effect_places(entry, constants, ()) if each.joint == worst]
-            known = any(own.same_place(other) for own in places[:1] for other in taken)
-            places = [each for each in places if not known and each.possible(constants)]
-            if not places:
-                continue
-            # A limit has to be met for its slope to show.
-            located = min(places, key=lambda each: each.shapes[-1])
-            first, *others = located.sizes(constants).tolist()
-            estimated = EstimatedEffect(located=located, amplitudes=(first, *(0.0 for _ in others)))
-            finding = self._finding(estimated, 1.0)
-            better = self._fit(found, [*added, finding])
-            reached = (model if best is None else best[0]).misfit
-            if better is not None and better.misfit < min(reached, model.misfit - needed):
-                best = better, finding
-        return best
 
     def _stretches(self) -> float:
         """Return the number of stretches of a fit: within one, residuals repeat one another."""

@@ -113,7 +113,8 @@ def fit_positions(
 
     None where a joint has no gain, which would not be held, or no command.
     """
-    robot, physics, values = recordings.robot, LoopPhysics(), {}
+    robot, physics = recordings.robot, LoopPhysics()
+    values: Mapping[tuple[str, int], float] = {}
     if model is not None:
         robot, physics, values = robot_in_loop(recordings, model)
     found = _fit_robot(recordings, runs, estimated, say, robot, physics, values)
@@ -144,7 +145,7 @@ def _encoder_noise(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> np.
         for run in runs
         if is_commanded(run)
     ]
-    return np.maximum(np.median(each, axis=0) / np.sqrt(20.0), 1e-12)
+    return np.asarray(np.maximum(np.median(each, axis=0) / np.sqrt(20.0), 1e-12))
 
 
 def fit_simulation(

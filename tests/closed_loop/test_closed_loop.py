@@ -132,7 +132,7 @@ def test_amplitudes_of_physics_are_fitted_as_parameters_are(loop: CommandedArm) 
     """Viscous friction as a finding has the value and the deviation of the parameter."""
     unknown = ca.SX.sym("Fv")
     sizes = {"deviations": np.array([0.5]), "lower": np.array([0.0])}
-    amplitudes = Amplitudes(names=("Fv",), symbols=unknown, values=np.zeros(1), **sizes)
+    amplitudes = Amplitudes(names=(("Fv", 0),), symbols=unknown, values=np.zeros(1), **sizes)
     physics = LoopPhysics(torque=lambda own: unknown * own.velocity, amplitudes=amplitudes)
     damped = CommandedArm(loop.tree, loop.law, np.zeros(1), physics)
     values, spreads = [], []
