@@ -132,26 +132,24 @@ def test_quasi_static_error_is_that_of_simulated_arms_in_a_slow_motion(problem, 
 
 
 def test_worst_error_is_the_lateness_of_the_servo_plus_the_errors_of_the_other_parameters(problem):
-    """Of a servo that is late by 4 ms, and of one that is exact."""
+    """Of the default servo and of one with a delay, far above where small errors are smoothed."""
     motion = resolve(problem)
     rates = [ca.SX.sym(f"d{k}", 2) for k in range(6)]
     model = MotorModel(
         problem.robot, rates, 0.01, np.zeros(2), rest_poses=(motion.start, motion.end)
     )
-    kind, bound, scale = OBJECTIVES["tool_error"], 3e-4, 2e-4
+    kind, bound, scale = OBJECTIVES["tool_error"], 3e-4, 2e-5
     state = np.concatenate([motion.start, [1.0, 0.5], [2.0, 1.0], np.zeros(6)])
 
-    def row(servo, **unsure):
-        uncertainty = replace(problem.uncertainty, **unsure)
-        own = replace(problem, servo=servo, uncertainty=uncertainty)
-        given = SimpleNamespace(problem=own, statics=(bound,), model=model, scale=scale)
-        (found,) = kind.terms(given).path_rows[0].expressions
-        error = model.commanded_error(uncertainty, servo)
-        parts = [found, error.quasi_static, error.lateness]
-        return np.array(ca.Function("row", [ca.vertcat(*rates)], [ca.vertcat(*parts)])(state))[:, 0]
-
     for servo in (Servo(), Servo(bandwidth=20.0, feed_forward=0.9, delay=4e-3)):
-        found, others, late = row(servo)
+        own = replace(problem, servo=servo)
+        given = SimpleNamespace(problem=own, statics=(bound,), model=model, scale=scale)
+        (row,) = kind.terms(given).path_rows[0].expressions
+        error = model.commanded_error(own.uncertainty, servo)
+        parts = ca.vertcat(row, error.quasi_static, error.lateness)
+        found, others, late = np.array(ca.Function("row", [ca.vertcat(*rates)], [parts])(state))[
+            :, 0
+        ]
         worst = np.sqrt(late) + 1.5 * np.sqrt(others)
         assert (found + (bound / scale) ** 2) * scale**2 == pytest.approx(worst**2, rel=1e-2)
 
