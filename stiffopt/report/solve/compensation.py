@@ -85,17 +85,16 @@ def _limit_cell(motion: CompensatedMotion, how: str) -> str:
 
 
 def compensation_text(compensation: Compensation) -> str:
-    """Return a paragraph on nominal and worst deviations, compared with the best rival."""
+    """Return a sentence on nominal and worst deviations, or why there is no command."""
     if compensation.refusal:
-        return f"{compensation.refusal} {rival_text(compensation)}"
+        return compensation.refusal
     own = compensation.optimised
-    text = (
+    return (
         f"With the command {compensation.file or COMMAND_FILE} the"
         " elastic arm's tool deviates from "
         f"the plan by at most {_format_deviations(own.compensated)} in flight / after arrival, in "
-        f"the worst case {_format_deviations(own.compensated, True)}"
+        f"the worst case {_format_deviations(own.compensated, True)}."
     )
-    return f"{text}. {rival_text(compensation)}"
 
 
 def _format_deviations(spreads: Spreads, worst: bool = False) -> str:
@@ -128,7 +127,8 @@ def _compensation_notes(compensation: Compensation) -> list[str]:
 
 # Filters of pages that show compensated motions.
 COMPENSATION_FILTERS = {
-    function.__name__: function for function in (compensation_text, compensation_section)
+    function.__name__: function
+    for function in (compensation_text, compensation_section, rival_text)
 }
 
 

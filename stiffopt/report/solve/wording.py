@@ -104,7 +104,8 @@ def difference_text(problem: TrajectoryProblem, solution: Solution) -> str:
         else "the quasi-static plan does not include the vibration of the links"
     )
     text = (
-        f"The elastic arm {deviates} up to {si(part.simulated.peak, 'm', 3)} in flight where "
+        f"With motors that follow exactly the elastic arm {deviates} up to "
+        f"{si(part.simulated.peak, 'm', 3)} in flight where "
         f"{si(part.planned.peak, 'm', 3)} was planned ({percent(abs(change), 2)} "
         f"{'more' if change > 0 else 'less'}): {why}."
     )
@@ -116,9 +117,12 @@ def difference_text(problem: TrajectoryProblem, solution: Solution) -> str:
 def comparison(problem: TrajectoryProblem, solution: Solution) -> str:
     """Return sentences on the best rival: on uncertain arms where commands were made for them."""
     led = solution.compensation
-    if led is None or led.best_rival is None:
-        return _certified_comparison(problem, solution)
-    return rival_text(led)
+    if led is not None and led.best_rival is not None:
+        return rival_text(led)
+    if led is not None and not solution.baselines and len(led.motions) == 1:
+        return "It was compared with neither baselines nor rivals."
+    certified = _certified_comparison(problem, solution)
+    return certified if led is None else f"{certified} {rival_text(led)}"
 
 
 def rival_text(compensation: Compensation) -> str:
