@@ -140,7 +140,7 @@ def rival_text(compensation: Compensation) -> str:
         text = f"The best rival, {name}, has a worst-case tool error of {theirs}"
     else:
         flight, after = compensation.ratios
-        slowed = f" (slowed to that duration {_format_phases(beside.own)})"
+        slowed = f"; slowed to {si(best.duration, 's', 4)} {_format_phases(beside.own)}"
         text = (
             f"Worst-case tool error {_format_phases(own)} in flight / after arrival"
             f"{slowed if beside.own is not own else ''}: in flight "
