@@ -69,7 +69,7 @@ def scale_line(
 ) -> str:
     """Return an entry of [signals.scale]: a unit for all joints, or a corrected factor each.
 
-    Joints of `unknown` (n,) keep "A", a current whose factor nobody has told.
+    Joints of `unknown` (n,) keep the unit of a torque whose factor nobody has told, or get "A".
     """
     if unit:
         text = f'{signal} = "{unit}"'
@@ -82,9 +82,10 @@ def scale_line(
     stated = recordings.signals.scale_of(signal, recordings.n)
     if unknown is None or not unknown.any():
         return f"{signal} = {format_numbers(stated * factors)} in [signals.scale]"
+    units = recordings.signals.torque_units or ("",) * recordings.n
     each = [
-        '"A"' if left else format_numbers([value])[1:-1]
-        for value, left in zip(stated * factors, unknown, strict=True)
+        f'"{unit or "A"}"' if left else format_numbers([value])[1:-1]
+        for value, left, unit in zip(stated * factors, unknown, units, strict=True)
     ]
     return (
         f"{signal} = [{', '.join(each)}] in [signals.scale] (the weight does not tell that of"
