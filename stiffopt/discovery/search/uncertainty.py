@@ -375,13 +375,14 @@ def _jackknife_covariance(
     return covariance, (len(grams) - 1) / len(grams) * away.T @ away * units
 
 
-def number_stretches(comparison: Comparison) -> np.ndarray:
-    """Return the number of the stretch that every row (m,) belongs to."""
+def number_stretches(comparison: Comparison, begin: float = 0.0) -> np.ndarray:
+    """Return the number of the stretch that every row (m,) belongs to; `begin` as of parts."""
     rows = comparison.rows
 
     def count(run: PreparedRun) -> int:
-        return max(1, round(float(run.time[-1] - run.time[0]) / STRETCH_DURATION))
+        duration = (1.0 - begin) * float(run.time[-1] - run.time[0])
+        return max(1, round(duration / STRETCH_DURATION))
 
     first = np.concatenate([[0], np.cumsum([count(run) for run in comparison.runs])])
-    part = rows.sample_signal(lambda run: part_numbers(run.time, count(run)))
+    part = rows.sample_signal(lambda run: part_numbers(run.time, count(run), begin))
     return np.unique(first[rows.run] + part, return_inverse=True)[1]
