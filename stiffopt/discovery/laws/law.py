@@ -110,8 +110,7 @@ class Law:
     @property
     def _load_factors(self) -> list[Factor]:
         """Factors of the load of its joint, or of the nominal wind-up under it."""
-        loads = (LawSource("load", self.joint), LawSource("windup", self.joint))
-        return [f for f in self.factors if f.source in loads]
+        return [f for f in self.factors if f.source.origin == LawSource("load", self.joint)]
 
     @property
     def yields(self) -> bool:
