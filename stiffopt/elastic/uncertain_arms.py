@@ -43,7 +43,7 @@ _EQUILIBRIUM_ITERATIONS = 4
 # Positions of links that are in memory at once, beside some ten arrays of their size: a weld of
 # minutes has 1e8 of them with its arms.
 _MAX_POSITIONS = 2_000_000
-# Steps whose bodies are linearised at once, and those for which one derivative of the bodies stands:
+# Steps whose bodies are linearised at once, and for which one derivative of the bodies stands:
 # they take an eighth of the memory then, and peaks of an ER3A and a UR10 change by 3e-5 at most.
 _STEPS_AT_ONCE, _BODY_STRIDE = 4096, 8
 _SPRING_TABLE_POINTS = 20001  # of each joint's law, equidistant in wind-up
