@@ -199,7 +199,7 @@ class Servo:
         decay = _LEAD_DECAY_CONSTANTS * max(forward / gain, 1.0 / inner) + delay
         count = int(np.ceil((motors.duration + decay) / (_COMMAND_STRIDE * SAMPLE_INTERVAL)))
         times = np.linspace(0.0, motors.duration + decay, _COMMAND_STRIDE * count + 1)
-        plan, late = _hold_at_ends(motors, times), _hold_at_ends(motors, times - delay)
+        plan, late = _hold_at_ends(motors, times, 4), _hold_at_ends(motors, times - delay, 2)
         force, rate = (
             (1.0 - torque) * plan[2 + k]
             + inner * (1.0 - forward) * plan[1 + k]
@@ -221,7 +221,7 @@ class Servo:
         at = slice(None, last + 1, _COMMAND_STRIDE)
         link = motors.link or motors
         held = link.held_for(float(times[last]) - link.duration)
-        return Trajectory.through(times[at], (plan + lead)[:, at], held)
+        return Trajectory.through(times[at], plan[:, at] + lead[:, at], held)
 
 
 def _set_points(command: MotorMotion, sent: np.ndarray) -> list[np.ndarray]:
@@ -232,10 +232,10 @@ def _set_points(command: MotorMotion, sent: np.ndarray) -> list[np.ndarray]:
     return found
 
 
-def _hold_at_ends(motion: Trajectory, times: np.ndarray) -> np.ndarray:
-    """Motion with three rates (4, K, n), at rest before its start and after its end."""
+def _hold_at_ends(motion: Trajectory, times: np.ndarray, orders: int) -> np.ndarray:
+    """Motion and its rates (orders, K, n), at rest before its start and after its end."""
     inside = np.clip(times, 0.0, motion.duration)
-    found = np.stack([motion(inside, k) for k in range(4)])
+    found = np.stack([motion(inside, k) for k in range(orders)])
     found[1:, (times < 0.0) | (times > motion.duration)] = 0.0
     return found
 
