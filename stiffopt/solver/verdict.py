@@ -231,14 +231,14 @@ def describe_optimality(
         and each.assessment.feasible(CERTIFICATE_TOLERANCE)
     ]
     tried = "one start" if starts_made == 1 else f"the best of {starts_made} starts"
-    rivals = "it was not compared with baselines"
+    rivals = ""
     if compared:
         rivals = (
-            f"no baseline that keeps every limit ({', '.join(kept)}) is better"
+            f"; no baseline that keeps every limit ({', '.join(kept)}) has a better objective"
             if kept
-            else "no baseline keeps every limit within the duration"
+            else "; no baseline keeps every limit within the duration"
         )
-    return f"It is a local optimum, from {tried}; {rivals}. More method.starts look further."
+    return f"It is a local optimum, from {tried}{rivals}. More method.starts look further."
 
 
 def _describe_advantage(outcome: Outcome) -> str:

@@ -213,6 +213,27 @@ def test_compared_quantities_have_units(tmp_path):
     assert rows[1][:3] == ("baselines, toppra, objective", "0.3 mm", "0.6 mm")
 
 
+def test_numbers_of_a_list_and_what_one_result_lacks_are_one_compared_entry(tmp_path):
+    torque, jerk = ({"limit": name, "joint": 1, "value": -0.1} for name in ("torque", "jerk"))
+    answers = {
+        "one": {
+            "draws": [1.0, 2.0, 4.0],
+            "rivals": {"quintic": 1, "toppra": 2},
+            "v": [torque, jerk],
+        },
+        "two": {"draws": [1.0, 2.5, 4.0], "v": [{**jerk, "value": -0.2}, torque]},
+    }
+    for name, answer in answers.items():
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "result.json").write_text(json.dumps(answer))
+    _, rows = compare_results(tmp_path / "one", tmp_path / "two")
+    assert rows == [
+        ("draws", "3 values, 1 to 4", "3 values, 1 to 4", "up to 12 % of the largest"),
+        ("rivals", "2 entries", "–", ""),
+        ("v, jerk of joint 1, value", "-0.1", "-0.2", "+100 %"),
+    ]
+
+
 def test_a_limit_within_the_tolerance_of_the_certificate_is_kept():
     texts = [
         violation_text(Violation(value, "velocity", 1, 0.0)) for value in (3e-4, 5.1e-3, -0.02)
