@@ -189,6 +189,9 @@ class Effect:
     # True where it changes the weight that several joints carry: a single one competes with
     # re-identified masses.
     shifts_weight: bool = False
+    # (amplitudes, stated gravity) -> gravity in the axes of the base (3,): bodies of other masses
+    # and centres than the nominal ones hang in it too.
+    turned_gravity: Callable[[Values, Any], Any] | None = None
     # True where its first amplitude is the position of the joint at which its encoder reads 0.
     moves_zero: bool = False
     # True where its deflection depends on the load of its joint: the spring is softer or stiffer by

@@ -45,7 +45,7 @@ class FreeSpace:
         self._model = problem.clearance_model
         self._clearance = problem.stated_cell.clearance
         self._random = np.random.default_rng(seed)
-        self._until = time.thread_time() + seconds
+        self._until = time.perf_counter() + seconds
         limits = problem.active_limits
         low, high = limits.position_lower, limits.position_upper
         self._low = np.where(np.isfinite(low), low, -np.pi)
@@ -58,7 +58,7 @@ class FreeSpace:
     @property
     def timed_out(self) -> bool:
         """True where the time is over."""
-        return time.thread_time() > self._until
+        return time.perf_counter() > self._until
 
     @property
     def _is_exhausted(self) -> bool:

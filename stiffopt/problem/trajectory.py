@@ -149,8 +149,8 @@ class Method:
         Time,
         POSITIVE,
         Doc(
-            "Processor time after which the best motion so far is returned; its message names the"
-            " steps left out."
+            "Time after which the best motion so far is returned; its message names the steps left"
+            " out."
         ),
     ] = 300.0
     max_iterations: Annotated[

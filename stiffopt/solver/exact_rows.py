@@ -32,6 +32,7 @@ from stiffopt.transcription.constraint_back_off import (
     Excess,
     KnownRows,
     back_off_exceeded,
+    back_off_states,
     back_off_uniformly,
     path_row_excess,
 )
@@ -92,6 +93,8 @@ class ExactRows(OutcomeOracle):
             last.nlp, known, last.transcription.nlp, most=_MAX_BACK_OFF_STEP, limits=LIMITS
         )
         closer = back_off_uniformly(closer, _unexplained_excess(known, excess))
+        if excess:
+            closer = back_off_states(closer, last.transcription, last.raw.x)
         if not allows_other_motion(closer, last.nlp, moved=smoothing != last.smoothing):
             return None
         reason = describe_excess(excess) or f"objective {gap:.1%} worse between the nodes"
@@ -147,9 +150,8 @@ def _unexplained_excess(known: Excess, excess: dict[str, float]) -> dict[str, fl
 
 def allows_other_motion(nlp: Nlp, before: Nlp, *, moved: bool) -> bool:
     """Return True where bounds or smoothing (`moved`) changed and the bounds are consistent."""
-    same = np.array_equal(nlp.lower_g, before.lower_g) and np.array_equal(
-        nlp.upper_g, before.upper_g
-    )
+    bounds = ("lower_g", "upper_g", "lower_x", "upper_x")
+    same = all(np.array_equal(getattr(nlp, each), getattr(before, each)) for each in bounds)
     return (moved or not same) and bool(np.all(nlp.lower_g <= nlp.upper_g))
 
 

@@ -50,7 +50,7 @@ def minimise_excess(
 
     The programme has derivatives of its own.
     """
-    begin = time.thread_time()
+    begin = time.perf_counter()
     relaxed = _RelaxedProgramme(nlp, x, parameters)
     found = _solve_relaxed(nlp, relaxed, x, parameters, max_seconds)
     for _ in range(_MAX_RESCALED_SOLVES):
@@ -58,7 +58,7 @@ def minimise_excess(
         if not found.converged or not closer.is_better_scaled_than(relaxed):
             break
         # Excesses that are small beside those of the start are inaccurate: solve again from here.
-        left = max(max_seconds - (time.thread_time() - begin), 0.1)
+        left = max(max_seconds - (time.perf_counter() - begin), 0.1)
         again = _solve_relaxed(nlp, closer, found.x, parameters, left)
         again = replace(again, iterations=found.iterations + again.iterations)
         if again.status in ("interrupted", "time_limit"):

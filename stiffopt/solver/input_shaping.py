@@ -90,7 +90,7 @@ def solve_shaped(
     period = _lowest_mode_period(problem, motion)
     strict = strict_baseline(problem, motion, compared)
     rival = None if strict is None or not strict.feasible else strict.assessment
-    clock = _TimedSolver(solve, time.thread_time() + problem.method.time_limit)
+    clock = _TimedSolver(solve, time.perf_counter() + problem.method.time_limit)
     kept: tuple[Solution, tuple[Trajectory, Assessment] | None, str] | None = None
     for share, named in windows:
         window = share * period
@@ -190,7 +190,7 @@ class _TimedSolver:
 
     @property
     def left(self) -> float:
-        return self.end - time.thread_time()
+        return self.end - time.perf_counter()
 
     def solve(self, problem: TrajectoryProblem) -> Solution:
         method = replace(problem.method, time_limit=max(self.left, MIN_SOLVE_TIME))

@@ -77,7 +77,7 @@ class Monitor(ca.Callback):
         """Reset the record before a solve."""
         self.report, self.max_seconds, self.patience = report, max_seconds, 0
         self.max_iterations: int | None = None
-        self.started, self._begun = time.perf_counter(), time.thread_time()
+        self.started = time.perf_counter()
         self.history: list[Progress] = []
         self.steps: list[float] = []  # largest change of a variable in each iteration
         self.best: Iterate | None = None
@@ -119,7 +119,7 @@ class Monitor(ca.Callback):
             return 1.0
         if self.interrupt.is_set():
             self.stopped_by = "interrupted"
-        elif time.thread_time() - self._begun > self.max_seconds:
+        elif time.perf_counter() - self.started > self.max_seconds:
             self.stopped_by = "time_limit"
         elif self._has_spent_iterations():
             self.stopped_by = "iteration_limit"

@@ -45,6 +45,7 @@ from stiffopt.solver.input_shaping import Window, mark_solution_interrupted, sol
 from stiffopt.solver.programme import Outcome
 from stiffopt.solver.ringing import RingingBesideRivals
 from stiffopt.solver.robust_plan import choose_shaped_motion, robust_plan
+from stiffopt.solver.slowing import Slowing
 from stiffopt.solver.solve_run import MIN_SOLVE_TIME, ProgressCallback, SolveRun
 from stiffopt.solver.starts import BetterBaseline, best_of_starts
 from stiffopt.solver.trivial_outcomes import (
@@ -233,6 +234,7 @@ def choose_for_arms(
 ) -> Solution:
     """Return the solution of an optimum, or of a motion near it for uncertain arms."""
     robust = robust_plan(run, outcome)
+    robust = exchange(run, Slowing(run), robust)
     run.solution = solution_of(run, robust, compared, notes, compare=compare)
     shaped = functools.partial(_solve_shaped_in_remaining_time, run, compared, notes, guess)
     return choose_shaped_motion(run, run.solution, outcome, shaped)

@@ -51,7 +51,7 @@ class SolveProgress:
     objective: float  # in SI, of the smoothed model at the nodes
     violation: float  # worst row, relative to its scale
     row: str  # its name; empty without a violation
-    elapsed: float  # processor time of the solve so far [s]
+    elapsed: float  # since the solve began [s]
 
 
 ProgressCallback = Callable[[SolveProgress], object]
@@ -84,8 +84,7 @@ class SolveRun:
     command: CommandOnArms | None = None
     # Duration for which the rivals were searched [s], those, and their commands.
     rivals: tuple[float, list[PlannedMotion], list[CommandOnArms]] | None = None
-    # Processor time of this thread: other programmes on the machine leave out no step.
-    begin: float = field(default_factory=time.thread_time)
+    begin: float = field(default_factory=time.perf_counter)
     build_s: float = 0.0
     solve_s: float = 0.0
     iterations: int = 0
@@ -102,8 +101,8 @@ class SolveRun:
 
     @property
     def elapsed(self) -> float:
-        """Processor time of the solve so far [s]."""
-        return time.thread_time() - self.begin
+        """Seconds since the solve began."""
+        return time.perf_counter() - self.begin
 
     @property
     def remaining(self) -> float:

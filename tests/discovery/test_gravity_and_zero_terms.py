@@ -57,6 +57,29 @@ def test_tilt_term_is_exact(robot, angle, azimuth):
     np.testing.assert_allclose([reported["rx"], reported["ry"]], angle * axis[:2], atol=1e-12)
 
 
+def test_changed_bodies_hang_in_the_gravity_of_a_tilted_base(robot):
+    """A mass off by 3 % has no torque about an upright axis, but one about a tilted axis."""
+    rng = np.random.default_rng(4)
+    motion = [rng.uniform(-1.5, 1.5, (5, robot.n)) for _ in range(3)]
+    change = rng.uniform(0.1, 0.3, (robot.n, 10))
+    gravity = tilted_gravity((0.3, -0.2), robot.constants.gravity)
+    signals = LazyArmSignals(robot, *motion).under_gravity(gravity - robot.constants.gravity)
+    expected = []
+    for times in (1.0, 0.0):
+        model = robot.arm.model.copy()
+        model.gravity.linear = gravity
+        for joint, own in enumerate(change, start=1):
+            parameters = model.inertias[joint].toDynamicParameters() + times * own
+            model.inertias[joint] = pin.Inertia.FromDynamicParameters(parameters)
+        data = model.createData()
+        expected.append([pin.rnea(model, data, *state) for state in zip(*motion, strict=True)])
+    wanted = np.array(expected[0]) - np.array(expected[1])
+    regressor = signals.body_regressor
+    np.testing.assert_allclose(regressor.torque(change), wanted, atol=1e-9)
+    columns = sum(regressor.torque_of_body(body, own) for body, own in enumerate(change))
+    np.testing.assert_allclose(columns, wanted, atol=1e-9)
+
+
 def test_tilt_axes_are_normal_to_any_gravity():
     for gravity in ([0, 0, -9.81], [9.81, 0, 0], [0, -6.9, -6.9], [3.0, 4.0, -8.0]):
         down = np.array(gravity) / np.linalg.norm(gravity)

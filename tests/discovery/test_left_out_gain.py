@@ -10,7 +10,7 @@ import pytest
 from shipped_set import SHIPPED
 
 from stiffopt.discovery.catalogue import effect
-from stiffopt.discovery.comparison.channel_rows import ChannelNoise
+from stiffopt.discovery.comparison.channel_rows import ChannelNoise, elapsed_shares
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.design_matrix import DesignMatrix
 from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter
@@ -60,6 +60,16 @@ def test_present_effect_has_support_and_absent_none() -> None:
     assert present.open_share < 0.1
     assert absent.support < 0.9
     assert absent.share < MIN_HELD_OUT_SHARE
+
+
+def test_start_of_the_runs_that_is_left_out_gains_nothing() -> None:
+    comparison = prepare_training(load_recordings(SHIPPED), Settings()).comparison()
+    effects = [LocatedEffect(effect=effect(name), joint=1) for name in ("coulomb", "torque_offset")]
+    before = left_out_gains(comparison, effects, 0.1)
+    early = comparison.rows.sample_signal(lambda run: elapsed_shares(run.time)) < 0.1
+    comparison.target[early & (comparison.rows.channel == 1)] += 50.0
+    assert left_out_gains(comparison, effects, 0.1) == before
+    assert left_out_gains(comparison, effects)[0].left_open > 10.0 * before[0].left_open
 
 
 def test_noise_that_is_stated_too_small_leaves_nothing_open() -> None:

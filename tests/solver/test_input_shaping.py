@@ -138,7 +138,7 @@ def test_ctrl_c_in_a_later_window_keeps_the_first(tmp_path, behind, monkeypatch)
 def test_all_windows_have_one_time_limit(tmp_path, behind, monkeypatch):
     problem = load(tmp_path, minimise=GOAL, duration="0.8", method="intervals = 12")
     given, clock = [], iter(range(0, 10_000, 70))
-    monkeypatch.setattr(input_shaping, "time", SimpleNamespace(thread_time=lambda: next(clock)))
+    monkeypatch.setattr(input_shaping, "time", SimpleNamespace(perf_counter=lambda: next(clock)))
     plain = input_shaping._TimedSolver.solve
 
     def noted(self, inner):

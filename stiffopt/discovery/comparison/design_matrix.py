@@ -21,7 +21,12 @@ from stiffopt.discovery.comparison.located_effect import (
     effect_channel_changes,
 )
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.nuisance import LINK_MOVING_VALUES, LOAD_VALUE, nuisance_columns
+from stiffopt.discovery.comparison.nuisance import (
+    BODY_VALUES,
+    LINK_MOVING_VALUES,
+    LOAD_VALUE,
+    nuisance_columns,
+)
 from stiffopt.discovery.comparison.piece_sums import PieceColumns, PieceProducts, Pieces, PieceSums
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.comparison.value_name import ValueName
@@ -219,12 +224,16 @@ class DesignMatrix:
     ) -> tuple[dict[ValueName, float], dict[ValueName, np.ndarray], set[ValueName]]:
         """Return priors and columns of nominal values by name, and the names of unchanged ones.
 
-        With rigid joints links move as in the first linearisation, and only the load may differ.
+        With rigid joints links move as in the first linearisation: only the load may differ, and
+        gravity.
         """
         first = self._earlier[0]._nominal_by_freedom.get(self.bodies is not None)
         if first is None or self.robot.elastic:
             return {}, {}, set()
-        known = {name for name in first.names if name.kind != LOAD_VALUE}
+        changing = {LOAD_VALUE}
+        if any(e.effect.turned_gravity is not None for e in self.found.effects):
+            changing.update(BODY_VALUES)
+        known = {name for name in first.names if name.kind not in changing}
         columns = {
             name: self.pieces.unorder(column) if name in known else np.zeros_like(column)
             for name, column in zip(first.names, first.ordered, strict=True)

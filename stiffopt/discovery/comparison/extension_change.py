@@ -72,6 +72,20 @@ def extension_change(run: PreparedRun, extension: Extension) -> Change:
     return change
 
 
+def with_turned_gravity(run: PreparedRun, extension: Extension) -> PreparedRun:
+    """Return the run with changes of bodies under the gravity that an extension turns."""
+    signals = run.signals
+    stated = signals.constants.gravity
+    turned = [
+        each.effect.turned_gravity(each.amplitudes, stated) - stated
+        for each in extension.effects
+        if each.effect.turned_gravity is not None
+    ]
+    if not turned:
+        return run
+    return replace(run, signals=replace(signals, arm=signals.arm.under_gravity(sum(turned))))
+
+
 def moves_links(run: PreparedRun, each: EstimatedEffect) -> bool:
     """Return True where an effect moves the links of a run."""
     added = each.located.contribution(run, each.amplitudes)

@@ -65,13 +65,13 @@ class Form:
         return tuple(eval(f"lambda {names}: {each}", space) for each in self.formulas)
 
     def values(
-        self, x: Quantity, dt: float, before: float | None, shapes: Sequence[Quantity]
+        self, x: Quantity, dt: float, before: np.ndarray | None, shapes: Sequence[Quantity]
     ) -> list[Quantity]:
         """Return the values (K,) of every formula."""
         return [function(x, dt, before, *shapes) for function in self._functions]
 
     def derivatives(
-        self, x: np.ndarray, dt: float, before: float | None, shapes: Sequence[float]
+        self, x: np.ndarray, dt: float, before: np.ndarray | None, shapes: Sequence[float]
     ) -> list[list[Any]]:
         """Return the derivative (K,) of every formula by every shape; exact where analytic."""
         found = []

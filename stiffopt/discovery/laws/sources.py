@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from stiffopt.discovery.laws import operators
 from stiffopt.discovery.signals import JointSignals, RobotSignals
 from stiffopt.symbolic import Quantity
 
@@ -24,9 +25,10 @@ class SourceKind:
     forms: tuple[str, ...]  # names of the forms that a law may take in it
     per_joint: bool = True  # False for a signal of the robot as a whole
     of_own_joint: bool = False  # True where only laws of that joint may depend on it
-    # Value before the first sample for forms with memory: a robot that moves has started from rest,
-    # though not in the recording. None: that of the first sample, as of the load by gravity.
-    before: float | None = None
+    # Operator for its values before the first sample, which forms with memory ask for: a robot that
+    # moves has started from rest, though not in the recording. "": that of the first sample, as of
+    # the load by gravity.
+    before: str = ""
 
 
 _PLACE_FORMS = (
@@ -63,7 +65,7 @@ SOURCE_KINDS = {
         "rad/s",
         "speed of joint {}",
         (*_SIGNED_FORMS, "lag", "slip", "sprung"),
-        before=0.0,
+        before="speed_before",
     ),
     "direction": SourceKind(
         "motor_direction", "sg(w_{})", "", "direction of motion of joint {}", ("linear",)
@@ -74,7 +76,7 @@ SOURCE_KINDS = {
         "rad/s^2",
         "acceleration of joint {}",
         ("linear", "magnitude", "saturating", "sprung", "mode", "loose"),
-        before=0.0,
+        before="acceleration_before",
     ),
     "load": SourceKind(
         "spring_torque",
@@ -178,6 +180,24 @@ class LawSource:
     def value_in(self, run: Any) -> np.ndarray:
         """Return the signal (K,) in a run."""
         return np.broadcast_to(np.asarray(self.value(run.signals)), run.time.shape)
+
+    def value_before(self, signals: RobotSignals | JointSignals) -> np.ndarray | None:
+        """Return the signal before the first sample; None where it has always been that sample."""
+        if not self.own.before:
+            return None
+        motion = [LawSource(kind, self.joint).value(signals) for kind in ("speed", "acceleration")]
+        found: np.ndarray = getattr(operators, self.own.before)(*motion, signals.dt)
+        return found
+
+    def expression_before(self, joint: int, *, of_robot: bool) -> str:
+        """Return the Python expression of that, see `expression`."""
+        if not self.own.before:
+            return "None"
+        motion = (
+            LawSource(kind, self.joint).expression(joint, of_robot=of_robot)
+            for kind in ("speed", "acceleration")
+        )
+        return f"{self.own.before}({', '.join(motion)}, signals.dt)"
 
     def expression(self, joint: int, *, of_robot: bool) -> str:
         """Return the Python expression in `signals` for a law at a joint."""

@@ -92,13 +92,11 @@ def _solve_within(
     return solve_boxed(gram, moment, prior, limits) if beyond else values
 
 
-def predict_folds(
-    comparison: Comparison, effects: Sequence[LocatedEffect], fold: np.ndarray | None = None
-) -> FoldPredictions:
-    """Return the predictions of folds (m,), by default those of `number_folds`, with effects."""
+def predict_folds(comparison: Comparison, effects: Sequence[LocatedEffect]) -> FoldPredictions:
+    """Return the predictions of folds by fits with effects."""
     columns, prior, _ = stack_columns(comparison, effects)
-    fold = number_folds(comparison) if fold is None else fold
-    return FoldPredictions(columns, comparison.target, prior, comparison.limits(len(prior)), fold)
+    limits, fold = comparison.limits(len(prior)), number_folds(comparison)
+    return FoldPredictions(columns, comparison.target, prior, limits, fold)
 
 
 def folds_per_run(runs: int) -> int:
@@ -106,9 +104,14 @@ def folds_per_run(runs: int) -> int:
     return 1 if runs >= 2 * MIN_RUNS_AS_BLOCKS else -(-FOLDS_OF_FEW_RUNS // runs)
 
 
-def number_folds(comparison: Comparison, parts: int | None = None) -> np.ndarray:
-    """Return the fold number of every row (m,): runs, or parts of runs in time."""
+def number_folds(
+    comparison: Comparison, parts: int | None = None, begin: float = 0.0
+) -> np.ndarray:
+    """Return the fold number of every row (m,): runs, or parts of runs in time.
+
+    `begin`: share of each run before its first part.
+    """
     rows = comparison.rows
     cut = folds_per_run(len(comparison.runs)) if parts is None else parts
-    part = rows.sample_signal(lambda run: part_numbers(run.time, cut))
+    part = rows.sample_signal(lambda run: part_numbers(run.time, cut, begin))
     return np.unique(rows.run * cut + part, return_inverse=True)[1]

@@ -14,7 +14,11 @@ from stiffopt.problem.objective import OBJECTIVES, ObjectiveKind
 from stiffopt.report.common.terminal import ReportSection
 from stiffopt.report.common.text import DASH, listed, percent, si, significant, words
 from stiffopt.result.assessment import Violation
-from stiffopt.result.compensation import RIVAL_COMMAND_FILE, RIVAL_TRAJECTORY_FILE
+from stiffopt.result.compensation import (
+    MIN_SLOWDOWN,
+    RIVAL_COMMAND_FILE,
+    RIVAL_TRAJECTORY_FILE,
+)
 from stiffopt.result.simulation import ElasticMotion, Simulation
 from stiffopt.result.solution import ObjectiveValue, Solution
 
@@ -123,34 +127,38 @@ def comparison(problem: TrajectoryProblem, solution: Solution) -> str:
 
 def rival_text(compensation: Compensation) -> str:
     """Return sentences on the worst-case tool error beside that of the best rival."""
-    best, own = compensation.best_rival, compensation.optimised
+    beside, own = compensation.beside_best, compensation.optimised
     if len(compensation.motions) == 1:
         return "It was not compared with rivals."
-    if best is None:
+    if beside is None:
         return "No rival's command keeps every limit."
-    name = f"{_motion_phrase(best.name)} of {si(best.simulated.duration, 's', 4)}"
+    best = beside.rival
+    name = f"{_motion_phrase(best.name)} of {si(best.duration, 's', 4)}"
     theirs = _format_phases(best)
     tail = "each with its best command within the limits, on the same uncertain arms"
     if compensation.ratios is None:
         text = f"The best rival, {name}, has a worst-case tool error of {theirs}"
     else:
         flight, after = compensation.ratios
+        slowed = f" (slowed to that duration {_format_phases(beside.own)})"
         text = (
-            f"Worst-case tool error {_format_phases(own)} in flight / after arrival: in flight "
+            f"Worst-case tool error {_format_phases(own)} in flight / after arrival"
+            f"{slowed if beside.own is not own else ''}: in flight "
             f"{amount(flight).lower()} the best rival, {name}, which has {theirs}"
         )
         if not np.isclose(flight, after):
             text += f"; after arrival {amount(after).lower()} it"
-    slower = best.simulated.duration / own.simulated.duration - 1.0
-    if slower > _EQUAL_RATIO_TOLERANCE:
+    slower = best.duration / own.duration - 1.0
+    if slower > MIN_SLOWDOWN:
         tail += f"; the rival was slowed by {percent(slower, 2)} to keep the limits"
     text += f"; {tail}."
-    if compensation.rival_wins:
+    better = compensation.rival_better_in
+    if compensation.rival_wins or better:
+        where = "" if compensation.rival_wins else f" {listed(better)}"
+        run = f": run {RIVAL_TRAJECTORY_FILE} with {RIVAL_COMMAND_FILE}"
         text += (
-            f" The rival is the better motion: run {RIVAL_TRAJECTORY_FILE} with "
-            f"{RIVAL_COMMAND_FILE}."
-            if compensation.rival_command is not None
-            else " The rival is the better motion."
+            f" The rival is the better motion{where}"
+            f"{run if compensation.rival_command is not None else ''}."
         )
     return text
 
