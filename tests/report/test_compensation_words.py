@@ -83,7 +83,7 @@ def test_rival_that_is_better_in_one_phase_is_handed_over_for_it():
     )
     assert not found.rival_wins
     assert found.rival_better_in == ("after arrival",)
-    assert "The rival is the better motion after arrival: run rival" in compensation_text(found)
+    assert "The rival is the better motion after arrival: run rival" in rival_text(found)
 
 
 def test_best_rival_is_the_one_that_is_nearest_at_equal_duration():
