@@ -173,6 +173,9 @@ def _certified_comparison(problem: TrajectoryProblem, solution: Solution) -> str
     maximised = is_maximised(problem)
     better = better_baseline(problem, solution.baselines)
     ratio = solution.ratio_to_better_baseline
+    strict = solution.strict_baseline
+    if better is None and strict is not None and strict.feasible:
+        better, ratio = strict, solution.ratio_to_strict_baseline
     if solution.objective is None or solution.assessment is None:
         return "There is no motion to compare with the baselines."
     if not solution.baselines:
