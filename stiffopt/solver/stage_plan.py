@@ -40,9 +40,9 @@ _ITERATION_LIMIT_PHASES = 10
 _INFEASIBLE_ITERATIONS = 100
 # Initial barrier parameter, and so bound multipliers, where the duration is minimised.
 _INITIAL_DURATION_BARRIER = 1e-3
-# That of a peak from a guess, and on a fine mesh, from the motion of a coarse one, where the barrier
-# never exceeds the last of the three: a larger one forgets the motion. And IPOPT's decrease of the
-# inertia correction.
+# That of a peak from a guess, and on a fine mesh, from the motion of a coarse one, where the
+# barrier never exceeds the last of the three: a larger one forgets the motion. And IPOPT's decrease
+# of the inertia correction.
 _INITIAL_PEAK_BARRIER, _NEAR_PEAK_BARRIER, _MAX_NEAR_PEAK_BARRIER = 1e-3, 1e-6, 1e-5
 _INERTIA_CORRECTION_DECREASE = 0.1
 # Tolerance of the stages of a peak before the last: further digits are those of another mesh.

@@ -94,7 +94,9 @@ def _describe_placeholders(
 ) -> tuple[Placeholder, ...]:
     """Return the placeholders of these joints, and of those that share their value."""
     stated = {name: each[quantity] for name, each in arm.joints.items()}
-    shared = {stated[name]: name for name in reversed(reasons) if _is_shared(stated[name], stated)}
+    shared = {
+        stated[name]: name for name in reversed(list(reasons)) if _is_shared(stated[name], stated)
+    }
     bodies = body_tree(arm.model).bodies
     units = {"velocity": ("rad/s", "m/s"), "effort": ("N m", "N")}[quantity]
     return tuple(

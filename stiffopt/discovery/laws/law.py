@@ -249,9 +249,12 @@ class Law:
         for factor in self.factors:
             words = {"x": factor.source.symbol, "dt": "dt"}
             if code:
-                at = {"joint": self.joint, "of_robot": self.of_robot}
-                words["x"] = factor.source.expression(**at)
-                words |= {"dt": "signals.dt", "before": factor.source.expression_before(**at)}
+                before = factor.source.expression_before(self.joint, of_robot=self.of_robot)
+                words = {
+                    "x": factor.source.expression(self.joint, of_robot=self.of_robot),
+                    "dt": "signals.dt",
+                    "before": before,
+                }
             for shape in factor.own.shapes:
                 words[shape.name] = names.pop(0)
             parts = [_substitute(each, words) for each in factor.own.formulas]

@@ -24,7 +24,7 @@ def speed_before(speed: np.ndarray, acceleration: np.ndarray, dt: float) -> np.n
     It has started from rest: by the first acceleration, if that leads to the first speed.
     """
     count = len(acceleration_before(speed, acceleration, dt))
-    return speed[0] * np.arange(count) / max(count, 1)
+    return np.asarray(speed[0] * np.arange(count) / max(count, 1))
 
 
 def acceleration_before(speed: np.ndarray, acceleration: np.ndarray, dt: float) -> np.ndarray:

@@ -165,11 +165,11 @@ def print_comparison(names: Sequence[str], joints: Sequence[JointComparison]) ->
     for joint in joints:
         pooled = [(joint.pooled, joint.pooled_sd)] if several else []
         values = [*zip(joint.stiffness, joint.sd, strict=True), *pooled]
-        told = (
+        cells = (
             DASH if value is None or sd is None else f"{decades(value)} ± {decades(sd, 2)}"
             for value, sd in values
         )
-        rows.append((f"J{joint.joint}", *told, decades(joint.model)))
+        rows.append((f"J{joint.joint}", *cells, decades(joint.model)))
     rows += [
         (
             f"J{joint.joint}, tilt",
