@@ -83,6 +83,10 @@ def judge_outcome(
     better = find_better_baseline(problem, outcome, compared)
     if better is None or found.status is SolveStatus.INFEASIBLE:
         return found
+    # A motion of least tool error was chosen beside the rivals, phase by phase, and is judged with
+    # their commands.
+    if found.status.usable and any(each.kind.of_uncertain_arms for each in problem.objectives):
+        return found
     optimal = found.status is SolveStatus.OPTIMAL
     return Verdict(
         SolveStatus.ACCEPTABLE if optimal else found.status,
