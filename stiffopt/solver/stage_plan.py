@@ -40,13 +40,14 @@ _ITERATION_LIMIT_PHASES = 10
 _INFEASIBLE_ITERATIONS = 100
 # Initial barrier parameter, and so bound multipliers, where the duration is minimised.
 _INITIAL_DURATION_BARRIER = 1e-3
-# That of a peak from a guess, and on a fine mesh, from the motion of a coarse one, where the barrier
-# never exceeds the last of the three: a larger one forgets the motion. And IPOPT's decrease of the
+# That of a peak from a guess, and on a fine mesh, from the motion of a coarse one, where no barrier
+# exceeds the last of the three: a larger one forgets the motion. And IPOPT's decrease of the
 # inertia correction.
 _INITIAL_PEAK_BARRIER, _NEAR_PEAK_BARRIER, _MAX_NEAR_PEAK_BARRIER = 1e-3, 1e-6, 1e-5
 _INERTIA_CORRECTION_DECREASE = 0.1
-# Tolerance of the stages of a peak before the last: further digits are those of another mesh.
-_COARSE_PEAK_TOLERANCE = 1e-4
+# Tolerance of the stages of a peak before the last: further digits are those of another mesh. And
+# of the last with many phases, which a correction of its rows follows.
+_COARSE_PEAK_TOLERANCE, _ROUGH_PEAK_TOLERANCE = 1e-4, 1e-5
 # IPOPT's options of the least distance of a start from bounds.
 _BOUND_PUSH_OPTIONS = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
 # Intervals per piece of a fixed path's spline, at whose ends the rate of curvature jumps: with
@@ -113,7 +114,12 @@ def plan_stages(
         return (
             SolveStage(coarse, widths[0], tolerance=_COARSE_PEAK_TOLERANCE),
             SolveStage(middle, between, new_mesh=True, tolerance=_COARSE_PEAK_TOLERANCE),
-            SolveStage(intervals, widths[-1], new_mesh=True),
+            SolveStage(
+                intervals,
+                widths[-1],
+                new_mesh=True,
+                tolerance=_ROUGH_PEAK_TOLERANCE if phases >= MANY_PHASES else None,
+            ),
         )
     first = [SolveStage(coarse, width) for width in widths[:2]]
     fine = [SolveStage(intervals, width) for width in widths[1:]]
