@@ -150,7 +150,9 @@ def solve_again(
     """
     made, raw = Programme(before.transcription, before.solver), before.raw
     made.solver.set_bounds(nlp)
-    many = before.transcription.ocp.phases >= MANY_PHASES
+    many = made.transcription.ocp.phases >= MANY_PHASES and not run.problem.plans_links
+    # A rough solve has its last digits before it.
+    most = None if raw.rough else max(raw.iterations, _MIN_CORRECTION_ITERATIONS)
     again = solve_stage(
         run,
         made,
@@ -160,7 +162,7 @@ def solve_again(
         "correction",
         "monotone" if many else "adaptive",
         _MANY_PHASES_BOUND_PUSH if many else _CORRECTION_BOUND_PUSH,
-        max_iterations or max(raw.iterations, _MIN_CORRECTION_ITERATIONS),
+        max_iterations or most,
         raw.objective + predict_rise(before, nlp) + _MAX_STALLED_RISE * abs(raw.objective),
         _MANY_PHASES_BARRIER if many else WARM_BARRIER,
     )
