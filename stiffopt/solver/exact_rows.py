@@ -97,8 +97,12 @@ class ExactRows(OutcomeOracle):
             closer = back_off_states(closer, last.transcription, last.raw.x)
         if not allows_other_motion(closer, last.nlp, moved=rough or smoothing != last.smoothing):
             return None
-        reason = describe_excess(excess) or f"objective {gap:.1%} worse between the nodes"
-        return Proposal(reason, lambda: solve_again(self.run, last, closer, smoothing))
+        worse = f"objective {gap:.1%} worse between the nodes"
+        reason = worse if gap > MAX_OBJECTIVE_GAP else "solved to a wide tolerance"
+        return Proposal(
+            describe_excess(excess) or reason,
+            lambda: solve_again(self.run, last, closer, smoothing),
+        )
 
 
 def describe_excess(excess: dict[str, float]) -> str:
