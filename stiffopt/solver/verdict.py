@@ -256,7 +256,8 @@ def _solve_status(outcome: Outcome) -> SolveStatus:
     if raw.converged:
         if not certified:
             return SolveStatus.CERTIFICATE_FAILED
-        full = raw.status == "optimal" and outcome.objective_gap <= MAX_OBJECTIVE_GAP
+        exact = raw.status == "optimal" and not raw.rough
+        full = exact and outcome.objective_gap <= MAX_OBJECTIVE_GAP
         return SolveStatus.OPTIMAL if full else SolveStatus.ACCEPTABLE
     if raw.status == "infeasible" or (raw.status == "stalled" and not certified):
         return SolveStatus.INFEASIBLE
