@@ -33,7 +33,7 @@ from stiffopt.result.status import SolveStatus
 from stiffopt.result.tool_error import LedError
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.robot.tolerances import Tolerances
-from stiffopt.solver import between_rivals
+from stiffopt.solver import between_rivals, verdict
 from stiffopt.solver.between_rivals import BetweenRivals
 from stiffopt.solver.ipopt import RawSolution
 from stiffopt.solver.programme import solve_stage
@@ -287,6 +287,8 @@ def test_motion_between_is_the_best_one_whose_motors_keep_their_limits(
     )
     proposal = oracle.propose(last, 0)
     assert proposal.reason.startswith(f"with {share} % of the quintic motion")
+    # Beside a rival the ratio to it falls, whatever the sum of both phases does.
+    assert ("times a rival's error in place of" in proposal.reason) == (best is not None)
     oracle._rivals = {}
     assert oracle.propose(last, 0) is None
 
@@ -315,6 +317,25 @@ def test_soft_arm_is_no_worse_than_its_best_rival_in_either_phase(problem):
     assert found.status is SolveStatus.OPTIMAL
     assert max(found.compensation.ratios) < 1.02
     assert any("of the quintic motion the worst arm has" in each for each in found.notes)
+
+
+@pytest.mark.parametrize(
+    ("goal", "status"), [("tool_error", "optimal"), ("tool_deviation", "acceptable")]
+)
+def test_a_baseline_of_less_summed_error_is_judged_with_its_command(
+    problem, solution, monkeypatch, goal, status
+):
+    """The motion was chosen phase by phase: its sum may exceed that of a baseline."""
+    own = verdict.Verdict(SolveStatus.OPTIMAL, "")
+    monkeypatch.setattr(verdict, "_solve_status", lambda _: own.status)
+    monkeypatch.setattr(verdict, "_status_message", lambda *_: own.message)
+    monkeypatch.setattr(verdict, "_judge_model_agreement", lambda *_: own)
+    baseline = SimpleNamespace(name="quintic")
+    monkeypatch.setattr(verdict, "find_better_baseline", lambda *_: baseline)
+    stated = replace(problem, objectives=(Objective(name=goal),))
+    outcome = SimpleNamespace(assessment=solution.assessment)
+    found = verdict.judge_outcome(stated, outcome, solution.assessment, {})
+    assert found.status.value == status
 
 
 @pytest.mark.parametrize(("wins", "status"), [(True, "acceptable"), (False, "optimal")])
