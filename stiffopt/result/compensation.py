@@ -91,7 +91,7 @@ class CompensatedMotion:
 class RivalComparison:
     """Worst-case errors beside those of one rival, at equal duration."""
 
-    # Optimised motion; slowed to the duration of a slower rival, unless that is better in no phase.
+    # Optimised motion; slowed to the duration of a slower rival, unless that is better in no error.
     own: CompensatedMotion
     rival: CompensatedMotion
 
@@ -119,14 +119,26 @@ class RivalComparison:
             return None
         return mine.worst / theirs.worst
 
+    @property
+    def by_error(self) -> dict[str, float]:
+        """Known ratios by name of the error."""
+        flight, after = self.ratios or (None, None)
+        named = {"in flight": flight, "after arrival": after, "across the path": self.across}
+        return {name: ratio for name, ratio in named.items() if ratio is not None}
+
+    @property
+    def worst_ratio(self) -> float:
+        """Largest ratio; zero without one."""
+        return max(self.by_error.values(), default=0.0)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Compensation:
     """Compensation of the optimised motion and the baselines, with the command."""
 
     motions: tuple[CompensatedMotion, ...]  # the optimised motion first
-    # Optimised motion slowed to the durations of slower rivals that are better in a phase, by the
-    # rivals' names.
+    # Optimised motion slowed to the durations of slower rivals that are better in any error, by
+    # the rivals' names.
     slowed: tuple[CompensatedMotion, ...] = ()
     command: Assessment | None  # motor motion every 2 ms; None where it exceeds a limit
     refusal: str  # reason for a missing command; else ""
@@ -157,13 +169,13 @@ class Compensation:
 
     @property
     def slower_rivals(self) -> list[CompensatedMotion]:
-        """Slower rivals that are better in a phase than the optimised motion."""
+        """Slower rivals that are better than the optimised motion in any error."""
         own, found = self.optimised, [each.rival for each in self.beside_rivals]
         return [
             each
             for each in ([] if own.excess else found)
             if each.duration > (1.0 + MIN_SLOWDOWN) * own.duration
-            and max(RivalComparison(own=own, rival=each).ratios or (0.0,)) > 1.0
+            and RivalComparison(own=own, rival=each).worst_ratio > 1.0
         ]
 
     @property
@@ -205,9 +217,7 @@ class Compensation:
         best = self.beside_best
         if best is None or self.optimised.excess:
             return ()
-        flight, after = best.ratios or (0.0, 0.0)
-        errors = {"in flight": flight, "after arrival": after, "across the path": best.across}
-        return tuple(name for name, ratio in errors.items() if (ratio or 0.0) > MAX_RIVAL_RATIO)
+        return tuple(name for name, ratio in best.by_error.items() if ratio > MAX_RIVAL_RATIO)
 
 
 COMMAND_FILE = "command.csv"
