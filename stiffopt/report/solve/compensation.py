@@ -55,8 +55,8 @@ def _motion_rows(
     motion: CompensatedMotion, name: str, beside: RivalComparison | None = None
 ) -> list[list[str]]:
     """Return the rows of a motion as planned and with its command."""
-    ratios = [] if beside is None or beside.ratios is None else [*beside.ratios, beside.across]
-    over = " / ".join(significant(each, 3) for each in ratios) or DASH
+    ratios = {} if beside is None else beside.ratios
+    over = " / ".join(significant(each, 3) for each in ratios.values()) or DASH
     return [
         [
             name,
