@@ -50,8 +50,8 @@ _SMALL_SHARE = 1e-3
 _ONE_DEVIATION = float(2.0 * special.ndtr(-1.0))
 # Odds that a joint has no friction or no rotor worth measuring, before the recordings.
 _ABSENCE_ODDS = 0.1
-# Folds by which probabilities are judged: of six, gains near the noise change by a factor of two with
-# the limits of the folds.
+# Folds by which probabilities are judged: of six, gains near the noise change by a factor of two
+# with the limits of the folds.
 _PROBABILITY_FOLDS = 24
 # P-value of an effect without a determined value: as likely as not.
 _UNDETERMINED_P_VALUE = 0.5
