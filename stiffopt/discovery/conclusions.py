@@ -50,6 +50,9 @@ _SMALL_SHARE = 1e-3
 _ONE_DEVIATION = float(2.0 * special.ndtr(-1.0))
 # Odds that a joint has no friction or no rotor worth measuring, before the recordings.
 _ABSENCE_ODDS = 0.1
+# Folds by which probabilities are judged: of six, gains near the noise change by a factor of two
+# with the limits of the folds.
+_PROBABILITY_FOLDS = 24
 # P-value of an effect without a determined value: as likely as not.
 _UNDETERMINED_P_VALUE = 0.5
 
@@ -71,7 +74,8 @@ def build_findings(
     """
     constants, n = training.constants, training.robot.n
     each = tuple(s.located for s in kept)
-    gains = [left_out_gains(comparison, each, begin) for begin in (0.0, *START_CUTS)]
+    begins = (0.0, *START_CUTS)
+    gains = [left_out_gains(comparison, each, begin, _PROBABILITY_FOLDS) for begin in begins]
     findings = []
     for index, (selected, *own) in enumerate(zip(kept, *gains, strict=True)):
         if selected.located.calibrated and parameters.min_deviations(index) < UNSTATED_DEVIATIONS:
