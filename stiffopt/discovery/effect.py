@@ -200,6 +200,10 @@ class Effect:
     # True where its wind-up lags the load: the tangent stiffness is then that under a sudden change
     # of load.
     lags: bool = False
+    # True where its parameter "limit" is the largest torque of the joint's drive.
+    limits_drive: bool = False
+    # Nominal value of the joint of which the last amplitude is a share that is lost.
+    loses: str = ""
     # True for free travel of a joint as a function of its spring torque alone, across which links
     # are simulated.
     is_play: bool = False
