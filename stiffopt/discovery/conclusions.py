@@ -99,12 +99,10 @@ def build_findings(
         # any effect of its family.
         alike = sum(each.family == effect.family for each in CATALOGUE)
         places = n * alike if effect.only_in and located.joint is not None else 1
-        if exists:
-            zero = null_probability(chance, _ABSENCE_ODDS)
-            sure = [_with_odds_against(gain.support, _ABSENCE_ODDS) * (1.0 - zero) for gain in own]
-        else:
-            zero = _null_share(chance, places)
-            sure = [gain.support * (1.0 - max(gain.open_share, zero)) for gain in own]
+        zero = null_probability(chance, _ABSENCE_ODDS) if exists else _null_share(chance, places)
+        sure = [
+            gain.support * (1.0 - max(0.0 if exists else gain.open_share, zero)) for gain in own
+        ]
         misfit = 1.0 - float(np.mean(sure) * again[index])
         findings.append(
             Finding(
@@ -120,11 +118,6 @@ def build_findings(
             )
         )
     return tuple(findings)
-
-
-def _with_odds_against(probability: float, odds: float) -> float:
-    """Return a probability, found at even odds, at other prior odds against it."""
-    return probability / (probability + odds * (1.0 - probability))
 
 
 def _null_share(chance: float, places: int = 1) -> float:

@@ -30,7 +30,6 @@ def training() -> Training:
         (False, 10.0, 1.0, 1.0, 0.5),  # as much open as explained
         (True, 10.0, 1.0, 1.0, 1.0),  # a value that every joint has
         (False, 0.0, 0.7, 1.0, 0.7),
-        (True, 0.0, 0.5, 1.0, 0.5 / 0.55),  # absent at odds of one to ten
         (False, 0.0, 1.0, 0.5, 0.5),
     ],
 )

@@ -18,7 +18,9 @@ from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.search.cross_validation import (
     FOLDS_OF_FEW_RUNS,
+    FOLDS_OF_GAINS,
     FoldPredictions,
+    folds_per_run,
     number_folds,
     stack_columns,
 )
@@ -80,7 +82,7 @@ def left_out_gains(
     kept = comparison.rows.sample_signal(lambda run: elapsed_shares(run.time)) >= begin
     columns *= kept[:, None]
     target, limits = kept * comparison.target, comparison.limits(len(prior))
-    fold = number_folds(comparison, None, begin)
+    fold = number_folds(comparison, folds_per_run(len(comparison.runs), FOLDS_OF_GAINS), begin)
     few = [
         e.is_run_specific or _is_seldom(columns[:, owner == k], fold) for k, e in enumerate(effects)
     ]
@@ -91,16 +93,16 @@ def left_out_gains(
         fine: FoldPredictions(columns, target, prior, limits, own) for fine, own in folds.items()
     }
     now = {fine: way.residual() for fine, way in ways.items()}
-    judge = _GainJudge(comparison, fold, kept, begin)
+    judge = _GainJudge(comparison, kept, begin)
     # Free bodies have no tolerance that they could leave.
     nominal = int(np.sum(owner < 0)) if comparison.bodies is None else 0
-    relieved = ways[few[0]].prior_squares(owner >= -1, nominal)
+    relieved = ways[few[0]].prior_squares(nominal)
     return tuple(
         judge.gain(
             columns[:, owner == k],
             now[fine],
             ways[fine].residual(owner != k),
-            ways[fine].prior_squares(owner != k, nominal) - relieved,
+            ways[fine].prior_squares(nominal, owner != k) - relieved,
         )
         for k, fine in enumerate(few)
     )
@@ -115,11 +117,9 @@ def _is_seldom(columns: np.ndarray, fold: np.ndarray) -> bool:
 class _GainJudge:
     """Gains of effects by the residuals of folds left out, with and without them."""
 
-    def __init__(
-        self, comparison: Comparison, fold: np.ndarray, kept: np.ndarray, begin: float
-    ) -> None:
+    def __init__(self, comparison: Comparison, kept: np.ndarray, begin: float) -> None:
         self._comparison, self._kept = comparison, kept
-        stretch = number_stretches(comparison, begin)
+        stretch, fold = number_stretches(comparison, begin), number_folds(comparison, None, begin)
         self._stretch = fold if stretch.max() < fold.max() else stretch
         # Noise above the filter's band may exceed the stated one.
         held = noise_above_cutoff(comparison.nominal_runs) / comparison.noise.stacked

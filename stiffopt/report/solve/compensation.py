@@ -38,8 +38,9 @@ def compensation_section(compensation: Compensation) -> ReportSection:
     beside = {each.rival.name: each for each in compensation.beside_rivals}
     rows = []
     for motion in compensation.motions:
-        rows += _motion_rows(motion, motion.name, beside.get(motion.name))
-        if (found := beside.get(motion.name)) is not None and found.own.name == motion.name:
+        found = beside.get(motion.name)
+        rows += _motion_rows(motion, motion.name, found)
+        if found is not None and found.own is not compensation.optimised:
             rows += _motion_rows(found.own, "optimised, slowed")[1:]
     return ReportSection(
         title="Deviations on uncertain arms, as planned and compensated",
