@@ -338,8 +338,13 @@ def test_headline_of_values_without_nominal_value(friction):
     assert "Enter" not in answer.action(replace(silent, unexplained=left))
 
 
-@pytest.mark.parametrize(("share", "leads"), [(0.005, False), (0.05, True)])
-def test_finding_that_explains_next_to_nothing_leads_no_headline(friction, share, leads):
+@pytest.mark.parametrize(
+    ("share", "unexplained", "leads"),
+    [(0.005, 0.2, False), (0.05, 0.2, True), (0.005, 0.001, True)],
+)
+def test_finding_that_explains_next_to_nothing_leads_no_headline(
+    friction, share, unexplained, leads
+):
     """Beside values that the nominal model does not state."""
     (finding,) = friction.findings
     calibrated = replace(finding.located, calibrated=True)
@@ -350,6 +355,7 @@ def test_finding_that_explains_next_to_nothing_leads_no_headline(friction, share
         MismatchShare(
             part=ExtensionPart(kind="finding", effects=(there,)), measured="torque", share=share
         ),
+        MismatchShare(part=None, measured="torque", share=unexplained),
     )
     text = headline(replace(friction, findings=(small, value), shares=shares))
     assert text.startswith("Joint 1") == leads
