@@ -240,6 +240,14 @@ def _describe_remedy(
         if located.calibrated:
             value = pm(first.value, first.sd, first.unit)
             return f"Enter {effect.nominal_words} {value} for {where}."
+        # A change between two states adds to what both have.
+        old += sum(
+            each.parameters[0].value
+            for each in diagnosis.findings
+            if each.effect.nominal == effect.nominal
+            and each.located.joint == located.joint
+            and each.located.calibrated
+        )
         words["new"] = f"{significant(old + first.value, 3)} {first.unit}"
     return fill(effect.remedy, named, words)
 

@@ -1,5 +1,6 @@
 """Pages of diagnoses with every verdict, compared with the diagnosis."""
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -360,6 +361,20 @@ def test_finding_that_explains_next_to_nothing_leads_no_headline(
     text = headline(replace(friction, findings=(small, value), shares=shares))
     assert text.startswith("Joint 1") == leads
     assert "small beside them: joint 1" in text or leads
+
+
+def test_value_to_enter_includes_what_the_joint_has_beside_the_change(friction):
+    """Friction that no nominal model states was found in both states, and more in one."""
+    (change,) = friction.findings
+    calibrated = replace(change.located, calibrated=True)
+    value = replace(change, estimated=replace(change.estimated, located=calibrated))
+    alone = answer.action(friction)
+    together = answer.action(replace(friction, findings=(change, value)))
+    (one,), (both,) = (
+        re.findall(r"Enter Coulomb friction ([\d.]+) N m", text) for text in (alone, together)
+    )
+    added = change.parameters[0].value
+    assert float(both) - float(one) == pytest.approx(added, abs=0.01)
 
 
 def test_possible_finding_does_not_lead_beside_an_open_residual(friction):
