@@ -153,7 +153,10 @@ def verdict_words(diagnosis: Diagnosis) -> str:
     """Return the verdict in words that fit the probability of the leading finding."""
     if diagnosis.verdict == "nothing_missing":
         return "nothing missing"
-    first = next(iter(statements(diagnosis)), None)
+    own = statements(diagnosis)
+    # As in the headline, effects come before values that every arm has.
+    new = [s for s in own if not s.finding.located.calibrated and s.certainty != "possible"]
+    first = next(iter(new or own), None)
     if first is None or first.certainty == "possible":
         return "outside the catalogue"
     if diagnosis.verdict == "law_found" and first.certainty == "found":
