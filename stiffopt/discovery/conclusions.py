@@ -12,7 +12,7 @@ from scipy import special
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.channel import Channel, channel_name
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.located_effect import EstimatedEffect
+from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension
 from stiffopt.discovery.diagnosis import (
     Finding,
     Parameter,
@@ -20,6 +20,7 @@ from stiffopt.discovery.diagnosis import (
     build_rivals,
 )
 from stiffopt.discovery.experiment.design import ExperimentPlan
+from stiffopt.discovery.judging.ensemble import START_CUTS
 from stiffopt.discovery.judging.explained_shares import MismatchShare
 from stiffopt.discovery.judging.unexplained import ChannelVerdict, Unexplained
 from stiffopt.discovery.laws.law import LAW_FAMILY
@@ -64,17 +65,20 @@ def build_findings(
 
     `comparison`: with the noise estimated beside the effects. `parameters`: joint estimate of the
     same effects. `again` (e,): share of the perturbation ensemble in which each is named again.
+
+    The gain in stretches left out counts as the mean over runs whose start is cut: folds and
+    stretches have other limits there, and a gain near the noise moves with them.
     """
     constants, n = training.constants, training.robot.n
-    gains = left_out_gains(comparison, tuple(s.located for s in kept))
+    each = tuple(s.located for s in kept)
+    gains = [left_out_gains(comparison, each, begin) for begin in (0.0, *START_CUTS)]
     findings = []
-    for index, (selected, gain) in enumerate(zip(kept, gains, strict=True)):
+    for index, (selected, *own) in enumerate(zip(kept, *gains, strict=True)):
         if selected.located.calibrated and parameters.min_deviations(index) < UNSTATED_DEVIATIONS:
             continue
         located, effect = selected.located, selected.located.effect
         # Friction and rotors exist, whatever else acts there; an offset may be the mean of any law.
         exists = located.calibrated and bool(effect.nominal)
-        unknown = 0.0 if exists else gain.open_share
         values = parameters.parameters(index, located.constants(constants))
         before = parameters.prior_deviations(index, located.constants(constants))
         reported = tuple(
@@ -95,9 +99,11 @@ def build_findings(
         # any effect of its family.
         alike = sum(each.family == effect.family for each in CATALOGUE)
         places = n * alike if effect.only_in and located.joint is not None else 1
-        sure = gain.support * float(again[index])
         zero = null_probability(chance, _ABSENCE_ODDS) if exists else _null_share(chance, places)
-        misfit = 1.0 - (1.0 - max(unknown, zero)) * sure
+        sure = [
+            gain.support * (1.0 - max(0.0 if exists else gain.open_share, zero)) for gain in own
+        ]
+        misfit = 1.0 - float(np.mean(sure) * again[index])
         findings.append(
             Finding(
                 estimated=parameters.effects[index],
@@ -108,7 +114,7 @@ def build_findings(
                 parameters=reported,
                 where=effect.signature,
                 channel=channel_name(selected.channel, n),
-                variance_explained=gain.explained,
+                variance_explained=own[0].explained,
             )
         )
     return tuple(findings)
@@ -226,19 +232,31 @@ def describe_next_recording(unexplained: Unexplained) -> str:
 
 
 def findings_with_loop_values(
-    recordings: RecordingSet, model: ClosedLoopModel | None, findings: Sequence[Finding]
+    recordings: RecordingSet,
+    model: ClosedLoopModel | None,
+    findings: Sequence[Finding],
+    before: Sequence[Extension],
 ) -> tuple[Finding, ...]:
     """Return findings with the values of the simulation, where it has them as parameters.
+
+    `before`: extensions of the model that the diagnosis started from: their part of a value is no
+    finding's.
 
     Torques derived from commands are filtered, and so are friction and its reversals: simulated,
     they are where the arm has them. What a value adds to its nominal one is as uncertain as both.
     """
     if model is None:
         return tuple(findings)
-    return tuple(_with_loop_value(recordings, model, each) for each in findings)
+    known = [each for extension in before for each in extension.effects]
+    return tuple(_with_loop_value(recordings, model, each, known) for each in findings)
 
 
-def _with_loop_value(recordings: RecordingSet, model: ClosedLoopModel, finding: Finding) -> Finding:
+def _with_loop_value(
+    recordings: RecordingSet,
+    model: ClosedLoopModel,
+    finding: Finding,
+    known: Sequence[EstimatedEffect],
+) -> Finding:
     joint, entry = finding.located.joint, finding.effect
     name = DRIVE_PARAMETERS.get(entry.nominal) or LOOP_VALUES.get(entry.name)
     if name is None or joint is None or entry.only_in:
@@ -250,7 +268,8 @@ def _with_loop_value(recordings: RecordingSet, model: ClosedLoopModel, finding: 
     if entry.nominal:
         nominal = float(getattr(robot, entry.nominal)[place])
         tolerance = nominal * stated_tolerance(recordings, entry.nominal)
-    value = float(model.fitted.of(name)[place]) - nominal
+    alike = (e for e in known if e.effect.name == entry.name and e.located.joint == joint)
+    value = float(model.fitted.of(name)[place]) - nominal - sum(e.amplitudes[0] for e in alike)
     sd = float(np.hypot(model.deviations[model.fitted.place(name)][place], tolerance))
     own, *others = finding.parameters
     if sd == 0.0:

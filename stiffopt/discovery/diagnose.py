@@ -240,7 +240,7 @@ def _run_diagnosis(
     if recordings.signals.commanded:
         simulation = (recordings, training, whole, parameters, opened.recorded, opened.actuator)
         loop = steps.run(SIMULATION, lambda: fit_simulation(*simulation, say))
-    findings = findings_with_loop_values(recordings, loop, findings)
+    findings = findings_with_loop_values(recordings, loop, findings, training.before)
     # The findings are fixed: held-out runs are read only from here on.
     tracks = steps.finish(lambda: training_tracks(result.comparison, result.fit))
     parts = split_extension(found, recordings.unstated)

@@ -35,6 +35,7 @@ _WARM_PUSH_OPTIONS = (
     "warm_start_bound_push", "warm_start_bound_frac", "warm_start_slack_bound_push",
     "warm_start_slack_bound_frac", "warm_start_mult_bound_push",
 )  # fmt: skip
+WARM_BARRIER = 1e-6  # initial barrier parameter of a warm start
 # Largest step of a stationary iterate, over the tolerance.
 _STATIONARY_STEP_FACTOR = 10.0
 
@@ -118,6 +119,7 @@ class RawSolution:
     # Seconds.
     build_s: float
     solve_s: float
+    rough: bool = False  # solved to a wider tolerance than the problem's
 
     @property
     def converged(self) -> bool:
@@ -152,6 +154,7 @@ class IpoptSolver:
         *,
         warm: Multipliers | None = None,
         barrier: Literal["monotone", "adaptive"] = "monotone",
+        mu_init: float = WARM_BARRIER,
         push: float = 1e-8,
         tolerance: float | None = None,
         report: Callable[[Progress], object] | None = None,
@@ -171,6 +174,8 @@ class IpoptSolver:
         barrier : "monotone" or "adaptive"
             Strategy of a warm start: adaptive takes half the iterations to the optimum of a similar
             problem, monotone is safer where the problem changes more (a step of the smoothing).
+        mu_init : float
+            Barrier parameter of a warm start.
         push : float
             Least distance of a warm start from bounds: 1e-3 halves the iterations where bounds have
             been backed off beyond the start.
@@ -195,7 +200,7 @@ class IpoptSolver:
         }
         further: dict[str, Any] = {} if tolerance is None else {"tol": tolerance}
         if warm is not None:
-            further |= {"mu_strategy": barrier, "warm_start_init_point": "yes", "mu_init": 1e-6}
+            further |= {"mu_strategy": barrier, "warm_start_init_point": "yes", "mu_init": mu_init}
             further |= dict.fromkeys(_WARM_PUSH_OPTIONS, push)
             inputs |= {"lam_x0": warm.multipliers_x, "lam_g0": warm.multipliers_g}
         solver = self._solver_with(further)
@@ -241,6 +246,7 @@ class IpoptSolver:
             history=monitor.history,
             build_s=self.build_s,
             solve_s=solve_s,
+            rough=tolerance is not None,
         )
 
     def set_bounds(self, nlp: Nlp) -> None:

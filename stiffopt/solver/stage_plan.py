@@ -23,7 +23,7 @@ _MAX_COARSE_INTERVALS, _MAX_MIDDLE_INTERVALS = 60, 100
 _COARSE_PHASE_INTERVALS, _MIDDLE_PHASE_INTERVALS = 6, 10
 # Phases from which on a smooth problem starts on a coarse mesh, and its intervals a phase: there an
 # iteration of 31 phases takes a fifth of the time, and the fine mesh follows the motion.
-_MIN_COARSE_START_PHASES, _COARSE_START_PHASE_INTERVALS = 8, 5
+MANY_PHASES, _COARSE_START_PHASE_INTERVALS = 8, 5
 # Factors on the smoothing width of dry friction before the last stage: from a wide one, most joints
 # reverse where the exact law is best, in a third of the iterations.
 _FRICTION_WIDENINGS = (16.0, 4.0)
@@ -42,7 +42,13 @@ _INFEASIBLE_ITERATIONS = 100
 _INITIAL_DURATION_BARRIER = 1e-3
 # That of a peak on a fine mesh, from the motion of a coarse one; and IPOPT's decrease of the
 # inertia correction.
-_INITIAL_PEAK_BARRIER, _INERTIA_CORRECTION_DECREASE = 1e-6, 0.1
+_NEAR_PEAK_BARRIER, _INERTIA_CORRECTION_DECREASE = 1e-6, 0.1
+# With many phases: that from a guess, and the largest from the motion of a coarse mesh, which an
+# adaptive barrier else raises so far that the motion is forgotten.
+_INITIAL_PEAK_BARRIER, _MAX_NEAR_PEAK_BARRIER = 1e-3, 1e-5
+# Tolerances of a peak of many phases before the last mesh, whose digits are those of another mesh,
+# and on it, where a correction of its rows follows.
+_PEAK_TOLERANCES = (1e-4, 1e-5)
 # IPOPT's options of the least distance of a start from bounds.
 _BOUND_PUSH_OPTIONS = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
 # Intervals per piece of a fixed path's spline, at whose ends the rate of curvature jumps: with
@@ -79,7 +85,7 @@ def plan_stages(
         start = min(_COARSE_START_PHASE_INTERVALS * phases, intervals)
         widenings = _FRICTION_WIDENINGS if problem.charges_dry_friction else ()
         exact = SolveStage(intervals, Smoothing(1.0))
-        if phases < _MIN_COARSE_START_PHASES or start == intervals:
+        if phases < MANY_PHASES or start == intervals:
             wide = (replace(exact, smoothing=Smoothing(1.0, friction=each)) for each in widenings)
             return (*wide, exact)
         if not widenings:
@@ -106,10 +112,11 @@ def plan_stages(
         most = max(_MAX_MIDDLE_INTERVALS, _MIDDLE_PHASE_INTERVALS * phases)
         middle = max(min(2 * intervals // 3, most), coarse)
         between = Smoothing(float(np.sqrt(np.prod(WINDUP_SMOOTHING[-2:]))))
+        early, late = _PEAK_TOLERANCES if phases >= MANY_PHASES else (None, None)
         return (
-            SolveStage(coarse, widths[0]),
-            SolveStage(middle, between, new_mesh=True),
-            SolveStage(intervals, widths[-1], new_mesh=True),
+            SolveStage(coarse, widths[0], tolerance=early),
+            SolveStage(middle, between, new_mesh=True, tolerance=early),
+            SolveStage(intervals, widths[-1], new_mesh=True, tolerance=late),
         )
     first = [SolveStage(coarse, width) for width in widths[:2]]
     fine = [SolveStage(intervals, width) for width in widths[1:]]
@@ -144,11 +151,16 @@ def solver_options(problem: TrajectoryProblem, *, near: bool = False) -> IpoptOp
         # Beside one duration, multipliers of 1 at thousands of bounds lead far into the interior.
         extra |= {"bound_mult_init_method": "mu-based", "mu_init": _INITIAL_DURATION_BARRIER}
     peak = smoothing_stages(problem) == WINDUP_SMOOTHING and not fastest
-    if near and peak and not problem.plans_links and method.intervals > _MAX_MIDDLE_INTERVALS:
-        # All nodes share the peak's multiplier. Multipliers of 1 each distort the Hessian so much
-        # that the inertia correction is far too large, which takes many short steps.
-        extra |= {"bound_mult_init_method": "mu-based", "mu_init": _INITIAL_PEAK_BARRIER}
-        extra["perturb_dec_fact"] = _INERTIA_CORRECTION_DECREASE
+    if peak and not problem.plans_links and method.intervals > _MAX_MIDDLE_INTERVALS:
+        many = phases >= MANY_PHASES
+        if near or many:
+            # All nodes share the peak's multiplier. Multipliers of 1 each distort the Hessian so
+            # much that the inertia correction is far too large, which takes many short steps.
+            barrier = _NEAR_PEAK_BARRIER if near else _INITIAL_PEAK_BARRIER
+            extra |= {"bound_mult_init_method": "mu-based", "mu_init": barrier}
+        if near:
+            extra["perturb_dec_fact"] = _INERTIA_CORRECTION_DECREASE
+            extra |= {"mu_max": _MAX_NEAR_PEAK_BARRIER} if many else {}
     if problem.plans_links and near:
         # Multipliers of a small barrier, else the first steps lead far away from the start.
         extra |= {"bound_mult_init_method": "mu-based", "mu_init": 1e-4}

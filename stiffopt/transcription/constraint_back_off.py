@@ -57,11 +57,8 @@ def path_row_excess(
     `x`: solution of the NLP. `parameters` (np,). `rows`: exact path rows. `found`: further values
     to be considered, as of motors, which arrive later than the links.
     """
-    motion = transcription.guess_from(x)
-    steps, breaks = transcription.steps(x), transcription.breaks(x)
-    inside = np.linspace(0.0, 1.0, _POINTS_PER_INTERVAL, endpoint=False)
-    times = np.append((breaks[:-1, None] + steps[:, None] * inside).ravel(), breaks[-1])
-    share = times / breaks[-1]
+    motion, times = transcription.guess_from(x), _dense_times(transcription, x)
+    share = times / times[-1]
     statics = np.tile(motion.statics, (len(times), 1))
     points = np.hstack([motion.states(share), motion.controls(share), statics])
     values = rows(points.T, parameters).T
@@ -119,6 +116,31 @@ def back_off_exceeded(
     return replace(nlp, lower_g=lower, upper_g=upper)
 
 
+def back_off_states(nlp: Nlp, transcription: Transcription, x: np.ndarray) -> Nlp:
+    """Return the NLP with bounds of states backed off beside nodes between which `x` exceeds them.
+
+    Spline coefficients, which bound states everywhere, keep their bounds, as do given states.
+    """
+    block, ocp = transcription.states, transcription.ocp
+    if transcription.splines is not None or block.places is None:
+        return nlp
+    times = _dense_times(transcription, x)
+    states = transcription.guess_from(x).states(times / times[-1])
+    places = transcription.times_of(block.places, x)
+    order = np.argsort(places)
+    index = block.offset + np.arange(block.size).reshape(len(places), -1)[order]
+    lower, upper = nlp.lower_x.copy(), nlp.upper_x.copy()
+    for bound, excess, sign in (
+        (upper, states - ocp.state_upper, 1.0),
+        (lower, ocp.state_lower - states, -1.0),
+    ):
+        near = largest_adjacent_excess(times, places[order], np.maximum(excess, 0.0))
+        bound[index] -= sign * _BACK_OFF_FACTOR * near / block.rows.scale
+    crossed = lower > upper
+    lower[crossed], upper[crossed] = nlp.lower_x[crossed], nlp.upper_x[crossed]
+    return replace(nlp, lower_x=lower, upper_x=upper)
+
+
 def back_off_uniformly(nlp: Nlp, excess: Mapping[str, float]) -> Nlp:
     """Return the NLP with both bounds of all rows of these names backed off by their excess.
 
@@ -132,6 +154,13 @@ def back_off_uniformly(nlp: Nlp, excess: Mapping[str, float]) -> Nlp:
             upper[own] = np.maximum(upper[own] - step, 0.05 * upper[own])
             lower[own] = np.minimum(lower[own] + step, 0.05 * lower[own])
     return replace(nlp, lower_g=lower, upper_g=upper)
+
+
+def _dense_times(transcription: Transcription, x: np.ndarray) -> np.ndarray:
+    """Return points (K,) of every interval of a motion [s]."""
+    steps, breaks = transcription.steps(x), transcription.breaks(x)
+    inside = np.linspace(0.0, 1.0, _POINTS_PER_INTERVAL, endpoint=False)
+    return np.append((breaks[:-1, None] + steps[:, None] * inside).ravel(), breaks[-1])
 
 
 def backed_off(margin: float, excess: float) -> float:

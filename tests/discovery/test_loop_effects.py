@@ -185,37 +185,53 @@ def test_laws_of_accelerations_are_left_out(servo: RecordingSet) -> None:
     np.testing.assert_array_equal(simulated(servo), simulated(servo, law(jolt)))
 
 
-@pytest.mark.parametrize(("simulated_more", "certainty"), [(0.0, "possible"), (0.05, "found")])
-@pytest.mark.parametrize("rival_share", [0.0, 0.01])
-def test_a_value_that_the_simulation_refutes_is_not_claimed(
-    servo: RecordingSet, rival_share: float, simulated_more: float, certainty: str
-) -> None:
-    """The unknown cause, the finding and its rivals are all that there may be."""
-    own = Parameter(name="dFc", value=0.05, sd=0.005, unit="N m", prior_sd=0.1)
-    drag = LocatedEffect(effect=effect("quadratic_drag"), joint=0)
-    claimed = Finding(
-        estimated=found("coulomb", (0.05,), ()),
-        link=None,
-        probability=0.999 - rival_share,
-        misfit=0.001,
-        rivals=(Rival(located=drag, probability=rival_share),) if rival_share else (),
-        parameters=(own,),
-        where="",
-        channel="torque_1",
-        variance_explained=0.5,
-    )
+def fitted_loop(servo: RecordingSet, more: float) -> ClosedLoopModel:
+    """Return a closed loop whose fitted dry friction exceeds the nominal one by some amount."""
     fitted = nominal_parameters(servo, servo.robot)
-    fitted.values[fitted.place("coulomb")] += simulated_more
+    fitted.values[fitted.place("coulomb")] += more
     law = resolve_actuator(servo, open_training_runs(servo)).recordings.actuator
     assert law is not None
     loop = CommandedArm(servo.robot.tree, law, np.zeros(1))
-    model = ClosedLoopModel(
+    return ClosedLoopModel(
         nominal_loop=loop,
         loop=loop,
         nominal=nominal_parameters(servo, servo.robot),
         fitted=fitted,
         deviations=np.full(len(fitted.values), 0.005),
     )
-    (judged,) = findings_with_loop_values(servo, model, [claimed])
+
+
+def claimed_friction(rivals: tuple[Rival, ...] = ()) -> Finding:
+    """Return a claim of 0.05 N m more dry friction."""
+    return Finding(
+        estimated=found("coulomb", (0.05,), ()),
+        link=None,
+        probability=0.999 - sum(rival.probability for rival in rivals),
+        misfit=0.001,
+        rivals=rivals,
+        parameters=(Parameter(name="dFc", value=0.05, sd=0.005, unit="N m", prior_sd=0.1),),
+        where="",
+        channel="torque_1",
+        variance_explained=0.5,
+    )
+
+
+@pytest.mark.parametrize(("simulated_more", "certainty"), [(0.0, "possible"), (0.05, "found")])
+@pytest.mark.parametrize("rival_share", [0.0, 0.01])
+def test_a_value_that_the_simulation_refutes_is_not_claimed(
+    servo: RecordingSet, rival_share: float, simulated_more: float, certainty: str
+) -> None:
+    """The unknown cause, the finding and its rivals are all that there may be."""
+    drag = LocatedEffect(effect=effect("quadratic_drag"), joint=0)
+    rivals = (Rival(located=drag, probability=rival_share),) if rival_share else ()
+    model = fitted_loop(servo, simulated_more)
+    (judged,) = findings_with_loop_values(servo, model, [claimed_friction(rivals)], ())
     assert judged.certainty == certainty
     assert judged.misfit + judged.group_probability == pytest.approx(1.0)
+
+
+def test_a_finding_has_no_part_in_what_the_starting_model_holds(servo: RecordingSet) -> None:
+    earlier = Extension(effects=(found("coulomb", (0.2,), ()), found("viscous", (0.1,), ())))
+    model = fitted_loop(servo, 0.26)
+    (judged,) = findings_with_loop_values(servo, model, [claimed_friction()], (earlier,))
+    assert judged.parameters[0].value == pytest.approx(0.06)

@@ -362,8 +362,9 @@ class BodyRegressor(_TorqueParts):
         if key not in self._changes:
             while len(self._changes) >= _MAX_CACHED_CHANGES:
                 self._changes.pop(next(iter(self._changes)))
+            q, v, a = self._motion
             self._changes[key] = self._robot.changed_torque(
-                change, *self._motion, added_gravity=self.added_gravity
+                change, q, v, a, added_gravity=self.added_gravity
             )
         return self._changes[key]
 

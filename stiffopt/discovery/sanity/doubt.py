@@ -54,6 +54,8 @@ class DoubtfulRecordings(InputFileError):
         )
 
 
+# Shares of a residual that are told in figures [%].
+_SMALLEST_PERCENT, _LARGEST_PERCENT = 0.01, 1000.0
 # Signals in units of the position, with the suffix of their unit.
 _UNITS_OVER_POSITION = {"velocity": "/s", "link_position": ""}
 
@@ -129,4 +131,8 @@ def format_shares(before: np.ndarray, after: np.ndarray, joints: Sequence[int]) 
 
 
 def _format_share(value: float) -> str:
-    return f"{float(f'{100.0 * value:.2g}'):,g} %"
+    """Format a share with two digits; beyond these bounds its size tells nothing more."""
+    percent = float(f"{100.0 * value:.2g}")
+    if percent > _LARGEST_PERCENT:
+        return f"over {_LARGEST_PERCENT:,g} %"
+    return f"{percent:,g} %" if percent >= _SMALLEST_PERCENT else f"under {_SMALLEST_PERCENT:g} %"

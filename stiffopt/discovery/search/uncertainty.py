@@ -141,12 +141,18 @@ class Estimate:
             chances.append(min(_jackknife_p_value(values, *way) for way in ways if way[1] > 1))
         return max(chances)
 
-    def amplitude_deviations(self, index: int) -> float:
+    def amplitude_deviations(self, index: int, *, shapes_held: bool = False) -> float:
         """Return the largest ratio of an amplitude to its standard deviation, all else free."""
-        rows = self._parameter_rows(index)[0][: len(self.sizes[index])]
-        known = [self.covariance, self.spread, self._between_runs(index)]
-        sd = np.sqrt(np.max([np.diag(each)[rows] for each in known], axis=0))
-        return float(np.max(np.abs(self.values[rows]) / np.maximum(sd, 1e-300)))
+        rows, _ = self._parameter_rows(index)
+        k = len(self.sizes[index])
+        known = [
+            each[np.ix_(rows, rows)]
+            for each in (self.covariance, self.spread, self._between_runs(index))
+        ]
+        if shapes_held:
+            known = [_conditional_covariance(each, k) for each in known]
+        sd = np.sqrt(np.max([np.diag(each)[:k] for each in known], axis=0))
+        return float(np.max(np.abs(self.values[rows[:k]]) / np.maximum(sd, 1e-300)))
 
     def min_deviations(self, index: int) -> float:
         """Return the least significance of one effect over all covariance estimates [sigma].
@@ -369,13 +375,14 @@ def _jackknife_covariance(
     return covariance, (len(grams) - 1) / len(grams) * away.T @ away * units
 
 
-def number_stretches(comparison: Comparison) -> np.ndarray:
-    """Return the number of the stretch that every row (m,) belongs to."""
+def number_stretches(comparison: Comparison, begin: float = 0.0) -> np.ndarray:
+    """Return the number of the stretch that every row (m,) belongs to; `begin` as of parts."""
     rows = comparison.rows
 
     def count(run: PreparedRun) -> int:
-        return max(1, round(float(run.time[-1] - run.time[0]) / STRETCH_DURATION))
+        duration = (1.0 - begin) * float(run.time[-1] - run.time[0])
+        return max(1, round(duration / STRETCH_DURATION))
 
     first = np.concatenate([[0], np.cumsum([count(run) for run in comparison.runs])])
-    part = rows.sample_signal(lambda run: part_numbers(run.time, count(run)))
+    part = rows.sample_signal(lambda run: part_numbers(run.time, count(run), begin))
     return np.unique(first[rows.run] + part, return_inverse=True)[1]
