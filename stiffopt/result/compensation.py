@@ -201,7 +201,7 @@ class Compensation:
 
     @property
     def rival_better_in(self) -> tuple[str, ...]:
-        """What the best rival has less worst-case error in."""
+        """Phases and directions in which the best rival has less worst-case error."""
         best = self.beside_best
         if best is None or self.optimised.excess:
             return ()
