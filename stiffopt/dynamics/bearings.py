@@ -88,8 +88,8 @@ def _displacements(robot: Robot, q: Quantity, wrenches: ca.SX) -> dict[int, Quan
             for source in loads:
                 at, held = frames[source + 1]
                 pushed, moment = (
-                    ca.mtimes(held, each) / len(loads)
-                    for each in ca.vertsplit(wrenches[:, source], [0, 3, 6])
+                    ca.mtimes(held, wrenches[rows, source]) / len(loads)
+                    for rows in (slice(3), slice(3, 6))
                 )
                 force += pushed
                 about += moment + ca.cross(at - point, pushed)
