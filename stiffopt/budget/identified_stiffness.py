@@ -55,5 +55,7 @@ def narrow_stiffness(model: ErrorModel, folder: Path) -> Uncertainty:
 def _positive_number(path: Path, key: str, value: Any) -> float:
     number = isinstance(value, int | float) and not isinstance(value, bool)
     if not number or not 0.0 < value < math.inf:
-        raise InputFileError(path, key, f"is {value!r}; allowed: a number above 0. {_IDENTIFY_AGAIN}")
+        raise InputFileError(
+            path, key, f"is {value!r}; allowed: a number above 0. {_IDENTIFY_AGAIN}"
+        )
     return float(value)
