@@ -189,7 +189,7 @@ class Compensation:
 
     @property
     def rival_better_in(self) -> tuple[str, ...]:
-        """What the best rival has less worst-case error in."""
+        """Phases and directions in which the best rival has less worst-case error."""
         return tuple(name for name, ratio in self._ratios.items() if ratio > MAX_RIVAL_RATIO)
 
     @property
