@@ -53,6 +53,9 @@ _SMALL_SHARE = 1e-3
 _ONE_DEVIATION = float(2.0 * special.ndtr(-1.0))
 # Odds that a joint has no friction or no rotor worth measuring, before the recordings.
 _ABSENCE_ODDS = 0.1
+# Folds by which probabilities are judged: of six, gains near the noise change by a factor of two
+# with the limits of the folds.
+_PROBABILITY_FOLDS = 24
 # P-value of an effect without a determined value: as likely as not.
 _UNDETERMINED_P_VALUE = 0.5
 
@@ -74,7 +77,8 @@ def build_findings(
     """
     constants, n = training.constants, training.robot.n
     each = tuple(s.located for s in kept)
-    gains = [left_out_gains(comparison, each, begin) for begin in (0.0, *START_CUTS)]
+    begins = (0.0, *START_CUTS)
+    gains = [left_out_gains(comparison, each, begin, _PROBABILITY_FOLDS) for begin in begins]
     findings = []
     for index, (selected, *own) in enumerate(zip(kept, *gains, strict=True)):
         if selected.located.calibrated and parameters.min_deviations(index) < UNSTATED_DEVIATIONS:
@@ -102,12 +106,10 @@ def build_findings(
         # any effect of its family.
         alike = sum(each.family == effect.family for each in CATALOGUE)
         places = n * alike if effect.only_in and located.joint is not None else 1
-        if exists:
-            zero = null_probability(chance, _ABSENCE_ODDS)
-            sure = [_with_odds_against(gain.support, _ABSENCE_ODDS) * (1.0 - zero) for gain in own]
-        else:
-            zero = _null_share(chance, places)
-            sure = [gain.support * (1.0 - max(gain.open_share, zero)) for gain in own]
+        zero = null_probability(chance, _ABSENCE_ODDS) if exists else _null_share(chance, places)
+        sure = [
+            gain.support * (1.0 - max(0.0 if exists else gain.open_share, zero)) for gain in own
+        ]
         misfit = 1.0 - float(np.mean(sure) * again[index])
         findings.append(
             Finding(
@@ -123,11 +125,6 @@ def build_findings(
             )
         )
     return tuple(findings)
-
-
-def _with_odds_against(probability: float, odds: float) -> float:
-    """Return a probability, found at even odds, at other prior odds against it."""
-    return probability / (probability + odds * (1.0 - probability))
 
 
 def _null_share(chance: float, places: int = 1) -> float:

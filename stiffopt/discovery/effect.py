@@ -189,6 +189,9 @@ class Effect:
     # True where it changes the weight that several joints carry: a single one competes with
     # re-identified masses.
     shifts_weight: bool = False
+    # True where it moves a torque reading in time, or to another joint: a reading of the torque
+    # with all other effects that were found, friction included.
+    reads_torque: bool = False
     # (amplitudes, stated gravity) -> gravity in the axes of the base (3,): bodies of other masses
     # and centres than the nominal ones hang in it too.
     turned_gravity: Callable[[Values, Any], Any] | None = None

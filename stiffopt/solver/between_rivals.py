@@ -78,8 +78,11 @@ class BetweenRivals(OutcomeOracle):
                 found = replace(
                     last, planned=plan, trajectory=motors, assessment=assessment, arm=None
                 )
-                ratio = worse[-1] / own[-1]
-                self._reason = f"with {text} the worst arm has {ratio:.2f} times the error"
+                change = f"{worse[-1] / own[-1]:.2f} times the error"
+                if worse[0] < own[0]:
+                    # Ranked first; the sum of both phases may grow.
+                    change = f"{worse[0]:.2f} times a rival's error in place of {own[0]:.2f}"
+                self._reason = f"with {text} the worst arm has {change}"
                 return Proposal(
                     self._reason, functools.partial(suppress_vibration_of_links, self.run, found)
                 )

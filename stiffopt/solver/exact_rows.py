@@ -75,11 +75,11 @@ class ExactRows(OutcomeOracle):
 
     def propose(self, last: Outcome, number: int) -> Proposal[Outcome] | None:
         """Return a correction with bounds backed off; None where all limits and the gap hold."""
-        excess, gap = excess_by_limit(last.assessment), last.objective_gap
-        if not last.raw.converged or not (excess or gap > MAX_OBJECTIVE_GAP):
+        excess, gap, rough = excess_by_limit(last.assessment), last.objective_gap, last.raw.rough
+        if not last.raw.converged or not (excess or gap > MAX_OBJECTIVE_GAP or rough):
             return None
         smoothing, worst = last.smoothing, max(excess.values(), default=0.0)
-        if worst > (KINK_EXCESS if number else _SPIKE_EXCESS):
+        if self.run.problem.plans_links and worst > (KINK_EXCESS if number else _SPIKE_EXCESS):
             smoothing = replace(smoothing, lead=_widen_motor_smoothing(self.run, last))
         share = _CHECK_SMOOTHING_SHARE if gap > MAX_OBJECTIVE_GAP else 1.0
         known = path_row_excess(
@@ -95,10 +95,14 @@ class ExactRows(OutcomeOracle):
         closer = back_off_uniformly(closer, _unexplained_excess(known, excess))
         if excess:
             closer = back_off_states(closer, last.transcription, last.raw.x)
-        if not allows_other_motion(closer, last.nlp, moved=smoothing != last.smoothing):
+        if not allows_other_motion(closer, last.nlp, moved=rough or smoothing != last.smoothing):
             return None
-        reason = describe_excess(excess) or f"objective {gap:.1%} worse between the nodes"
-        return Proposal(reason, lambda: solve_again(self.run, last, closer, smoothing))
+        worse = f"objective {gap:.1%} worse between the nodes"
+        reason = worse if gap > MAX_OBJECTIVE_GAP else "solved to a wide tolerance"
+        return Proposal(
+            describe_excess(excess) or reason,
+            lambda: solve_again(self.run, last, closer, smoothing),
+        )
 
 
 def describe_excess(excess: dict[str, float]) -> str:
@@ -149,7 +153,7 @@ def _unexplained_excess(known: Excess, excess: dict[str, float]) -> dict[str, fl
 
 
 def allows_other_motion(nlp: Nlp, before: Nlp, *, moved: bool) -> bool:
-    """Return True where bounds or smoothing (`moved`) changed and the bounds are consistent."""
+    """Return True where bounds or (`moved`) more changed, and the bounds are consistent."""
     bounds = ("lower_g", "upper_g", "lower_x", "upper_x")
     same = all(np.array_equal(getattr(nlp, each), getattr(before, each)) for each in bounds)
     return (moved or not same) and bool(np.all(nlp.lower_g <= nlp.upper_g))

@@ -117,7 +117,8 @@ def rank_outcome(run: SolveRun, outcome: Outcome, excess: float | None = None) -
             excess = np.inf
     value = objective_value(run.problem, outcome.assessment).value
     sign = -1.0 if is_maximised(run.problem) else 1.0
-    return max(excess, CERTIFICATE_TOLERANCE), not outcome.raw.converged, sign * value
+    ended = outcome.raw.converged and not outcome.raw.rough
+    return max(excess, CERTIFICATE_TOLERANCE), not ended, sign * value
 
 
 def until_interrupted(work: Callable[[], Answer], kept: Callable[[], Answer]) -> Answer:

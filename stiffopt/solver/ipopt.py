@@ -35,6 +35,7 @@ _WARM_PUSH_OPTIONS = (
     "warm_start_bound_push", "warm_start_bound_frac", "warm_start_slack_bound_push",
     "warm_start_slack_bound_frac", "warm_start_mult_bound_push",
 )  # fmt: skip
+WARM_BARRIER = 1e-6  # initial barrier parameter of a warm start
 # Largest step of a stationary iterate, over the tolerance.
 _STATIONARY_STEP_FACTOR = 10.0
 
@@ -118,6 +119,7 @@ class RawSolution:
     # Seconds.
     build_s: float
     solve_s: float
+    rough: bool = False  # solved to a wider tolerance than the problem's
 
     @property
     def converged(self) -> bool:
@@ -152,6 +154,7 @@ class IpoptSolver:
         *,
         warm: Multipliers | None = None,
         barrier: Literal["monotone", "adaptive"] = "monotone",
+        mu_init: float = WARM_BARRIER,
         push: float = 1e-8,
         tolerance: float | None = None,
         report: Callable[[Progress], object] | None = None,
@@ -160,28 +163,13 @@ class IpoptSolver:
     ) -> RawSolution:
         """Solve from a guess; Ctrl-C ends it at the next iteration with the best iterate kept.
 
-        Parameters
-        ----------
-        x0 : array
-            Scaled variables, see `Transcription.pack`.
-        parameters : array (np,), optional
-            Zeros when absent.
-        warm : Multipliers, optional
-            Initial multipliers, such as the solution of the same NLP with other parameters.
-        barrier : "monotone" or "adaptive"
-            Strategy of a warm start: adaptive takes half the iterations to the optimum of a similar
-            problem, monotone is safer where the problem changes more (a step of the smoothing).
-        push : float
-            Least distance of a warm start from bounds: 1e-3 halves the iterations where bounds have
-            been backed off beyond the start.
-        tolerance : float, optional
-            Overrides the option.
-        report : callable, optional
-            Called with a `Progress` in each iteration.
-        max_seconds : float, optional
-            Overrides the option.
-        max_iterations : int, optional
-            Below that of the options.
+        `x0`: scaled variables, see `Transcription.pack`. `parameters` (np,): zeros when absent.
+        `warm`: initial multipliers, such as of the same NLP with other parameters. From there
+        `mu_init` is the initial barrier, `barrier` its strategy (adaptive takes half the iterations
+        to the optimum of a similar problem, monotone is safer where the problem changes more, as by
+        a step of the smoothing) and `push` the least distance from bounds (1e-3 halves the
+        iterations where they have been backed off beyond the start). `report` is called in each
+        iteration. `tolerance` and `max_seconds` override the options, `max_iterations` only lowers.
         """
         nlp = self.nlp
         p = nlp.parameters(parameters)
@@ -195,7 +183,7 @@ class IpoptSolver:
         }
         further: dict[str, Any] = {} if tolerance is None else {"tol": tolerance}
         if warm is not None:
-            further |= {"mu_strategy": barrier, "warm_start_init_point": "yes", "mu_init": 1e-6}
+            further |= {"mu_strategy": barrier, "warm_start_init_point": "yes", "mu_init": mu_init}
             further |= dict.fromkeys(_WARM_PUSH_OPTIONS, push)
             inputs |= {"lam_x0": warm.multipliers_x, "lam_g0": warm.multipliers_g}
         solver = self._solver_with(further)
@@ -241,6 +229,7 @@ class IpoptSolver:
             history=monitor.history,
             build_s=self.build_s,
             solve_s=solve_s,
+            rough=tolerance is not None,
         )
 
     def set_bounds(self, nlp: Nlp) -> None:

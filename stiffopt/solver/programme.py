@@ -22,10 +22,10 @@ from stiffopt.result.assessment import Assessment, Violation
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.active_set import ActiveSetSolver
 from stiffopt.solver.exchange import keep_better
-from stiffopt.solver.ipopt import IpoptSolver, Multipliers, RawSolution
+from stiffopt.solver.ipopt import WARM_BARRIER, IpoptSolver, Multipliers, RawSolution
 from stiffopt.solver.monitor import FEASIBLE_VIOLATION, Progress
 from stiffopt.solver.solve_run import SolveProgress, SolveRun
-from stiffopt.solver.stage_plan import SolveStage, solver_options
+from stiffopt.solver.stage_plan import MANY_PHASES, SolveStage, solver_options
 from stiffopt.symbolic import array_of
 from stiffopt.transcription.build import transcribe
 from stiffopt.transcription.mesh import Mesh
@@ -44,8 +44,10 @@ _MIN_CORRECTION_ITERATIONS = 150
 # Objective of a correction over the one that the multipliers predict, up to which a stalled one is
 # acceptable.
 _MAX_STALLED_RISE = 1e-2
-# Least distance from backed-off bounds of a correction's start.
+# Least distance from backed-off bounds of a correction's start, and with many phases, with the
+# initial barrier: most of them keep their motion, which a barrier that adapts would leave first.
 _CORRECTION_BOUND_PUSH = 1e-3
+_MANY_PHASES_BOUND_PUSH, _MANY_PHASES_BARRIER = 1e-4, 1e-7
 
 
 @dataclass(frozen=True)
@@ -148,6 +150,9 @@ def solve_again(
     """
     made, raw = Programme(before.transcription, before.solver), before.raw
     made.solver.set_bounds(nlp)
+    many = made.transcription.ocp.phases >= MANY_PHASES and not run.problem.plans_links
+    # A rough solve has its last digits before it.
+    most = None if raw.rough else max(raw.iterations, _MIN_CORRECTION_ITERATIONS)
     again = solve_stage(
         run,
         made,
@@ -155,10 +160,11 @@ def solve_again(
         raw.x,
         raw,
         "correction",
-        "adaptive",
-        _CORRECTION_BOUND_PUSH,
-        max_iterations or max(raw.iterations, _MIN_CORRECTION_ITERATIONS),
+        "monotone" if many else "adaptive",
+        _MANY_PHASES_BOUND_PUSH if many else _CORRECTION_BOUND_PUSH,
+        max_iterations or most,
         raw.objective + predict_rise(before, nlp) + _MAX_STALLED_RISE * abs(raw.objective),
+        _MANY_PHASES_BARRIER if many else WARM_BARRIER,
     )
     return certify_outcome(run, made, again, smoothing)
 
@@ -182,6 +188,7 @@ def solve_stage(
     push: float = 1e-8,
     max_iterations: int | None = None,
     enough: float = -np.inf,
+    mu_init: float = WARM_BARRIER,
 ) -> RawSolution:
     """Solve one stage; after a stall once more from the best point without multipliers.
 
@@ -197,6 +204,7 @@ def solve_stage(
             stage.smoothing.parameters,
             warm=start,
             barrier=barrier,
+            mu_init=mu_init,
             push=push,
             tolerance=stage.tolerance,
             report=report,

@@ -28,7 +28,12 @@ from stiffopt.path.timed_path import FASTEST_REASON, timed_motion
 from stiffopt.problem.bounds import check_bounds, shortest_duration
 from stiffopt.problem.files import LoadedProblem
 from stiffopt.problem.formulation import Scales
-from stiffopt.problem.input_checks import check_clear_poses, inconsistent_inertias, slack_belts
+from stiffopt.problem.input_checks import (
+    check_clear_poses,
+    inconsistent_inertias,
+    shifted_numbers,
+    slack_belts,
+)
 from stiffopt.problem.limits.travel import with_bounded_travel
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
@@ -320,7 +325,11 @@ def preliminary_notes(
     chosen = (problem.chosen,) if problem.chosen else ()
     # Uses the tables of the simulation.
     soft = questionable_springs(problem.robot, motion.start) if simulate else ""
-    doubted = (*inconsistent_inertias(problem.robot), *slack_belts(problem.robot))
+    doubted = (
+        *shifted_numbers(problem.robot),
+        *inconsistent_inertias(problem.robot),
+        *slack_belts(problem.robot),
+    )
     return (
         *chosen,
         *problem.remarks,

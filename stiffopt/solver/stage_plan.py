@@ -21,8 +21,8 @@ _MAX_COARSE_INTERVALS, _MAX_MIDDLE_INTERVALS = 60, 100
 # And the intervals of a phase below which neither mesh goes: with fewer a phase has hardly a motion
 # that keeps its limits.
 _COARSE_PHASE_INTERVALS, _MIDDLE_PHASE_INTERVALS = 6, 10
-# Phases from which on a smooth problem starts on a coarse mesh, and its intervals a phase: there an
-# iteration of 31 phases takes a fifth of the time, and the fine mesh follows the motion.
+# Phases from which on a coarse mesh or a correction replaces work on a fine mesh, and intervals a
+# phase of a smooth problem's coarse mesh: an iteration of 31 phases takes a fifth there.
 MANY_PHASES, _COARSE_START_PHASE_INTERVALS = 8, 5
 # Factors on the smoothing width of dry friction before the last stage: from a wide one, most joints
 # reverse where the exact law is best, in a third of the iterations.
@@ -40,13 +40,15 @@ _ITERATION_LIMIT_PHASES = 10
 _INFEASIBLE_ITERATIONS = 100
 # Initial barrier parameter, and so bound multipliers, where the duration is minimised.
 _INITIAL_DURATION_BARRIER = 1e-3
-# That of a peak from a guess, and on a fine mesh, from the motion of a coarse one, where the
-# barrier never exceeds the last of the three: a larger one forgets the motion. And IPOPT's decrease
-# of the inertia correction.
-_INITIAL_PEAK_BARRIER, _NEAR_PEAK_BARRIER, _MAX_NEAR_PEAK_BARRIER = 1e-3, 1e-6, 1e-5
-_INERTIA_CORRECTION_DECREASE = 0.1
-# Tolerance of the stages of a peak before the last: further digits are those of another mesh.
-_COARSE_PEAK_TOLERANCE = 1e-4
+# That of a peak on a fine mesh, from the motion of a coarse one; and IPOPT's decrease of the
+# inertia correction.
+_NEAR_PEAK_BARRIER, _INERTIA_CORRECTION_DECREASE = 1e-6, 0.1
+# With many phases: that from a guess, and the largest from the motion of a coarse mesh, which an
+# adaptive barrier else raises so far that the motion is forgotten.
+_INITIAL_PEAK_BARRIER, _MAX_NEAR_PEAK_BARRIER = 1e-3, 1e-5
+# Tolerances of a peak of many phases before the last mesh, whose digits are those of another mesh,
+# and on it, where a correction of its rows follows.
+_PEAK_TOLERANCES = (1e-4, 1e-5)
 # IPOPT's options of the least distance of a start from bounds.
 _BOUND_PUSH_OPTIONS = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
 # Intervals per piece of a fixed path's spline, at whose ends the rate of curvature jumps: with
@@ -110,10 +112,11 @@ def plan_stages(
         most = max(_MAX_MIDDLE_INTERVALS, _MIDDLE_PHASE_INTERVALS * phases)
         middle = max(min(2 * intervals // 3, most), coarse)
         between = Smoothing(float(np.sqrt(np.prod(WINDUP_SMOOTHING[-2:]))))
+        early, late = _PEAK_TOLERANCES if phases >= MANY_PHASES else (None, None)
         return (
-            SolveStage(coarse, widths[0], tolerance=_COARSE_PEAK_TOLERANCE),
-            SolveStage(middle, between, new_mesh=True, tolerance=_COARSE_PEAK_TOLERANCE),
-            SolveStage(intervals, widths[-1], new_mesh=True),
+            SolveStage(coarse, widths[0], tolerance=early),
+            SolveStage(middle, between, new_mesh=True, tolerance=early),
+            SolveStage(intervals, widths[-1], new_mesh=True, tolerance=late),
         )
     first = [SolveStage(coarse, width) for width in widths[:2]]
     fine = [SolveStage(intervals, width) for width in widths[1:]]
@@ -149,13 +152,15 @@ def solver_options(problem: TrajectoryProblem, *, near: bool = False) -> IpoptOp
         extra |= {"bound_mult_init_method": "mu-based", "mu_init": _INITIAL_DURATION_BARRIER}
     peak = smoothing_stages(problem) == WINDUP_SMOOTHING and not fastest
     if peak and not problem.plans_links and method.intervals > _MAX_MIDDLE_INTERVALS:
-        # All nodes share the peak's multiplier. Multipliers of 1 each distort the Hessian so much
-        # that the inertia correction is far too large, which takes many short steps.
-        barrier = _NEAR_PEAK_BARRIER if near else _INITIAL_PEAK_BARRIER
-        extra |= {"bound_mult_init_method": "mu-based", "mu_init": barrier}
+        many = phases >= MANY_PHASES
+        if near or many:
+            # All nodes share the peak's multiplier. Multipliers of 1 each distort the Hessian so
+            # much that the inertia correction is far too large, which takes many short steps.
+            barrier = _NEAR_PEAK_BARRIER if near else _INITIAL_PEAK_BARRIER
+            extra |= {"bound_mult_init_method": "mu-based", "mu_init": barrier}
         if near:
             extra["perturb_dec_fact"] = _INERTIA_CORRECTION_DECREASE
-            extra["mu_max"] = _MAX_NEAR_PEAK_BARRIER
+            extra |= {"mu_max": _MAX_NEAR_PEAK_BARRIER} if many else {}
     if problem.plans_links and near:
         # Multipliers of a small barrier, else the first steps lead far away from the start.
         extra |= {"bound_mult_init_method": "mu-based", "mu_init": 1e-4}

@@ -83,6 +83,10 @@ def judge_outcome(
     better = find_better_baseline(problem, outcome, compared)
     if better is None or found.status is SolveStatus.INFEASIBLE:
         return found
+    # A motion of least tool error was chosen beside the rivals, phase by phase, and is judged with
+    # their commands.
+    if found.status.usable and any(each.kind.of_uncertain_arms for each in problem.objectives):
+        return found
     optimal = found.status is SolveStatus.OPTIMAL
     return Verdict(
         SolveStatus.ACCEPTABLE if optimal else found.status,
@@ -252,7 +256,8 @@ def _solve_status(outcome: Outcome) -> SolveStatus:
     if raw.converged:
         if not certified:
             return SolveStatus.CERTIFICATE_FAILED
-        full = raw.status == "optimal" and outcome.objective_gap <= MAX_OBJECTIVE_GAP
+        exact = raw.status == "optimal" and not raw.rough
+        full = exact and outcome.objective_gap <= MAX_OBJECTIVE_GAP
         return SolveStatus.OPTIMAL if full else SolveStatus.ACCEPTABLE
     if raw.status == "infeasible" or (raw.status == "stalled" and not certified):
         return SolveStatus.INFEASIBLE

@@ -265,6 +265,25 @@ def test_a_form_becomes_more_general_where_the_data_ask_for_it() -> None:
     assert factor.shapes == pytest.approx((-0.2, 2.5), abs=0.1)
 
 
+def test_a_square_needs_no_exponent() -> None:
+    found = search_channel(KnownChannel(lambda s: 3.0 * s.motor_velocity[:, 4] ** 2))
+    assert found.best is not None
+    assert found.best.law.equation == "tau_5 += A * w_5**2"
+    assert found.best.law.amplitude_unit == "N m/(rad/s)^2"
+
+
+def test_functions_of_one_signal_are_one_law_whatever_it_is_called() -> None:
+    speed = LawSource("speed", 4)
+    odd = Law(4, "drive_torque", (Factor(speed, "signed_square"),))
+    product = Law(4, "drive_torque", (SIGN, Factor(speed, "square")))
+    foreign = Law(4, "drive_torque", (Factor(LawSource("speed", 3), "signed_square"),))
+    first, same, other = (
+        find._Ranked(9.0, law, None, np.ones(4)) for law in (odd, product, foreign)
+    )
+    assert first.is_same_as(same, width=1.0)
+    assert not first.is_same_as(other, width=1.0)
+
+
 def test_the_best_pairs_of_every_carrier_are_tried() -> None:
     """A law of the load alone beside one in proportion to it, which explains much."""
     found = search_channel(KnownChannel(lambda s: 9.0 * np.tanh(s.spring_torque[:, 4] / 6.0)))
@@ -304,6 +323,8 @@ def test_an_overtone_is_found_beside_its_wave() -> None:
     assert found.best is not None
     assert found.best.law.factors[0].form == "wave_overtone"
     assert found.best.fit.amplitudes == pytest.approx([0.0, 9.0, 1.8, 0.0], abs=0.2)
+    # The wave alone is no rival of its own refinement.
+    assert not any(factor.form == "wave" for law in found.near for factor in law.law.factors)
 
 
 def test_equal_frequencies_of_recordings_apart_are_laws_of_their_own() -> None:

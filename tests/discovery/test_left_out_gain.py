@@ -93,5 +93,5 @@ def test_nominal_values_out_of_bounds_do_not_stand_for_an_effect_left_out() -> N
     predictions = FoldPredictions(columns, target, prior, limits, fold)
     left = predictions.residual(np.array([True, False]))
     np.testing.assert_allclose(left, target - 0.8 * shape, atol=1e-6)
-    both = predictions.residual(np.array([True, True]))
+    both = predictions.residual()
     assert np.mean(both**2) == pytest.approx(1.0, abs=0.05)

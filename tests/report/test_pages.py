@@ -85,6 +85,22 @@ def test_an_infeasible_motion_claims_no_gain(tmp_path):
     assert "optimised (exceeds limits)" in page.text
 
 
+def test_a_slowed_baseline_is_compared_where_no_other_keeps_the_limits():
+    given = solution(1)
+    slowed = replace(given.baselines["toppra"], name="slowed S-curve")
+    only = {"quintic": given.baselines["quintic"]}
+    found = replace(
+        given,
+        baselines=only,
+        ratio_to_better_baseline=None,
+        strict_baseline=slowed,
+        ratio_to_strict_baseline=0.25,
+    )
+    assert "4 times less than the slowed S-curve motion" in comparison(problem(1), found)
+    late = replace(found, strict_baseline=replace(slowed, feasible=False))
+    assert comparison(problem(1), late) == "No baseline meets all limits, so none is counted."
+
+
 def test_report_without_baselines(tmp_path):
     found = solution(1, baselines={}, ratio_to_better_baseline=None)
     assert "It was not compared with baselines" in page_of(problem(1), found, tmp_path).text

@@ -11,10 +11,11 @@ from stiffopt.problem.files import load_problem
 from stiffopt.problem.objective import Objective
 from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.result.status import SolveStatus
-from stiffopt.solver import exact_rows, refinement
+from stiffopt.solver import exact_rows, refinement, starts
 from stiffopt.solver.exact_rows import ExactRows
 from stiffopt.solver.exchange import exchange
 from stiffopt.solver.solve import solve, solve_with_state
+from stiffopt.solver.stage_plan import plan_stages
 from stiffopt.transcription.constraint_back_off import backed_off
 
 NOISY_PATH = ROOT.parent / "shared" / "cases" / "planning" / "w04_noisy60.toml"
@@ -39,6 +40,24 @@ def left_alone(problem, monkeypatch):
     with monkeypatch.context() as plain:
         plain.setattr(exact_rows, "MAX_CORRECTIONS", 0)
         return solve(problem, throw=False)
+
+
+def test_rough_last_stage_is_solved_to_the_end(problem, monkeypatch):
+    problem = replace(problem, method=replace(problem.method, intervals=30))
+    exact = solve(problem)
+    assert exact.status is SolveStatus.OPTIMAL
+
+    def roughly(*given):
+        *first, last = plan_stages(*given)
+        return (*first, replace(last, tolerance=1e-2))
+
+    monkeypatch.setattr(starts, "plan_stages", roughly)
+    rough = left_alone(problem, monkeypatch)
+    assert rough.status is SolveStatus.ACCEPTABLE
+    found = solve(problem)
+    assert found.status is SolveStatus.OPTIMAL
+    assert "constraint back-off" in {each["step"] for each in found.solver.exchanges}
+    assert found.objective.value == pytest.approx(exact.objective.value, rel=1e-3)
 
 
 def test_timed_out_correction_keeps_the_optimum(problem, coarse, monkeypatch):

@@ -188,3 +188,10 @@ def test_functions_of_an_earlier_process_are_not_prepared_again(stored, tmp_path
 def test_a_state_that_is_cut_off_is_no_start(stored, tmp_path):
     content = (stored[1] / STATE_FILE).read_bytes()
     assert WarmStart.from_bytes(content[:-8]) is None
+    head, _, numbers = content.partition(b"\n")
+    for key, value in (("scales", None), ("scales", {"torque_squared": "x"}), ("smoothing", ["a"])):
+        forged = json.dumps({**json.loads(head), key: value}).encode()
+        assert WarmStart.from_bytes(forged + b"\n" + numbers) is None
+    for factor in (np.nan, 0.0, 1e300):
+        forged = (factor * np.frombuffer(numbers, "<f8")).tobytes()
+        assert WarmStart.from_bytes(head + b"\n" + forged) is None

@@ -62,6 +62,11 @@ def test_coarse_meshes_grow_with_the_phases():
     assert coarse.intervals >= 6 * 31
     assert middle.intervals >= 10 * 31
     assert fine.intervals == 600
+    # The last mesh is solved to the end with the first correction of its rows.
+    assert coarse.tolerance > fine.tolerance > problem.method.tolerance
+    assert {each.tolerance for each in plan_stages(problem, 600)} == {None}
+    near = solver_options(replace(many, method=replace(many.method, intervals=600)), near=True)
+    assert near.extra["mu_init"] < near.extra["mu_max"] < 1e-4
     assert solver_options(many).max_iterations > solver_options(problem).max_iterations
 
 

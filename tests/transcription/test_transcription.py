@@ -6,12 +6,13 @@ import casadi as ca
 import numpy as np
 import pytest
 from numpy.polynomial import polynomial
-from textbook import CASES, block_move, guess, minimum_time, problem, second_order
+from textbook import CASES, block_move, bryson_denham, guess, minimum_time, problem, second_order
 
 from stiffopt.errors import ProblemError
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.ipopt import IpoptSolver
 from stiffopt.transcription import METHODS, Guess, Rows, Waypoint, transcribe, uniform_mesh
+from stiffopt.transcription.constraint_back_off import back_off_states
 
 INF = np.inf
 
@@ -230,6 +231,28 @@ def test_derivatives_by_phase_durations_are_exact_and_couple_no_other_phase():
     assert slope.full() == pytest.approx(own.full(), abs=1e-12)
     first, *_, last = np.flatnonzero([e.name == "duration" for e in _entries(nlp.variables)])
     assert not found.sparsity().has_nz(int(first), int(last))
+
+
+def test_state_bounds_are_backed_off_beside_the_nodes_between_which_they_are_exceeded():
+    case = bryson_denham()
+    ocp = replace(case.ocp, chains=((0, 1, 0),))
+    made = transcribe(ocp, "piecewise_linear", uniform_mesh(5))
+    solver, at = IpoptSolver(made.nlp), np.linspace(0.0, 1.0, 1001)
+
+    def excess(found):
+        return float((made.guess_from(found.x).states(at) - ocp.state_upper).max())
+
+    before = solver.solve(made.pack(case.guess))
+    assert excess(before) > 1e-3
+    closer = back_off_states(made.nlp, made, before.x)
+    assert np.array_equal(closer.lower_x, made.nlp.lower_x)
+    nodes = made.states.take(closer.upper_x)
+    # Ends are given.
+    assert np.array_equal(nodes[[0, -1]], made.states.take(made.nlp.upper_x)[[0, -1]])
+    solver.set_bounds(closer)
+    after = solver.solve(before.x)
+    assert after.converged
+    assert excess(after) < 0.1 * excess(before)
 
 
 def _entries(blocks):

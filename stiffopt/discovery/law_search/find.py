@@ -184,7 +184,7 @@ class _Ranked:
         waves = self.law.frequencies, other.law.frequencies
         if all(waves) and not np.allclose(*waves):
             return False
-        signals = [{f.source for f in each.law.factors} for each in (self, other)]
+        signals = [{f.source.origin for f in each.law.factors} for each in (self, other)]
         apart = 0.5 * float(np.sum((self.rows - other.rows) ** 2)) / width
         return signals[0] == signals[1] and apart < PARAMETER_LOG_PRICE * self.law.parameter_count
 

@@ -110,8 +110,7 @@ class Law:
     @property
     def _load_factors(self) -> list[Factor]:
         """Factors of the load of its joint, or of the nominal wind-up under it."""
-        loads = (LawSource("load", self.joint), LawSource("windup", self.joint))
-        return [f for f in self.factors if f.source in loads]
+        return [f for f in self.factors if f.source.origin == LawSource("load", self.joint)]
 
     @property
     def yields(self) -> bool:
@@ -229,9 +228,9 @@ class Law:
     @property
     def amplitude_unit(self) -> str:
         """Unit of the amplitudes."""
-        units = [f.source.own.unit for f in self.factors if f.own.in_signal and f.source.own.unit]
-        base = _PLACE_UNITS[self.place]
-        return base + "".join(f"/({unit})" for unit in units)
+        powers = [(f.source.own.unit, f.own.unit_power) for f in self.factors]
+        units = [f"/({unit})" + f"^{n}" * (n > 1) for unit, n in powers if unit and n]
+        return _PLACE_UNITS[self.place] + "".join(units)
 
     @property
     def shape_units(self) -> tuple[str, ...]:

@@ -97,7 +97,7 @@ def _filter_linear(
     As `scipy.signal.lfilter`, whose import takes half a second: its recurrence is a triangular
     system with as many diagonals as coefficients.
     """
-    start, past = (x[0], np.zeros(0)) if before is None else (0.0, before)
+    start, past = (x[0], np.zeros(0)) if before is None else (0.0, np.atleast_1d(before))
     whole = np.concatenate([past, x - start])
     driven = np.convolve(whole, b)[: len(whole)]
     diagonals = np.repeat(np.array(a)[:, None], len(whole), axis=1)

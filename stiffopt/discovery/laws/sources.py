@@ -23,6 +23,8 @@ class SourceKind:
     unit: str
     words: str
     forms: tuple[str, ...]  # names of the forms that a law may take in it
+    # Kind of the signal of its joint that it is a function of; "" for a signal of its own.
+    function_of: str = ""
     per_joint: bool = True  # False for a signal of the robot as a whole
     of_own_joint: bool = False  # True where only laws of that joint may depend on it
     # Operator for its values before the first sample, which forms with memory ask for: a robot that
@@ -44,6 +46,8 @@ _PLACE_FORMS = (
 _SIGNED_FORMS = (
     "linear",
     "magnitude",
+    "square",
+    "signed_square",
     "power",
     "signed_power",
     "saturating",
@@ -68,7 +72,12 @@ SOURCE_KINDS = {
         before="speed_before",
     ),
     "direction": SourceKind(
-        "motor_direction", "sg(w_{})", "", "direction of motion of joint {}", ("linear",)
+        "motor_direction",
+        "sg(w_{})",
+        "",
+        "direction of motion of joint {}",
+        ("linear",),
+        function_of="speed",
     ),
     "acceleration": SourceKind(
         "motor_acceleration",
@@ -86,7 +95,13 @@ SOURCE_KINDS = {
         (*_SIGNED_FORMS, *("hinge_above", "hinge_below", "lag", "stop", "sprung", "mode", "loose")),
     ),
     "windup": SourceKind(
-        "windup", "D_{}", "rad", "nominal wind-up of joint {}", ("linear",), of_own_joint=True
+        "windup",
+        "D_{}",
+        "rad",
+        "nominal wind-up of joint {}",
+        ("linear",),
+        function_of="load",
+        of_own_joint=True,
     ),
     "friction": SourceKind(
         "nominal_friction",
@@ -94,6 +109,7 @@ SOURCE_KINDS = {
         "N m",
         "nominal friction of joint {}",
         ("linear",),
+        function_of="speed",
         of_own_joint=True,
     ),
     "drive": SourceKind("drive_torque", "u_{}", "N m", "drive torque of joint {}", ("linear",)),
@@ -153,6 +169,11 @@ class LawSource:
     def symbol(self) -> str:
         """Symbol in equations, such as "q_4"."""
         return self.own.symbol.format(self._number)
+
+    @property
+    def origin(self) -> LawSource:
+        """The signal that it is a function of."""
+        return LawSource(self.own.function_of or self.kind, self.joint)
 
     @property
     def words(self) -> str:

@@ -19,6 +19,7 @@ from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.search.cross_validation import (
     FOLDS_OF_FEW_RUNS,
     FoldPredictions,
+    folds_per_run,
     number_folds,
     stack_columns,
 )
@@ -65,11 +66,14 @@ class LeftOutGain:
 
 
 def left_out_gains(
-    comparison: Comparison, effects: Sequence[LocatedEffect], begin: float = 0.0
+    comparison: Comparison,
+    effects: Sequence[LocatedEffect],
+    begin: float = 0.0,
+    count: int = FOLDS_OF_FEW_RUNS,
 ) -> tuple[LeftOutGain, ...]:
     """Return the gain of every effect in folds left out.
 
-    `begin`: share of each run's start that is in no fold.
+    `begin`: share of each run's start that is in no fold. `count`: folds of few runs.
 
     Folds are parts of every run for an effect that acts in few of them: if each joint moves in a
     run of its own, the other runs say nothing of it.
@@ -80,7 +84,7 @@ def left_out_gains(
     kept = comparison.rows.sample_signal(lambda run: elapsed_shares(run.time)) >= begin
     columns *= kept[:, None]
     target, limits = kept * comparison.target, comparison.limits(len(prior))
-    fold = number_folds(comparison, None, begin)
+    fold = number_folds(comparison, folds_per_run(len(comparison.runs), count), begin)
     few = [
         e.is_run_specific or _is_seldom(columns[:, owner == k], fold) for k, e in enumerate(effects)
     ]
@@ -91,16 +95,16 @@ def left_out_gains(
         fine: FoldPredictions(columns, target, prior, limits, own) for fine, own in folds.items()
     }
     now = {fine: way.residual() for fine, way in ways.items()}
-    judge = _GainJudge(comparison, fold, kept, begin)
+    judge = _GainJudge(comparison, kept, begin)
     # Free bodies have no tolerance that they could leave.
     nominal = int(np.sum(owner < 0)) if comparison.bodies is None else 0
-    relieved = ways[few[0]].prior_squares(owner >= -1, nominal)
+    relieved = ways[few[0]].prior_squares(nominal)
     return tuple(
         judge.gain(
             columns[:, owner == k],
             now[fine],
             ways[fine].residual(owner != k),
-            ways[fine].prior_squares(owner != k, nominal) - relieved,
+            ways[fine].prior_squares(nominal, owner != k) - relieved,
         )
         for k, fine in enumerate(few)
     )
@@ -115,11 +119,9 @@ def _is_seldom(columns: np.ndarray, fold: np.ndarray) -> bool:
 class _GainJudge:
     """Gains of effects by the residuals of folds left out, with and without them."""
 
-    def __init__(
-        self, comparison: Comparison, fold: np.ndarray, kept: np.ndarray, begin: float
-    ) -> None:
+    def __init__(self, comparison: Comparison, kept: np.ndarray, begin: float) -> None:
         self._comparison, self._kept = comparison, kept
-        stretch = number_stretches(comparison, begin)
+        stretch, fold = number_stretches(comparison, begin), number_folds(comparison, None, begin)
         self._stretch = fold if stretch.max() < fold.max() else stretch
         # Noise above the filter's band may exceed the stated one.
         held = noise_above_cutoff(comparison.nominal_runs) / comparison.noise.stacked

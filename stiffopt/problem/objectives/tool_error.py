@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 # plans and rivals 1.4 to 1.6. The servo's lateness, which may be most of the error, adds to that of
 # the others: in the same root they would hardly count beside it (decision 0075).
 _WORST_OVER_ROOT = 1.5
-# Errors below this share of the typical one are smoothed, as the root of zero has no slope.
-_SMALL_ERROR_SHARE = 1e-3
+# Errors below this share of the typical one are smoothed: the root's curvature at zero slows IPOPT.
+_SMALL_ERROR_SHARE = 1e-2
 # Weight of the squared ringing over the typical error. How large the true error after arrival is
 # beside this ringing differs by a factor of ten among arms: `solver.ringing` changes the weight.
 _RINGING_WEIGHT = 600.0

@@ -29,7 +29,7 @@ COMPENSATED = "Peak deviations on uncertain arms, as planned and compensated"
 def compensation_section(compensation: Compensation) -> ReportSection:
     """Return the peak deviations, two rows per motion, and notes on uncertainty and command.
 
-    A slower rival that is better in a phase is followed by the optimised motion at its duration.
+    A slower rival that is better in an error is followed by the optimised motion at its duration.
     """
     head = ["motion", "duration", "motors"]
     for phase in ("in flight", "after"):
@@ -38,8 +38,9 @@ def compensation_section(compensation: Compensation) -> ReportSection:
     beside = {each.rival.name: each for each in compensation.beside_rivals}
     rows = []
     for motion in compensation.motions:
-        rows += _motion_rows(motion, motion.name, beside.get(motion.name))
-        if (found := beside.get(motion.name)) is not None and found.own.name == motion.name:
+        found = beside.get(motion.name)
+        rows += _motion_rows(motion, motion.name, found)
+        if found is not None and found.own is not compensation.optimised:
             rows += _motion_rows(found.own, "optimised, slowed")[1:]
     return ReportSection(
         title="Deviations on uncertain arms, as planned and compensated",
@@ -54,8 +55,8 @@ def _motion_rows(
     motion: CompensatedMotion, name: str, beside: RivalComparison | None = None
 ) -> list[list[str]]:
     """Return the rows of a motion as planned and with its command."""
-    ratios = [] if beside is None or beside.ratios is None else [*beside.ratios, beside.across]
-    over = " / ".join(significant(each, 3) for each in ratios) or DASH
+    ratios = {} if beside is None else beside.ratios
+    over = " / ".join(significant(each, 3) for each in ratios.values()) or DASH
     return [
         [
             name,
@@ -118,8 +119,8 @@ def _compensation_notes(compensation: Compensation) -> list[str]:
         f"{compensation.draws} arms are drawn uniformly within the bounds. The problem's limits, "
         "settling included, are checked on the nominal arm only.",
         "Optimised over a rival: worst errors in flight / after arrival / across the path in "
-        "flight, at equal duration: beside a slower rival that is better in a phase the optimised "
-        "motion is slowed.",
+        "flight, at equal duration: beside a slower rival that is better in one of them the "
+        "optimised motion is slowed.",
         f"{made}; the feedforward lead is {100 * own.share:.0f} % of the nominal wind-up, "
         f"{'as chosen by the solve' if compensation.file else 'chosen for the worst case'}.",
     ]

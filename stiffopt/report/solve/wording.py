@@ -140,7 +140,7 @@ def rival_text(compensation: Compensation) -> str:
         text = f"The best rival, {name}, has a worst-case tool error of {theirs}"
     else:
         flight, after = compensation.ratios
-        slowed = f" (slowed to that duration {_format_phases(beside.own)})"
+        slowed = f"; slowed to {si(best.duration, 's', 4)} {_format_phases(beside.own)}"
         text = (
             f"Worst-case tool error {_format_phases(own)} in flight / after arrival"
             f"{slowed if beside.own is not own else ''}: in flight "
@@ -155,11 +155,12 @@ def rival_text(compensation: Compensation) -> str:
     better = compensation.rival_better_in
     if compensation.rival_wins or better:
         where = "" if compensation.rival_wins else f" {listed(better)}"
+        claim = f"The rival is the better motion{where}"
+        if own.excess:
+            # Whatever is minimised: the optimised motion has no command to compare.
+            claim = "Of the two only the rival's motors can lead its links"
         run = f": run {RIVAL_TRAJECTORY_FILE} with {RIVAL_COMMAND_FILE}"
-        text += (
-            f" The rival is the better motion{where}"
-            f"{run if compensation.rival_command is not None else ''}."
-        )
+        text += f" {claim}{run if compensation.rival_command is not None else ''}."
     return text
 
 
@@ -173,6 +174,9 @@ def _certified_comparison(problem: TrajectoryProblem, solution: Solution) -> str
     maximised = is_maximised(problem)
     better = better_baseline(problem, solution.baselines)
     ratio = solution.ratio_to_better_baseline
+    strict = solution.strict_baseline
+    if better is None and strict is not None and strict.feasible:
+        better, ratio = strict, solution.ratio_to_strict_baseline
     if solution.objective is None or solution.assessment is None:
         return "There is no motion to compare with the baselines."
     if not solution.baselines:
