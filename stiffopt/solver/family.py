@@ -266,7 +266,6 @@ class ProblemFamily:
             first = made.transcription
             if (
                 made.solver.options != options
-                # The shares of each phase sum to one.
                 or not np.array_equal(np.concatenate(first.mesh), np.concatenate(warm.mesh))
                 or BlockScales.of(first.nlp).tobytes() != wanted
             ):

@@ -126,8 +126,7 @@ def _analyse_failed_stage(
         return replace(raw, status=found.status), True
     hopeless = _MIN_CONFLICT_EXCESS if last else _HOPELESS_COARSE_EXCESS
     if found.converged and found.excess > hopeless:
-        conflicts = found.conflicts
-        return replace(raw, x=found.x, status="infeasible", conflicts=conflicts), True
+        return replace(raw, x=found.x, status="infeasible", conflicts=found.conflicts), True
     if found.converged and found.excess <= _MIN_CONFLICT_EXCESS:
         # Feasible motions exist: continue from the one found.
         again = solve_stage(run, made, stage, found.x, None, "from a feasible motion")
