@@ -66,6 +66,7 @@ class Outcome:
     nlp: Nlp  # with the bounds of this solve
     problem: TrajectoryProblem
     arm: SimulatedMotors | None = None  # simulated arm, of motors that suppress its vibration
+    slowed: str = ""  # why and by how much it was slowed
 
     @property
     def failed(self) -> bool:

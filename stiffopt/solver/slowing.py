@@ -54,11 +54,11 @@ class Slowing(OutcomeOracle):
                 low = share
             # Doubled until every limit holds, then halved towards the least.
             share = min(2.0 * share, most) if found is last else 0.5 * (low + high)
-        self.run.notes.append(
+        slowed = (
             f"No correction kept {describe_excess(excess_by_limit(last.assessment))}: the motion "
             f"is slowed by {100.0 * high:.2g} % along its path, so that every limit holds."
         )
-        return keep_better(self.run, found)
+        return keep_better(self.run, replace(found, slowed=slowed))
 
 
 def slow_down(run: SolveRun, outcome: Outcome, factor: float) -> Outcome | None:

@@ -289,6 +289,11 @@ def _status_message(problem: TrajectoryProblem, outcome: Outcome, motion: Assess
         return f"{status.sentence}{cause}{state}"
     if status is SolveStatus.CERTIFICATE_FAILED:
         return f"{status.sentence} It exceeds {worst}."
+    if outcome.slowed:
+        return (
+            f"Certified, but only near the optimum. {outcome.slowed} More method.intervals may "
+            "find one that needs no slowing."
+        )
     if outcome.objective_gap > MAX_OBJECTIVE_GAP:
         lacking = _missing_friction_share(problem, outcome.trajectory, outcome.smoothing)
         if lacking > _MIN_FRICTION_SHARE * outcome.objective_gap:

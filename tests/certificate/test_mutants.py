@@ -219,7 +219,7 @@ MUTANTS = {
     "spot exponent": Mutant(other_spots, keyed, "wind-up of joint 1"),
     "slip torque": Mutant(early_slip, flanged, "wind-up of joint 1"),
     "static part": Mutant(static_left_in, pendulum, "dynamic deflection"),
-    "torque row": Mutant(dropped_rows("torque"), hurried, "exceeds torque of joint 1"),
+    "torque row": Mutant(dropped_rows("torque"), hurried, "No correction kept torque"),
     "deflection cap": Mutant(
         dropped_rows("dynamic_deflection"), capped, "exceeds dynamic deflection"
     ),
@@ -243,7 +243,9 @@ def test_the_certificate_notices_a_defect_of_the_optimiser(name, tmp_path, monke
     problem = mutant.problem(tmp_path)
     mutant.mutate(monkeypatch)
     solution = solve(problem, throw=False)
-    assert solution.status is SolveStatus.CERTIFICATE_FAILED
+    # A motion of free duration is slowed until the exceeded limit holds; that is no optimum.
+    slowed = "the motion is slowed" in solution.message
+    assert solution.status is (SolveStatus.ACCEPTABLE if slowed else SolveStatus.CERTIFICATE_FAILED)
     assert mutant.named in solution.message
 
 
