@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.simulator import EFFECTS
-from stiffopt.discovery.comparison.extended_run import extend_run
+from stiffopt.discovery.comparison.extended_run import simulate_links
 from stiffopt.discovery.comparison.extension_change import extension_change
 from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.extended.model import load_extended
@@ -198,7 +198,7 @@ def _function_errors(store: Store, name: str, true: dict[str, Any]) -> dict[str,
 
 def _added_along(predictor: Predictor, found: Extension) -> dict[str, np.ndarray]:
     """What findings add to torques and link angles (R, n) along the motion predicted with them."""
-    moved = extend_run(predictor.nominal, found)
+    moved = simulate_links(predictor.nominal, found)
     change = extension_change(moved, found)
     load = moved.signals.spring_torque
     wound = predictor.robot.windup(load) - predictor.robot.windup(load - change.link_torque)

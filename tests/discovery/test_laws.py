@@ -323,6 +323,8 @@ def test_an_overtone_is_found_beside_its_wave() -> None:
     assert found.best is not None
     assert found.best.law.factors[0].form == "wave_overtone"
     assert found.best.fit.amplitudes == pytest.approx([0.0, 9.0, 1.8, 0.0], abs=0.2)
+    # The wave alone is no rival of its own refinement.
+    assert not any(factor.form == "wave" for law in found.near for factor in law.law.factors)
 
 
 def test_equal_frequencies_of_recordings_apart_are_laws_of_their_own() -> None:
