@@ -27,7 +27,7 @@ MAX_HEADLINE_FINDINGS = 2
 MIN_LISTED_PROBABILITY = 0.005
 # Probability above which "above 99 %" is written.
 _MAX_SHOWN_PROBABILITY = 0.995
-_UNDETERMINED = "an undetermined amount"
+_UNDETERMINED_AMOUNT = "an undetermined amount"
 _VALUE_PLACEHOLDER = re.compile(r"\{([^{}:]+)(:%)?\}")
 
 
@@ -274,14 +274,14 @@ def fill(
             return _format_together([named[name] for name in names])
         own = named[key]
         if not own.determined:
-            return _UNDETERMINED
+            return _UNDETERMINED_AMOUNT
         size = own.value if signed else abs(own.value)
         if share:
             return f"{pm(100.0 * size, 100.0 * own.sd, '')} %"
         return pm(size, own.sd, own.unit)
 
     first, *more = _VALUE_PLACEHOLDER.sub(value, text).split(", ")
-    return ", ".join([first, *(each for each in more if _UNDETERMINED not in each)])
+    return ", ".join([first, *(each for each in more if _UNDETERMINED_AMOUNT not in each)])
 
 
 def _format_together(parameters: list[Parameter]) -> str:
