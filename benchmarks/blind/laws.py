@@ -20,6 +20,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.simulator import EFFECTS
+from stiffopt.discovery.comparison.extended_run import simulate_links
+from stiffopt.discovery.comparison.extension_change import extension_change
 from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.extended.model import load_extended
 from stiffopt.discovery.prediction import Predictor
@@ -156,7 +158,9 @@ def _function_errors(store: Store, name: str, true: dict[str, Any]) -> dict[str,
 
     Nominal values within tolerance count on neither side: what the simulator added to the healthy
     robot is compared with what the findings add to the nominal model, in that channel of the joint,
-    torque or link angle, where the true effect is larger over the noise.
+    torque or link angle, where the true effect is larger over the noise. Both along one motion: the
+    recorded one there, the predicted one here, for the links of a robot without the effects would
+    vibrate otherwise.
     """
     exact, joint = store.oracle_predictions(name), true["joint"] - 1
     recordings = load_recordings(store.case(name))
@@ -174,11 +178,11 @@ def _function_errors(store: Store, name: str, true: dict[str, Any]) -> dict[str,
         run = recordings.open(entry)
         scaled = model.scaled(training.constants)
         predictor = Predictor(replace(training, constants=scaled), run)
-        before, after = predictor.predict_each([(), (found,)])
+        added_to = _added_along(predictor, found)
         truth, healthy = (np.load(exact / f"{key}_{run.name}.npz") for key in ("pred", "healthy"))
         own = sums.setdefault(run.role, np.zeros((2, 2)))
         for row, (kind, column, scale) in zip(own, kinds, strict=True):
-            added = (getattr(after, kind) - getattr(before, kind))[:, joint]
+            added = added_to[kind][:, joint]
             meant = truth[column] - healthy[column]
             count = min(len(added), len(meant))
             moving = np.ones(count, dtype=bool)
@@ -189,6 +193,22 @@ def _function_errors(store: Store, name: str, true: dict[str, Any]) -> dict[str,
     seen = int(np.argmax(sum(own[:, 1] for own in sums.values())))
     return {
         role: float(np.sqrt(own[seen, 0] / max(own[seen, 1], 1e-300))) for role, own in sums.items()
+    }
+
+
+def _added_along(predictor: Predictor, found: Extension) -> dict[str, np.ndarray]:
+    """What findings add to torques and link angles (R, n) along the motion predicted with them."""
+    moved = simulate_links(predictor.nominal, found)
+    change = extension_change(moved, found)
+    load = moved.signals.spring_torque
+    wound = predictor.robot.windup(load) - predictor.robot.windup(load - change.link_torque)
+    stamps = predictor.run.stamps
+    return {
+        kind: np.column_stack([np.interp(stamps, moved.time, own) for own in values.T])
+        for kind, values in (
+            ("torque", moved.motion_filter(change.torque) + change.link_torque),
+            ("link_position", -(wound + change.deflection + change.reading)),
+        )
     }
 
 

@@ -135,16 +135,23 @@ def loose_encoder(world: World, joint: int, severity: float, rng: np.random.Gene
     pull = (2.0 * np.pi * rng.uniform(1.5, 5.0)) ** 2
     drag = 2.0 * rng.uniform(0.05, 0.2) * np.sqrt(pull)
     size = 0.02 * severity * spread(rng)
+    bent, rate, before = np.zeros((3, world.runs))
+    recorded: list[np.ndarray] = []
+
+    def shake(state: State, _: np.ndarray) -> None:
+        if state.step == 0.0:
+            return
+        speed = state.link_velocity[:, joint]
+        rate[...] -= state.step * (pull * bent + drag * rate) + speed - before
+        bent[...] += state.step * rate
+        before[...] = speed
+        if state.time > -0.5 * state.step:
+            recorded.append(size * bent)
 
     def read(signals: Signals) -> None:
-        angle = signals.link[:, :, joint]
-        pushed = np.gradient(np.gradient(angle, signals.step, axis=1), signals.step, axis=1)
-        bent, rate = np.zeros((2, len(angle)))
-        for k in range(angle.shape[1]):
-            rate = rate - signals.step * (pull * bent + drag * rate + pushed[:, k])
-            bent = bent + signals.step * rate
-            angle[:, k] += size * bent
+        signals.link[:, :, joint] += np.stack(recorded, axis=1)
 
+    world.link_loads.append(shake)  # from rest on, before the recording begins
     world.sensors.append(read)
     return _outcome(world, [f"a_{joint + 1}"], size=size, pull=pull, drag=drag)
 

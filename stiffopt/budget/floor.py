@@ -56,7 +56,7 @@ def error_floor_note(robot: Robot, tolerances: Tolerances, solution: Solution) -
         ]
     )
     return (
-        f"The worst tool error in flight, {1e3 * motion.led.in_flight:.3g} mm, comes "
-        f"from {named}. Tolerances of the geometry add up to {1e3 * floor:.3g} mm (95 %), which "
-        "no plan or command changes: stiffopt budget names the measurement that narrows them."
+        f"Sources of the worst arm's error in flight: {named}. Tolerances of the geometry add up to"
+        f" {1e3 * floor:.3g} mm (95 %), which no plan or command changes: stiffopt budget names the"
+        " measurement that narrows them."
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from stiffopt.files import load_json
 from stiffopt.folders import check_result
 
 _STIFFNESS_FILE = "stiffness.json"
+_IDENTIFY_AGAIN = "Run identify-stiffness again."
 
 
 def narrow_stiffness(model: ErrorModel, folder: Path) -> Uncertainty:
@@ -25,30 +27,35 @@ def narrow_stiffness(model: ErrorModel, folder: Path) -> Uncertainty:
     check_result(folder, _STIFFNESS_FILE)
     path = folder / _STIFFNESS_FILE
     document = load_json(path)
-    known = np.full(model.robot.n, np.nan)
-    try:
-        joints = document["joints"]
-        for number, joint in enumerate(joints):
-            if joint["status"] == "identified":
-                place = _joint_place(model, joint, number)
-                known[place] = float(joint["sd"]) / float(joint["stiffness"])
-    except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
-        raise InputFileError(
-            path, "joints", f"has no usable {error}. Run identify-stiffness again."
-        ) from error
-    except IndexError as error:
-        raise InputFileError(
-            path, "joints", f"has {len(joints)} joints, {model.robot.name} has {model.robot.n}. "
-            "Give the stiffness of the same arm."
-        ) from error  # fmt: skip
+    joints = document.get("joints") if isinstance(document, dict) else None
+    if not isinstance(joints, list) or not all(isinstance(each, dict) for each in joints):
+        raise InputFileError(path, "joints", f"is not a list of joints. {_IDENTIFY_AGAIN}")
+    names = model.robot.joint_names
+    known = np.full(len(names), np.nan)
+    for number, joint in enumerate(joints):
+        if joint.get("status") != "identified":
+            continue
+        deviation, value = (
+            _positive_number(path, f"joints[{number}].{key}", joint.get(key))
+            for key in ("sd", "stiffness")
+        )
+        # By name, else by number.
+        place = names.index(joint["name"]) if joint.get("name") in names else number
+        if place >= len(names):
+            raise InputFileError(
+                path,
+                "joints",
+                f"has {len(joints)} joints, {model.robot.name} has {len(names)}. Give the stiffness"
+                " of the same arm.",
+            )
+        known[place] = deviation / value
     return bounds_from_deviations(model.uncertainty, known)
 
 
-def _joint_place(model: ErrorModel, joint: dict[str, Any], number: int) -> int:
-    """Index of a joint of the file: by name, else by number."""
-    names = model.robot.joint_names
-    if joint["name"] in names:
-        return names.index(joint["name"])
-    if number >= len(names):
-        raise IndexError(number)
-    return number
+def _positive_number(path: Path, key: str, value: Any) -> float:
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not number or not 0.0 < value < math.inf:
+        raise InputFileError(
+            path, key, f"is {value!r}; allowed: a number above 0. {_IDENTIFY_AGAIN}"
+        )
+    return float(value)

@@ -29,6 +29,7 @@ from stiffopt.exact.chain import compliance_along, windup_along
 from stiffopt.problem.objective import OBJECTIVES
 from stiffopt.result.assessment import Assessment, DriveHistory, LowestStiffness, Violation
 from stiffopt.result.trajectory import JointMotion
+from stiffopt.robot.bearing_deflection import bearing_deflections
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
@@ -94,6 +95,9 @@ def assess(
     deflection = _split_deflection(
         body.jacobian, static, between, windup, force_first=link is not None
     )
+    if robot.tilts:
+        for part, moves in _bearing_parts(robot, moved, force).items():
+            deflection[part] = deflection[part] + moves
     compliance = joint_compliance(robot, spring_torque)
     with np.errstate(divide="ignore"):
         stiffness = 1.0 / compliance
@@ -217,6 +221,19 @@ def _drive_torque(
         motion = position, velocity, acceleration, spring_torque
         torque += added_torques(robot, motion, direction, in_spring=False)
     return torque
+
+
+def _bearing_parts(robot: Robot, moved: _MotionArrays, force: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the parts of the tool's deflection (K, 3) [m] by bearings and links, which are linear.
+
+    `moved`: motion of the links. `force` (K, 3) ON the tool [N].
+    """
+    position = moved[0]
+    static, held, total = (
+        bearing_deflections(robot, *motion)[..., :3].sum(axis=1)
+        for motion in ((position,), (position, None, None, force), (*moved, force))
+    )
+    return {"static": static, "process": held - static, "dynamic": total - held, "total": total}
 
 
 def _split_deflection(

@@ -102,6 +102,7 @@ def simulate(
     from stiffopt.recipe.stored_result import read_result
     from stiffopt.report.solve.simulation import write_simulation_report
     from stiffopt.report.solve.terminal import print_compensation, print_simulation
+    from stiffopt.report.solve.wording import rival_text
     from stiffopt.result.compensation import COMMAND_FILE
     from stiffopt.result.cycle import CYCLE_FILE
     from stiffopt.result.store import write_simulation
@@ -160,6 +161,7 @@ def simulate(
     print_simulation(found)
     if led is not None:
         print_compensation(replace(led, file=str(result / COMMAND_FILE)))
+        print(rival_text(led))
     print(f"Wrote {path}, {path.with_suffix('.csv').name} and {page.name}")
     show_report(folder, open_report, page.name)
     return 0

@@ -23,7 +23,12 @@ from stiffopt.command.command_search import (
     ExistingCommand,
 )
 from stiffopt.problem.motor_model import MotorLaw
-from stiffopt.result.compensation import COMMAND_FILE, CompensatedMotion, Compensation
+from stiffopt.result.compensation import (
+    COMMAND_FILE,
+    MIN_SLOWDOWN,
+    CompensatedMotion,
+    Compensation,
+)
 from stiffopt.result.store import export_times
 from stiffopt.result.trajectory import JointMotion
 
@@ -78,25 +83,38 @@ def compensate(
     )
     if rivals is None:
         rivals = rival_commands(problem, arm, motions[1:], own.law, progress=progress)
-    return compare_commands(problem, alone, rivals)
+    return compare_commands(problem, arm, own.motion, alone, rivals)
 
 
 def compare_commands(
-    problem: TrajectoryProblem, alone: Compensation, rivals: Sequence[CommandOnArms]
+    problem: TrajectoryProblem,
+    arm: ElasticArm,
+    own: PlannedMotion,
+    alone: Compensation,
+    rivals: Sequence[CommandOnArms],
 ) -> Compensation:
-    """Return a compensation with rivals beside the optimised motion."""
+    """Return a compensation with rivals beside the optimised motion, at equal duration."""
     motions = (*alone.motions, *(each.for_reports() for each in rivals))
     result = replace(alone, motions=motions)
+    # A slower rival that is better in no error would be beaten by more at equal duration.
+    slower = {
+        each.rival.name: own.slowed_to(problem, each.rival.duration)
+        for each in ([] if own.at is None or result.optimised.excess else result.beside_rivals)
+        if each.rival.duration > (1.0 + MIN_SLOWDOWN) * own.duration
+        and max(each.ratios.values(), default=0.0) > 1.0
+    }
+    slowed = rival_commands(problem, arm, list(slower.values()))
+    reports = (each.for_reports() for each in slowed)
+    result = replace(result, slowed=dict(zip(slower, reports, strict=True)))
     best = result.best_rival
-    if best is None or not result.rival_wins:
+    if best is None or not (result.rival_wins or result.rival_better_in):
         return result
     winner = next(each for each in rivals if each.motion.name == best.name)
     motors, plan = winner.motors, winner.motion
-    assert plan.rival is not None
-    duration = float(plan.time[-1])
+    assert plan.at is not None
     return replace(
         result,
-        rival_plan=assess(problem, plan.rival.at(duration), times=export_times(duration)),
+        rival_plan=assess(problem, plan.at(plan.duration), times=export_times(plan.duration)),
         rival_command=assess(problem, motors, times=export_times(motors.duration)),
     )
 
@@ -120,18 +138,17 @@ def _command_within_limits(
     problem: TrajectoryProblem, arm: ElasticArm, motion: PlannedMotion, law: MotorLaw
 ) -> CommandOnArms:
     """Choose the command of a rival at the duration at which it keeps the limits, and judge it."""
-    slowed = 1.0
+    longest = _MAX_RIVAL_SLOWDOWN * motion.duration
     while True:
         search = CommandSearch(problem, arm, motion, law)
         chosen = search.chosen_command()
         excess = search.motor_violations(chosen.motors)
-        if not excess or motion.rival is None or slowed >= _MAX_RIVAL_SLOWDOWN:
+        if not excess or motion.at is None or motion.duration >= longest:
             return search.judge_existing(chosen)
         # Limits of the velocity scale with the duration, those of the jerk with its cube.
         over = (1.0 + excess[0].value) ** (1.0 / 3.0)
         factor = float(np.clip(over, _MIN_SLOWDOWN_STEP, _MAX_SLOWDOWN_STEP))
-        slowed *= factor
-        motion = motion.slowed(problem, factor)
+        motion = motion.slowed_to(problem, factor * motion.duration)
 
 
 def _tell_each(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -71,7 +71,7 @@ class PlannedMotion:
     # Planned motion of the links of a stored motion whose motors lead it.
     path: JointMotion | None = None
     exceeded: tuple[str, ...] = ()  # names of limits that it exceeds
-    rival: FairRival | None = None  # by which it can be slowed
+    at: Callable[[float], Trajectory] | None = None  # motion of the links at a duration [s]
 
     @cached_property
     def followed(self) -> MotorMotion:
@@ -89,6 +89,11 @@ class PlannedMotion:
         return self.path if self.motors is None else self.motors.link
 
     @property
+    def duration(self) -> float:
+        """Duration [s]."""
+        return float(self.time[-1])
+
+    @property
     def vibrates_after_arrival(self) -> bool:
         """True where the plan has residual vibration of the links after the motors' arrival."""
         if self.link is None:
@@ -99,14 +104,26 @@ class PlannedMotion:
     @classmethod
     def of_rival(cls, rival: FairRival, assessment: Assessment, counted: bool) -> PlannedMotion:
         """Make the motion of a rival, which can be slowed."""
-        return replace(cls.of(rival.name, assessment, counted), rival=rival)
+        return replace(cls.of(rival.name, assessment, counted), at=rival.at)
 
-    def slowed(self, problem: TrajectoryProblem, factor: float) -> PlannedMotion:
-        """Return a rival at a longer duration."""
-        assert self.rival is not None
-        assessment = assess(problem, self.rival.at(factor * float(self.time[-1])))
+    def slowed_to(self, problem: TrajectoryProblem, duration: float) -> PlannedMotion:
+        """Return the motion at a longer duration [s]."""
+        assert self.at is not None
+        assessment = assess(problem, self.at(duration))
         counted = assessment.duration <= problem.duration[1] * _DURATION_SLACK
-        return PlannedMotion.of_rival(self.rival, assessment, counted)
+        return replace(PlannedMotion.of(self.name, assessment, counted), at=self.at)
+
+    @classmethod
+    def of_solution(
+        cls, assessment: Assessment, trajectory: Trajectory | None, counted: bool = True
+    ) -> PlannedMotion:
+        """Make the motion of a solve, whose motors lead the links where it plans these."""
+        own = cls.of("optimised", assessment, counted)
+        if trajectory is None:
+            return own
+        if trajectory.link is None:
+            return replace(own, at=trajectory.scaled_to)
+        return replace(own, motors=trajectory, at=trajectory.link.scaled_to)
 
     @classmethod
     def of(cls, name: str, assessment: Assessment, counted: bool) -> PlannedMotion:

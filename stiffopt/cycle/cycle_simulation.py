@@ -15,7 +15,6 @@ from stiffopt.problem.cycle import Cycle
 from stiffopt.problem.rest_poses import gravity_torque
 from stiffopt.result.cycle import CycleSimulation, CycleSolution, JoinedMotion, LegError
 from stiffopt.result.duty import Duty, DutyHistory, duty_of
-from stiffopt.result.life_rating import life_rating
 from stiffopt.result.solution import Solution
 
 if TYPE_CHECKING:
@@ -209,6 +208,4 @@ def cycle_duty(cycle: Cycle, found: CycleSolution) -> Duty:
                     reducer_torque=held,
                 )
             )
-    robot = cycle.first.robot
-    ratings = [life_rating(robot, j) for j in range(robot.n)]
-    return duty_of(histories, robot.joint_names, robot.torque_max, ratings)
+    return duty_of(cycle.first.robot, histories)

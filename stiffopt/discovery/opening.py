@@ -14,7 +14,7 @@ from stiffopt.discovery.extended.model import ExtendedModel, load_extended
 from stiffopt.discovery.progress import Say
 from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
 from stiffopt.discovery.sanity.doubt import Doubt
-from stiffopt.discovery.sanity.gate import judge_plausibility, leave_out_currents
+from stiffopt.discovery.sanity.gate import judge_plausibility, leave_out_unscaled
 from stiffopt.discovery.sanity.position_errors import take_errors_as_commands
 from stiffopt.discovery.training import open_training_runs
 from stiffopt.recording.decimation import (
@@ -90,7 +90,7 @@ def open_set(
     doubts, remarks = judge_plausibility(
         recordings, runs, despite_doubts=despite_doubts, remarks=base is None
     )
-    recordings, runs = leave_out_currents(recordings, runs)
+    recordings, runs = leave_out_unscaled(recordings, runs)
     return OpenedSet(
         recordings=recordings,
         base=base,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
+from stiffopt.dynamics.deflection import Deflection
 from stiffopt.dynamics.joint_axes import axis_joints, clean
 from stiffopt.dynamics.kinematics import axis_frames, point_position
 from stiffopt.dynamics.newton_euler import joint_wrenches
@@ -30,8 +31,46 @@ def dynamic_bearing_displacements(
     """
     if not robot.tilts:
         return {}
-    tree, tool, still = robot.tree, robot.tool, ca.SX(np.zeros(robot.n))
-    wrenches = joint_wrenches(tree, q, v, a) - joint_wrenches(tree, q, still, still)
+    still = ca.SX(np.zeros(robot.n))
+    return _displacements(
+        robot, q, joint_wrenches(robot.tree, q, v, a) - joint_wrenches(robot.tree, q, still, still)
+    )
+
+
+def bearing_deflection(
+    robot: Robot, q: Quantity, v: Quantity, a: Quantity, force: np.ndarray
+) -> Deflection:
+    """Return the parts of the tool's deflection by bearings and links; `force` (3,) ON the tool."""
+    still = ca.SX(np.zeros(robot.n))
+    rest = joint_wrenches(robot.tree, q, still, still)
+    moving = joint_wrenches(robot.tree, q, v, a) - rest
+
+    def whole(wrenches: ca.SX) -> Quantity:
+        return sum(_displacements(robot, q, wrenches).values(), ca.SX.zeros(3))
+
+    return Deflection(
+        static=whole(rest),
+        dynamic=whole(moving),
+        process=whole(_force_wrenches(robot, q, force)) if np.any(force) else ca.SX.zeros(3),
+    )
+
+
+def _force_wrenches(robot: Robot, q: Quantity, force: np.ndarray) -> ca.SX:
+    """Return the wrenches (6, n) of the joints that hold a force (3,) ON the tool [N]."""
+    tree, tool = robot.tree, robot.tool
+    place = point_position(tree, tool.joint, tool.offset, q)
+    found = ca.SX.zeros(6, robot.n)
+    for number, (origin, rotation) in axis_frames(axis_joints(tree), q, tool.joint).items():
+        if number:
+            held = ca.vertcat(-force, ca.cross(place - origin, -force))
+            for rows in (slice(0, 3), slice(3, 6)):
+                found[rows, number - 1] = ca.mtimes(rotation.T, held[rows])
+    return found
+
+
+def _displacements(robot: Robot, q: Quantity, wrenches: ca.SX) -> dict[int, Quantity]:
+    """Return the displacement of the tool (3,) [m] by joint index under wrenches (6, n)."""
+    tree, tool = robot.tree, robot.tool
     place = point_position(tree, tool.joint, tool.offset, q)
     found: dict[int, Quantity] = {}
     joints = axis_joints(tree)
@@ -49,8 +88,8 @@ def dynamic_bearing_displacements(
             for source in loads:
                 at, held = frames[source + 1]
                 pushed, moment = (
-                    ca.mtimes(held, each) / len(loads)
-                    for each in ca.vertsplit(wrenches[:, source], [0, 3, 6])
+                    ca.mtimes(held, wrenches[rows, source]) / len(loads)
+                    for rows in (slice(3), slice(3, 6))
                 )
                 force += pushed
                 about += moment + ca.cross(at - point, pushed)

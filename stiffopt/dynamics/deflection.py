@@ -1,5 +1,7 @@
 """Deflection of the tool by the wind-up of the joints, split by its cause.
 
+`dynamics.bearings` has that by bearings and links.
+
 The deflection is the elastic position minus the planned position, -J phi, to first order in the
 wind-up phi; J is the position Jacobian in base axes. Three parts add up to the total:
 
@@ -45,6 +47,13 @@ class Deflection:
     def total(self) -> Quantity:
         """Elastic position minus planned position (3,) [m]."""
         return self.static + self.dynamic + self.process
+
+    def __add__(self, other: Deflection) -> Deflection:
+        return Deflection(
+            static=self.static + other.static,
+            dynamic=self.dynamic + other.dynamic,
+            process=self.process + other.process,
+        )
 
 
 def spring_torques(

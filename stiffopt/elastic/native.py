@@ -36,9 +36,13 @@ class _Springs(Struct):
 
 class _Plan(Struct):
     _fields_ = (
-        *((name, WHOLE) for name in ("count", "flight", "n", "arms", "commands")),
+        *((name, WHOLE) for name in ("count", "flight", "stride", "spans")),
+        *((name, WHOLE) for name in ("n", "arms", "commands")),
         ("step", REAL),
-        *((name, ARRAY) for name in ("bodies", "commanded", "of", "stiffness", "damping")),
+        *(
+            (name, ARRAY)
+            for name in ("bodies", "torques", "commanded", "of", "stiffness", "damping")
+        ),
         *((name, ARRAY) for name in ("payload", "servo", "rigid")),
         ("springs", _Springs),
         ("links", ARRAY),

@@ -39,6 +39,7 @@ _LEAD_DECAY_CONSTANTS = 14.0
 # Lead [rad] and its rate [rad/s] at which a command ends.
 MAX_LEAD_AT_END = (1e-8, 5e-7)
 _COMMAND_STRIDE = 4  # steps between the breaks of a leading command
+_STEPS_AT_ONCE = 8192  # of the servo's response
 
 
 @dataclass(frozen=True)
@@ -148,37 +149,41 @@ class Servo:
         # The delay is a whole number of steps, so that delayed positions are known samples.
         lag = 0 if delay == 0.0 else max(1, int(np.ceil(delay / SAMPLE_INTERVAL)))
         step = delay / lag if lag else min(SAMPLE_INTERVAL, 0.02 / gain)
-        times = step * np.arange(int(np.ceil(until / step)) + 1)
-        sent = times + ahead - self.dead_time
-        y, rate, bend = self._set_points(command, sent)
-        before = np.concatenate([np.repeat(y[:1], lag, axis=0), y])[: len(y)]
-        # Of the lag x - y; the loop's own delayed part is added in the loop below.
-        force = -(1.0 - torque) * bend - inner * (1.0 - forward) * rate
-        force += inner * gain * (y - before)
+        times, command = step * np.arange(int(np.ceil(until / step)) + 1), self._as_sent(command)
         matrix = np.array([[0.0, 1.0], [0.0 if lag else -inner * gain, -inner]])
         step_state, first, second = _linear_hold(matrix, step)
-        state = np.zeros((len(times), 2, y.shape[1]))
-        # Until the delay has passed, delayed positions are those of steps before.
-        for k in range(0, len(times) - 1, lag or len(times)):
-            pull = force[k : k + lag + 1 if lag else None]
-            if lag:
-                known = np.maximum(np.arange(k, k + len(pull)) - lag, 0)
-                pull = pull - inner * gain * state[known, 0]
-            driven = first * pull[:-1, None] + second * pull[1:, None]
-            state[k + 1 : k + len(pull)] = _recur_linearly(step_state, driven, state[k])
-        return MotorMotion(times, y + state[:, 0], rate + state[:, 1], command.duration)
+        motion = np.empty((2, len(times), len(command(0.0))))
+        known = np.zeros((1, *motion.shape[::2]))
+        # Whole delays at a time: all samples of a motion of minutes would take a gigabyte.
+        size, last = _STEPS_AT_ONCE // (lag or 1) * (lag or 1) or lag, len(times) - 1
+        for begin in range(0, last, size):
+            stop, start = min(begin + size, last), max(begin - lag, 0)
+            y, rate, bend = _set_points(command, times[start : stop + 1] + ahead - self.dead_time)
+            before = y[np.maximum(np.arange(begin, stop + 1) - lag, 0) - start]
+            y, rate, bend = (each[begin - start :] for each in (y, rate, bend))
+            # Of the lag x - y; the loop's own delayed part is added in the loop below.
+            force = -(1.0 - torque) * bend - inner * (1.0 - forward) * rate
+            force += inner * gain * (y - before)
+            state = np.concatenate([known, np.empty((stop - begin, *known.shape[1:]))])
+            # Until the delay has passed, delayed positions are those of steps before.
+            for k in range(begin, stop, lag or size):
+                own = np.arange(k, min(k + (lag or size), stop) + 1)
+                pull = force[own - begin]
+                if lag:
+                    pull -= inner * gain * state[np.maximum(own - lag, 0) - start, 0]
+                driven = first * pull[:-1, None] + second * pull[1:, None]
+                state[own[1:] - start] = _recur_linearly(step_state, driven, state[k - start])
+            motion[:, begin : stop + 1] = y, rate
+            motion[:, begin : stop + 1] += state[begin - start :].swapaxes(0, 1)
+            known = state[-lag - 1 :]
+        return MotorMotion(times, motion[0], motion[1], command.duration)
 
-    def _set_points(
-        self, command: MotorMotion, sent: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Interpolated set-points with two rates (K, n) at the times since the first one (K,)."""
-        if self.period:
-            grid = self.period * np.arange(int(np.ceil(command.time[-1] / self.period)) + 2)
-            command = MotorMotion(grid, command(grid), command(grid, 1), command.duration)
-        found = [command(np.maximum(sent, 0.0), k) for k in range(3)]
-        for rates in found[1:]:
-            rates[sent < 0.0] = 0.0
-        return found[0], found[1], found[2]
+    def _as_sent(self, command: MotorMotion) -> MotorMotion:
+        """Command through the set-points that are sent."""
+        if not self.period:
+            return command
+        grid = self.period * np.arange(int(np.ceil(command.time[-1] / self.period)) + 2)
+        return MotorMotion(grid, command(grid), command(grid, 1), command.duration)
 
     def lead(self, motors: Trajectory) -> Trajectory:
         """Command by which the motors move as planned; it is sent the dead time ahead.
@@ -194,7 +199,7 @@ class Servo:
         decay = _LEAD_DECAY_CONSTANTS * max(forward / gain, 1.0 / inner) + delay
         count = int(np.ceil((motors.duration + decay) / (_COMMAND_STRIDE * SAMPLE_INTERVAL)))
         times = np.linspace(0.0, motors.duration + decay, _COMMAND_STRIDE * count + 1)
-        plan, late = _hold_at_ends(motors, times), _hold_at_ends(motors, times - delay)
+        plan, late = _hold_at_ends(motors, times, 4), _hold_at_ends(motors, times - delay, 2)
         force, rate = (
             (1.0 - torque) * plan[2 + k]
             + inner * (1.0 - forward) * plan[1 + k]
@@ -216,13 +221,21 @@ class Servo:
         at = slice(None, last + 1, _COMMAND_STRIDE)
         link = motors.link or motors
         held = link.held_for(float(times[last]) - link.duration)
-        return Trajectory.through(times[at], (plan + lead)[:, at], held)
+        return Trajectory.through(times[at], plan[:, at] + lead[:, at], held)
 
 
-def _hold_at_ends(motion: Trajectory, times: np.ndarray) -> np.ndarray:
-    """Motion with three rates (4, K, n), at rest before its start and after its end."""
+def _set_points(command: MotorMotion, sent: np.ndarray) -> list[np.ndarray]:
+    """Set-points with two rates (K, n) each at the times since the first one (K,)."""
+    found = [command(np.maximum(sent, 0.0), k) for k in range(3)]
+    for rates in found[1:]:
+        rates[sent < 0.0] = 0.0
+    return found
+
+
+def _hold_at_ends(motion: Trajectory, times: np.ndarray, orders: int) -> np.ndarray:
+    """Motion and its rates (orders, K, n), at rest before its start and after its end."""
     inside = np.clip(times, 0.0, motion.duration)
-    found = np.stack([motion(inside, k) for k in range(4)])
+    found = np.stack([motion(inside, k) for k in range(orders)])
     found[1:, (times < 0.0) | (times > motion.duration)] = 0.0
     return found
 

@@ -13,9 +13,10 @@ typedef struct {
 
 /* One plan (ManyArms) and its members. */
 typedef struct {
-  long long count, flight, n, arms, commands;
+  long long count, flight, stride, spans, n, arms, commands;
   double step;
-  const double *bodies;    /* (2, flight, n, 3 n + 1): all bodies, the payload */
+  const double *bodies;    /* (2, spans, n, 3 n) of `stride` steps each: all bodies, the payload */
+  const double *torques;   /* (2, flight, n) of the plan */
   const double *commanded; /* (count, commands, 4, n) */
   const long long *of;     /* (arms,) which command */
   const double *stiffness, *damping, *payload, *servo; /* (arms, n), (arms, n), (arms,), (arms,) */
@@ -38,7 +39,7 @@ static inline void spring(const Springs *s, int j, wide windup, wide *torque, wi
 }
 
 static void swing_lanes(const Plan *p, long long first) {
-  int n = p->n, width = 3 * n + 1;
+  int n = p->n, width = 3 * n;
   long long arm[LANES];
   for (int l = 0; l < LANES; l++) arm[l] = first + l < p->arms ? first + l : p->arms - 1;
   wide e[MOST], rate[MOST], turn[MOST], drive[MOST], stiffness[MOST], damping[MOST], payload, servo;
@@ -57,9 +58,12 @@ static void swing_lanes(const Plan *p, long long first) {
   for (int j = 0; j < n; j++) rate[j] = drive[j] = (wide){0};
   for (long long k = 1; k < p->count; k++) {
     long long at = (k < p->flight ? k : p->flight) - 1;
-    const double *own = p->bodies + at * n * width, *more = own + p->flight * n * width;
+    /* The last span is the rest, beside those of the flight. */
+    long long span = k < p->flight ? at / p->stride : p->spans - 1;
+    const double *own = p->bodies + span * n * width, *more = own + p->spans * n * width;
+    const double *planned = p->torques + at * n, *heavier = planned + p->flight * n;
     for (int i = 0; i < n; i++, own += width, more += width) {
-      wide sum = (wide){0} - own[3 * n], carried = (wide){0} - more[3 * n];
+      wide sum = (wide){0} - planned[i], carried = (wide){0} - heavier[i];
       for (int j = 0; j < n; j++) {
         sum += own[n + j] * rate[j] + own[2 * n + j] * e[j];
         carried += more[n + j] * rate[j] + more[2 * n + j] * e[j];

@@ -43,8 +43,9 @@ _EQUILIBRIUM_ITERATIONS = 4
 # Positions of links that are in memory at once, beside some ten arrays of their size: a weld of
 # minutes has 1e8 of them with its arms.
 _MAX_POSITIONS = 2_000_000
-# Steps whose bodies are linearised at once.
-_STEPS_AT_ONCE = 4096
+# Steps whose bodies are linearised at once, and for which one derivative of the bodies stands:
+# they take an eighth of the memory then, and peaks of an ER3A and a UR10 change by 3e-5 at most.
+_STEPS_AT_ONCE, _BODY_STRIDE = 4096, 8
 _SPRING_TABLE_POINTS = 20001  # of each joint's law, equidistant in wind-up
 
 
@@ -59,16 +60,16 @@ class LinearizedBodies:
 
     Attributes
     ----------
-    torque : array (2, K, n)
-        Inverse dynamics of the motion, less the torque of the process force [N m].
     by_q, by_v, inertia : array (2, K, n, n)
         Derivatives of the torque by position, velocity and acceleration.
     """
 
     def __init__(self, arm: ElasticArm, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> None:
-        whole = [_linearize_dynamics(robot, q, v, a) for robot in _robot_and_heavier_payload(arm)]
-        self.torque, self.by_q, self.by_v, self.inertia = _split_payload(whole)
-        self.torque[0] -= [arm.force_torque(row) for row in q]
+        whole = [
+            robot.bodies_in_motion().torque_slopes(q, v, a)
+            for robot in _robot_and_heavier_payload(arm)
+        ]
+        self.by_q, self.by_v, self.inertia = _split_payload(whole)
 
 
 class LinearizedWeight:
@@ -102,11 +103,31 @@ def _split_payload(whole: Sequence[tuple[np.ndarray, ...]]) -> list[np.ndarray]:
     return [np.stack([own, more - own]) for own, more in zip(whole[0], heavier, strict=True)]
 
 
-def _linearize_dynamics(
-    robot: Robot, q: np.ndarray, v: np.ndarray, a: np.ndarray
-) -> tuple[np.ndarray, ...]:
-    bodies = robot.bodies_in_motion()
-    return bodies.torque(q, v, a), *bodies.torque_slopes(q, v, a)
+def _plan_torques(arm: ElasticArm, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+    """Inverse dynamics (2, K, n) of a motion less the torque of the process force [N m].
+
+    First of all bodies, then of the payload alone.
+    """
+    whole = [
+        (robot.bodies_in_motion().torque(q, v, a),) for robot in _robot_and_heavier_payload(arm)
+    ]
+    (torque,) = _split_payload(whole)
+    torque[0] -= [arm.force_torque(row) for row in q]
+    return torque
+
+
+def _parts_with_rest(
+    plan: JointMotion, times: np.ndarray
+) -> Iterator[tuple[slice, tuple[np.ndarray, ...]]]:
+    """Parts of the times (K,) and of the rest after them, with position, velocity, acceleration."""
+    for first in range(0, len(times) + 1, _STEPS_AT_ONCE):
+        own = slice(first, first + _STEPS_AT_ONCE)
+        poses = [plan(times[own], k) for k in range(3)]
+        if own.stop > len(times):
+            end = plan(np.array([plan.duration]))
+            ends = (end, np.zeros_like(end), np.zeros_like(end))
+            poses = [np.concatenate(each) for each in zip(poses, ends, strict=True)]
+        yield own, tuple(poses)
 
 
 class TabulatedSprings:
@@ -214,22 +235,24 @@ class UncertainArms:
             self._extend_at_rest(plan(flight)),
             self._extend_at_rest(plan(flight, 1), 0.0),
         )
-        # Bodies in the middle of every step of the flight, then at rest.
-        middle = 0.5 * (flight[:-1] + flight[1:])
-        ends = [self._q[-1:], np.zeros_like(self._q[:1]), np.zeros_like(self._q[:1])]
-        moving = [np.concatenate([plan(middle, k), end]) for k, end in enumerate(ends)]
-        n = self._q.shape[1]
-        self.steps = np.empty((2, len(moving[0]), n, 3 * n + 1))
-        for first in range(0, len(moving[0]), _STEPS_AT_ONCE):
-            own = slice(first, first + _STEPS_AT_ONCE)
-            bodies = LinearizedBodies(arm, *(each[own] for each in moving))
+        # Torques in the middle of every step of the flight, then at rest; derivatives of the bodies
+        # in the middle of every few of them.
+        n, middle = self._q.shape[1], 0.5 * (flight[:-1] + flight[1:])
+        self.torques = np.empty((2, len(middle) + 1, n))
+        for own, poses in _parts_with_rest(plan, middle):
+            self.torques[:, own] = _plan_torques(arm, *poses)
             if arm.path_force is not None:
                 forces = arm.path_force(np.append(middle, self.duration)[own])
-                bodies.torque[0] -= [
+                self.torques[0, own] -= [
                     arm.bodies.jacobian(arm.robot.tool, q)[:3].T @ force
-                    for q, force in zip(moving[0][own], forces, strict=True)
+                    for q, force in zip(poses[0], forces, strict=True)
                 ]
-            self.steps[:, own] = self._trapezoidal_matrices(bodies)
+        self.stride = _BODY_STRIDE
+        firsts = np.arange(0, count, self.stride)
+        middle = 0.5 * (flight[firsts] + flight[np.minimum(firsts + self.stride, count)])
+        self.bodies = np.empty((2, len(middle) + 1, n, 3 * n))
+        for own, poses in _parts_with_rest(plan, middle):
+            self.bodies[:, own] = self._trapezoidal_matrices(LinearizedBodies(arm, *poses))
         self.springs, self.damping = TabulatedSprings(arm), arm.damping
         self.rigid = np.flatnonzero(~arm.elastic)
         self._start = LinearizedWeight(arm, self._q[:1])
@@ -284,15 +307,13 @@ class UncertainArms:
         return np.concatenate([values, np.repeat(last, len(self.time) - len(values), axis=0)])
 
     def _trapezoidal_matrices(self, bodies: LinearizedBodies) -> np.ndarray:
-        """Coefficients of the bodies in the equation of each step (2, K, n, 3 n + 1).
+        """Coefficients of the bodies in the equation of a step (2, K, n, 3 n).
 
-        Columns of the velocity at its end, of velocity and position at its start, and the torque of
-        the plan.
+        Columns of the velocity at its end, and of velocity and position at its start.
         """
         step = self.step
         inertia, turning = bodies.inertia / step, 0.5 * bodies.by_v + 0.25 * step * bodies.by_q
-        columns = [inertia + turning, inertia - turning, -bodies.by_q, bodies.torque[..., None]]
-        return np.concatenate(columns, axis=3)
+        return np.concatenate([inertia + turning, inertia - turning, -bodies.by_q], axis=3)
 
     def departures(self, members: Sequence[Member]) -> list[Departure]:
         """Departures of members, of all joints with those of elastic bearings."""
@@ -317,22 +338,20 @@ class UncertainArms:
     def _behind_servos(self, command: MotorMotion) -> np.ndarray:
         """Motion (K, 4, n) of one command, as of `motors`."""
         if command not in self._followed:
-            motor, worst = (self._follow(servo, command) for servo in (self._servo, self._worst))
-            own = [motor(self.time), motor(self.time, 1)]
-            if self._worst == self._servo:
-                added = [np.zeros_like(own[0])] * 2
-            else:
-                added = [worst(self.time, k) - own[k] for k in (0, 1)]
-            moved = [own[0] - self._q, own[1] - self._v, *added]
-            self._followed[command] = np.stack(moved, axis=1)
+            own = self._response(self._servo, command)
+            same = self._worst == self._servo
+            added = np.zeros_like(own) if same else self._response(self._worst, command) - own
+            plan = np.stack([self._q, self._v], axis=1)
+            self._followed[command] = np.concatenate([own - plan, added], axis=1)
         return self._followed[command]
 
-    def _follow(self, servo: Follower, command: MotorMotion) -> MotorMotion:
+    def _response(self, servo: Follower, command: MotorMotion) -> np.ndarray:
+        """Positions and velocities (K, 2, n) of the motors behind a servo."""
         if self._bearings is not None:
             command = self._bearings.motion(command)
-        if servo.follows_exactly:
-            return command
-        return servo.follow(command, self.time[-1], self._servo.dead_time)
+        if not servo.follows_exactly:
+            command = servo.follow(command, self.time[-1], self._servo.dead_time)
+        return np.stack([command(self.time), command(self.time, 1)], axis=1)
 
     def initial_equilibrium(self, arms: _DepartureArrays, turn: np.ndarray) -> np.ndarray:
         """Static equilibrium (B, n) with the motors `turn` ahead of the start of the plan."""
@@ -379,10 +398,13 @@ def _integrate_compiled(core: CDLL, many: UncertainArms, members: Sequence[Membe
         many.rigid,
         many.initial_equilibrium(arms, moved[0, of, 0]),
         count=len(many.time),
-        flight=many.steps.shape[1],
+        flight=many.torques.shape[1],
+        stride=many.stride,
+        spans=many.bodies.shape[1],
         commands=moved.shape[1],
         step=many.step,
-        bodies=many.steps,
+        bodies=many.bodies,
+        torques=many.torques,
         commanded=moved,
         of=of,
         stiffness=arms.stiffness,
@@ -401,9 +423,11 @@ def _integrate_numpy(many: UncertainArms, members: Sequence[Member]) -> np.ndarr
     rate, drive = np.zeros_like(e), np.zeros_like(e)
     found = [e]
     for k in range(1, len(many.time)):
-        own, more = many.steps[:, min(k, many.steps.shape[1]) - 1]
+        flies = k < many.torques.shape[1]
+        own, more = many.bodies[:, (k - 1) // many.stride if flies else -1]
+        planned, heavier = many.torques[:, k - 1 if flies else -1]
         bodies = own + arms.payload[..., None] * more
-        right = np.einsum("bij,bj->bi", bodies[:, :, len(joints) : -1], np.hstack([rate, e]))
+        right = np.einsum("bij,bj->bi", bodies[:, :, len(joints) :], np.hstack([rate, e]))
         before = arms.stiffness * many.springs.torque(turn - e) + damping * (drive - rate)
         now = moved[k, of]
         turn = now[:, 0] + arms.servo * now[:, 2]
@@ -412,7 +436,7 @@ def _integrate_numpy(many: UncertainArms, members: Sequence[Member]) -> np.ndarr
         torque, tangent = many.springs.at(turn - e - step * rate)
         torque, tangent = arms.stiffness * torque, arms.stiffness * tangent
         ahead = torque + 0.5 * step * tangent * rate + damping * drive
-        right += 0.5 * (before + ahead) - bodies[:, :, -1]
+        right += 0.5 * (before + ahead) - (planned + arms.payload * heavier)
         left = bodies[:, :, : len(joints)]
         left[:, joints, joints] += 0.5 * damping + 0.25 * step * tangent
         # Rigid joints follow their motors.

@@ -11,7 +11,7 @@ import numpy as np
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.errors import InputFileError, format_relative
 from stiffopt.export.cycle_motion import read_stored
-from stiffopt.export.format import FORMATS, is_whole, read_seal
+from stiffopt.export.format import FORMATS, UNSEALED_SUFFIXES, is_whole, read_seal
 from stiffopt.files import read_text
 
 # Relative and absolute tolerance of numbers against a fresh export: rounding of other processors.
@@ -47,10 +47,15 @@ def check_file(file: Path, result: Path, problem: Path | None = None) -> Checked
     entries, body = read_seal(read_text(file))
     kind, which = entries.get("format", ""), entries.get("of", "")
     rate = _read_rate(entries)
+    if file.suffix in UNSEALED_SUFFIXES:
+        raise InputFileError(
+            file, "", "cannot be checked: this format has no room for the header of `stiffopt "
+            "export`. Export the motion again, and compare both files."
+        )  # fmt: skip
     if kind not in FORMATS or which not in ("motor", "link") or rate is None:
         raise InputFileError(
-            file, "", "has no header of `stiffopt export`, so it cannot be checked. Export the "
-            "motion again."
+            file, "", "has no header of `stiffopt export`, as exported motions have. Export the "
+            "motion again; `stiffopt solve` checks a problem file."
         )  # fmt: skip
     if not is_whole(entries, body):
         raise InputFileError(

@@ -190,7 +190,7 @@ _COMMENT_STYLES = {
     **dict.fromkeys((".pjx", ".pgx", ".dtx"), _XML_COMMENT),
 }
 # Files whose format has no comments of this length.
-_UNSEALED_SUFFIXES = (".ls", ".JBI")
+UNSEALED_SUFFIXES = (".ls", ".JBI")
 
 
 def seal_entries(stored: StoredMotion, to: str, rate: float, file: str) -> dict[str, str]:
@@ -206,7 +206,7 @@ def seal_entries(stored: StoredMotion, to: str, rate: float, file: str) -> dict[
 
 def with_seal(text: str, entries: dict[str, str], file: str) -> str:
     """Add the header, which includes the hash of all other lines."""
-    if PurePath(file).suffix in _UNSEALED_SUFFIXES:
+    if PurePath(file).suffix in UNSEALED_SUFFIXES:
         return text
     mark, close, before = _COMMENT_STYLES.get(PurePath(file).suffix, ("#", "", 0))
     # Hash the text as `read_seal` returns it: a title may look like an entry.

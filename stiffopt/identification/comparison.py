@@ -96,7 +96,8 @@ def _compare_joint(sets: Sequence[JointStiffness], robot: Robot | None, j: int) 
     if not known:
         return found
     compliance = np.array([each.compliance for each in known], dtype=float)
-    deviation = np.array([each.compliance_sd for each in known], dtype=float)
+    # As the set's interval has it, from the larger of two deviations.
+    deviation = compliance**2 * np.array([each.sd for each in known], dtype=float)
     weight = deviation**-2.0
     mean = float(np.average(compliance, weights=weight))
     # Arms of a type scatter beyond the errors of their sets.

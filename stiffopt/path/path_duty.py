@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 from stiffopt.errors import ProblemError
 from stiffopt.result.duty import Duty, DutyHistory, DutyLimits, duty_of
-from stiffopt.result.life_rating import life_rating
 from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
@@ -21,16 +20,14 @@ _MAX_SLOWING, _SLOWING_ACCURACY = 16.0, 2e-3
 
 def motion_duty(robot: Robot, motion: Assessment) -> Duty:
     """Return the duty of the drives over one motion that is repeated."""
-    ratings = [life_rating(robot, j) for j in range(robot.n)]
-    histories = [DutyHistory.of_motion(motion)]
-    return duty_of(histories, robot.joint_names, robot.torque_max, ratings)
+    return duty_of(robot, [DutyHistory.of_motion(motion)])
 
 
 def describe_duty(robot: Robot, motion: Assessment) -> str:
     """Return the duty of a motion as a note."""
     duty = motion_duty(robot, motion)
     loaded = duty.most_loaded
-    unit = joint_unit("N m", bool(robot.prismatic[duty.joints.index(loaded)]))
+    unit = joint_unit("N m", loaded.prismatic)
     told = (
         f"Repeated without a pause, the motion takes {duty.energy:.4g} J of work from the drives, "
         f"with an rms torque of {loaded.rms_torque:.4g} {unit} in {loaded.name}, "

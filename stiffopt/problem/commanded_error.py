@@ -50,28 +50,35 @@ class CommandedError:
 
     @property
     def quasi_static(self) -> Quantity:
-        """Sum of the squared quasi-static errors of all parameters [m^2]."""
+        """Sum of the squared quasi-static errors of all parameters but the servo's [m^2]."""
         model, joints = self._model, range(self._model.robot.n)
-        columns = [[model.jacobian[i, j] for i in range(3)] for j in joints]
         total: Quantity = sum(
-            (self._bounds[j] * model.dynamic_windup[j]) ** 2 * squared_length(columns[j])
-            for j in joints
+            self._tool_square({j: self._bounds[j] * model.dynamic_windup[j]}) for j in joints
         )
         bearings = dynamic_bearing_displacements(model.robot, *model.link)
         for away in bearings.values():
             total += self._uncertainty.bearing_stiffness**2 * squared_length(
                 [away[i] for i in range(3)]
             )
-        others = [self._servo_lag]
         if model.robot.payload is not None:
             compliance = np.mean([_compliance(model, pose) for pose in model.rest_poses], axis=0)
             load = model.payload_torque
-            others.append([self._uncertainty.payload * compliance[j] * load[j] for j in joints])
-        for angles in others:
-            total += squared_length(
-                [sum(columns[j][i] * angles[j] for j in joints) for i in range(3)]
+            total += self._tool_square(
+                {j: self._uncertainty.payload * compliance[j] * load[j] for j in joints}
             )
         return total
+
+    @property
+    def lateness(self) -> Quantity:
+        """Squared error of the worst servo [m^2]."""
+        return self._tool_square(dict(enumerate(self._servo_lag)))
+
+    def _tool_square(self, angles: dict[int, Quantity]) -> Quantity:
+        """Return the squared displacement of the tool by angles of joints [rad]."""
+        jacobian = self._model.jacobian
+        return squared_length(
+            [sum(jacobian[i, j] * angle for j, angle in angles.items()) for i in range(3)]
+        )
 
     @property
     def ringing_rate(self) -> Quantity:

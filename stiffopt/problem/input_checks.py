@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
 from stiffopt.connection import TimingBelt
@@ -65,6 +67,15 @@ def inconsistent_inertias(robot: Robot) -> tuple[str, ...]:
         f"{', '.join(wrong)}. Torques and vibration depend on them: check the URDF and the "
         "[[link]] sections.",
     )
+
+
+def shifted_numbers(robot: Robot) -> tuple[str, ...]:
+    """Name the joints by number where the numbers in their names are others, in one sentence."""
+    own = [re.search(r"(\d+)$", name) for name in robot.joint_names]
+    if [each and int(each[1]) for each in own] == list(range(1, robot.n + 1)) or None in own:
+        return ()
+    named = ", ".join(f"{k} is {name}" for k, name in enumerate(robot.joint_names, start=1))
+    return (f"Joints are numbered from the base, unlike their names: {named}.",)
 
 
 def slack_belts(robot: Robot) -> tuple[str, ...]:

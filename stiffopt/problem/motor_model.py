@@ -174,8 +174,12 @@ class MotorModel(StageModel):
             moved: Quantity = ca.mtimes(self.jacobian, angles)
             return -moved
 
-        return Deflection(
-            static=at_tool(gravity), dynamic=at_tool(spring - held), process=at_tool(held - gravity)
+        return self._with_bearings(
+            Deflection(
+                static=at_tool(gravity),
+                dynamic=at_tool(spring - held),
+                process=at_tool(held - gravity),
+            )
         )
 
     @cached_property

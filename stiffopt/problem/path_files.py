@@ -149,6 +149,11 @@ def _force_along(
 ) -> PathForce | None:
     """Return the force along a path with pieces or places (m,) of constant force."""
     if stated is None:
+        if np.any(forces):
+            raise ProblemError(
+                "path.force: the segments or rows of the path state a force, and no section says "
+                'in which axes. Add [path.force] with frame = "base", "tool" or "path".'
+            )
         return None
     return path_force(path, forces, at, np.array(stated.per_feed), stated.frame, stated.ramp)
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.exact.chain import exact_compliance, exact_windup
+from stiffopt.robot.bearing_deflection import bearing_deflections
 from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
@@ -67,7 +68,12 @@ def rest_deflection(problem: TrajectoryProblem, angles: np.ndarray, part: str) -
         if chain is not None:
             loaded, unloaded = exact_windup(chain, np.array([torque[j], without_force[j]]))
             windup[j] = loaded - (unloaded if part == "process" else 0.0)
-    return float(np.linalg.norm(tool_jacobian(problem, angles) @ windup))
+    deflection = -tool_jacobian(problem, angles) @ windup
+    pose, force = angles[None], problem.process_force
+    deflection += bearing_deflections(problem.robot, pose, force=force)[0, :, :3].sum(axis=0)
+    if part == "process":
+        deflection -= bearing_deflections(problem.robot, pose)[0, :, :3].sum(axis=0)
+    return float(np.linalg.norm(deflection))
 
 
 def torque_sign_change(problem: TrajectoryProblem, motion: ResolvedMotion, joint: int) -> str:

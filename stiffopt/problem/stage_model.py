@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 
 from stiffopt.drivetrain.compact import CompactChain
+from stiffopt.dynamics.bearings import bearing_deflection
 from stiffopt.dynamics.deflection import (
     Deflection,
     SpringTorques,
@@ -238,4 +239,10 @@ class StageModel:
                 f"{self.robot.name} has no drivetrain, so its tool does not deflect. Describe the "
                 "joints' elements in the robot file, or minimise and limit no deflection."
             )
-        return tool_deflection(self.jacobian, self.torques, self.windup)
+        return self._with_bearings(tool_deflection(self.jacobian, self.torques, self.windup))
+
+    def _with_bearings(self, torsion: Deflection) -> Deflection:
+        """Add the deflection by output bearings and bending links."""
+        if not self.robot.tilts:
+            return torsion
+        return torsion + bearing_deflection(self.robot, *self.link, self.process_force)

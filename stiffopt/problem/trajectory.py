@@ -146,7 +146,12 @@ class Method:
         60
     )
     time_limit: Annotated[
-        Time, POSITIVE, Doc("Time after which the best motion so far is returned.")
+        Time,
+        POSITIVE,
+        Doc(
+            "Time after which the best motion so far is returned; its message names the steps left"
+            " out."
+        ),
     ] = 300.0
     max_iterations: Annotated[
         int,

@@ -53,8 +53,8 @@ class ScaleSection(Section):
     torque: Annotated[
         Factors | None,
         Doc(
-            'Of torques: "mN*m", or N m per recorded unit, as of a motor current in A; "A" where '
-            "that is not known yet, to have it estimated from the arm's weight."
+            'Of torques: "mN*m", or N m per recorded unit, as of a motor current in A; "A", "mA", '
+            '"%" or "counts" where that is not known yet, to have it estimated from the weight.'
         ),
     ] = None
 

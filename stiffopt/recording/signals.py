@@ -53,8 +53,8 @@ class Signals:
     includes: tuple[int, ...] = ()
     offset: np.ndarray | None = None  # (n,) added to positions [rad]
     at_rest: bool | None = None  # each row is a pose at rest; None where not stated
-    # Joints (from 0) with torques in A without a torque constant.
-    current_joints: tuple[int, ...] = ()
+    # (n,) unit of torques without a factor to N m, such as "A"; "" where it has one.
+    torque_units: tuple[str, ...] = ()
     command: tuple[str, ...] | None = None
 
     @property
@@ -63,14 +63,19 @@ class Signals:
         return self.command is not None and not any(self.torque)
 
     @property
-    def currents(self) -> bool:
-        """True where a torque is still a current."""
-        return bool(self.current_joints)
+    def unscaled_joints(self) -> tuple[int, ...]:
+        """Joints (from 0) whose torques have no factor to N m, as currents."""
+        return tuple(joint for joint, unit in enumerate(self.torque_units) if unit)
 
     @property
-    def some_currents(self) -> bool:
-        """True where some torques are still currents, but not all."""
-        return 0 < len(self.current_joints) < sum(map(bool, self.torque))
+    def unscaled(self) -> bool:
+        """True where a torque has no factor to N m."""
+        return any(self.torque_units)
+
+    @property
+    def partly_unscaled(self) -> bool:
+        """True where some torques have no factor to N m, but not all."""
+        return 0 < len(self.unscaled_joints) < sum(map(bool, self.torque))
 
     def scale_of(self, kind: str, n: int) -> np.ndarray:
         """Factors (n,) of the columns of a kind to SI."""
@@ -197,22 +202,21 @@ def build_signals(section: SignalsSection, n: int, path: Path) -> Signals:
         includes=includes,
         offset=None if section.offset is None else np.array(section.offset, dtype=float),
         at_rest=section.at_rest,
-        current_joints=_current_joints(section, n),
+        torque_units=_unscaled_units(section, n),
         command=_none_if_unnamed(section.command),
     )
 
 
-# Currents [A] are accepted as torques, but a diagnosis needs the torque constant first.
-_CURRENT_UNITS = {"A": 1.0, "mA": 1e-3}
+# Torques in these units are read as they are, but a diagnosis needs N m per unit first.
+_UNITS_WITHOUT_FACTOR = ("A", "mA", "%", "counts")
 
 
-def _current_joints(section: SignalsSection, n: int) -> tuple[int, ...]:
+def _unscaled_units(section: SignalsSection, n: int) -> tuple[str, ...]:
     entries = _entry_list(section.scale.torque)
     each = entries * n if len(entries) == 1 else entries
     return tuple(
-        joint
-        for joint, (entry, name) in enumerate(zip(each, section.torque or (), strict=False))
-        if name and entry in _CURRENT_UNITS
+        str(entry) if name and entry in _UNITS_WITHOUT_FACTOR else ""
+        for entry, name in zip(each, section.torque or (), strict=False)
     )
 
 
@@ -235,8 +239,8 @@ def _scale_factors(section: ScaleSection, n: int, path: Path) -> dict[str, np.nd
                 path, where, f"needs one entry, or one a joint ({n}), got {len(entries)}."
             )
         values = [
-            _CURRENT_UNITS[str(one)]
-            if kind == "torque" and one in _CURRENT_UNITS
+            1.0
+            if kind == "torque" and one in _UNITS_WITHOUT_FACTOR
             else _unit_factor(one, dimension, path, where)
             for one in entries
         ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -81,12 +81,52 @@ class CompensatedMotion:
     excess: tuple[Violation, ...]
     servo_share: float = 1.0  # lead as a share of the servo's known lag
 
+    @property
+    def duration(self) -> float:
+        """Duration [s]."""
+        return self.simulated.duration
+
+
+@dataclass(frozen=True, kw_only=True)
+class RivalComparison:
+    """Worst-case errors beside those of one rival, at equal duration."""
+
+    # Optimised motion; slowed to the duration of a slower rival, unless that is better in no error.
+    own: CompensatedMotion
+    rival: CompensatedMotion
+
+    @property
+    def ratio(self) -> float:
+        """Sum of both phases over the rival's; zero beside one without error."""
+        worst = self.rival.compensated.worst_case
+        return self.own.compensated.worst_case / worst if worst > 0.0 else 0.0
+
+    @property
+    def ratios(self) -> dict[str, float]:
+        """Errors over the rival's by name, without those of which it has none."""
+        mine, theirs = (
+            {
+                "in flight": spreads.flight,
+                "after arrival": spreads.after,
+                "across the path": spreads.flight.parts.get("across"),
+            }
+            for spreads in (self.own.compensated, self.rival.compensated)
+        )
+        return {
+            name: own.worst / other.worst
+            for name, own in mine.items()
+            if own is not None and (other := theirs[name]) is not None and other.worst > 0.0
+        }
+
 
 @dataclass(frozen=True, kw_only=True)
 class Compensation:
     """Compensation of the optimised motion and the baselines, with the command."""
 
     motions: tuple[CompensatedMotion, ...]  # the optimised motion first
+    # Optimised motion slowed to the durations of slower rivals that are better in any error, by
+    # the rivals' names.
+    slowed: dict[str, CompensatedMotion] = field(default_factory=dict)
     command: Assessment | None  # motor motion every 2 ms; None where it exceeds a limit
     refusal: str  # reason for a missing command; else ""
     uncertainty: tuple[str, ...]  # description of the uncertain quantities
@@ -95,7 +135,7 @@ class Compensation:
     file: str = ""  # file of the assessed command; "" for one computed with the motion
     # Known dead time of the servo, by which the command is sent ahead of the plan [s].
     ahead: float = 0.0
-    # Motion and command of the best rival, where it wins.
+    # Motion and command of the best rival, where it is better in a phase.
     rival_plan: Assessment | None = None
     rival_command: Assessment | None = None
 
@@ -105,19 +145,37 @@ class Compensation:
         return self.motions[0]
 
     @property
+    def beside_rivals(self) -> tuple[RivalComparison, ...]:
+        """Comparisons with the rivals whose commands keep every limit."""
+        return tuple(
+            RivalComparison(own=self.slowed.get(each.name, self.optimised), rival=each)
+            for each in self.motions[1:]
+            if not each.excess
+        )
+
+    @property
+    def beside_best(self) -> RivalComparison | None:
+        """Comparison with the best rival; None without one whose command keeps every limit.
+
+        Where no command of the optimised motion does, the best one has the least error itself.
+        """
+        if self.optimised.excess:
+            return min(
+                self.beside_rivals, key=lambda x: x.rival.compensated.worst_case, default=None
+            )
+        return max(self.beside_rivals, key=lambda x: x.ratio, default=None)
+
+    @property
     def best_rival(self) -> CompensatedMotion | None:
-        """Rival with the least worst-case error whose command keeps every limit."""
-        kept = [each for each in self.motions[1:] if not each.excess]
-        return min(kept, key=lambda each: each.compensated.worst_case, default=None)
+        """Rival beside which the worst-case error is largest, at equal duration."""
+        best = self.beside_best
+        return None if best is None else best.rival
 
     @property
     def rival_wins(self) -> bool:
         """True where the best rival has less worst-case error, or the only command."""
-        best, own = self.best_rival, self.optimised
-        if best is None:
-            return False
-        needed = (1.0 - MIN_RIVAL_GAIN) * own.compensated.worst_case
-        return bool(own.excess) or best.compensated.worst_case < needed
+        best = self.beside_best
+        return best is not None and (bool(self.optimised.excess) or best.ratio > MAX_RIVAL_RATIO)
 
     @property
     def ratios(self) -> tuple[float, float] | None:
@@ -125,20 +183,28 @@ class Compensation:
 
         None where one is missing or an error of the rival is zero.
         """
-        best, own = self.best_rival, self.optimised
-        if best is None or own.excess:
-            return None
-        mine, theirs = own.compensated, best.compensated
-        if not (theirs.flight.worst > 0.0 and theirs.after.worst > 0.0):
-            return None
-        return mine.flight.worst / theirs.flight.worst, mine.after.worst / theirs.after.worst
+        found = self._ratios
+        both = {"in flight", "after arrival"} <= found.keys()
+        return (found["in flight"], found["after arrival"]) if both else None
+
+    @property
+    def rival_better_in(self) -> tuple[str, ...]:
+        """Phases and directions in which the best rival has less worst-case error."""
+        return tuple(name for name, ratio in self._ratios.items() if ratio > MAX_RIVAL_RATIO)
+
+    @property
+    def _ratios(self) -> dict[str, float]:
+        best = self.beside_best
+        return {} if best is None or self.optimised.excess else best.ratios
 
 
 COMMAND_FILE = "command.csv"
-# Motion and command of the best rival, where it wins.
+# Motion and command of the best rival, where it is better in a phase.
 RIVAL_TRAJECTORY_FILE, RIVAL_COMMAND_FILE = "rival_trajectory.csv", "rival_command.csv"
-# Relative gain from which a rival wins: smaller ones are within the model's agreement.
-MIN_RIVAL_GAIN = 0.02
+# Error over a rival's from which the rival is better: less is within the model's agreement.
+MAX_RIVAL_RATIO = 1.02
+# Relative difference of durations that counts: those of rivals are found in 0.2 %.
+MIN_SLOWDOWN = 2e-3
 
 
 def write_command(compensation: Compensation | None, directory: str | Path) -> Path | None:
@@ -186,6 +252,7 @@ def compensation_document(compensation: Compensation | None) -> dict[str, Any] |
         "uncertainty": compensation.uncertainty,
         **_rival_document(compensation),
         "motions": {motion.name: _motion_document(motion) for motion in compensation.motions},
+        "slowed_to": {name: _motion_document(each) for name, each in compensation.slowed.items()},
     }
 
 
@@ -198,6 +265,7 @@ def _rival_document(compensation: Compensation) -> dict[str, Any]:
         "ratio_to_best_rival": (
             None if ratios is None else {"in_flight": ratios[0], "after_arrival": ratios[1]}
         ),
+        "rival_better_in": compensation.rival_better_in,
         "rival_trajectory": RIVAL_TRAJECTORY_FILE if handed else None,
         "rival_command": RIVAL_COMMAND_FILE if handed else None,
     }

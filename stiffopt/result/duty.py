@@ -21,10 +21,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stiffopt.result.life_rating import LifeRating
+from stiffopt.result.life_rating import LifeRating, life_rating
+from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
     from stiffopt.result.assessment import Assessment
+    from stiffopt.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,9 +53,10 @@ class DutyHistory:
 
 @dataclass(frozen=True, kw_only=True)
 class JointDuty:
-    """Duty of one joint over a cycle."""
+    """Duty of one joint over a cycle; forces [N] and speeds [m/s] where it is prismatic."""
 
     name: str
+    prismatic: bool
     # Of the drive [N m].
     rms_torque: float
     peak_torque: float
@@ -155,8 +158,9 @@ class DutyLimits:
                 if limits is None:
                     continue
                 value, limit = getattr(each, name), float(limits[number - 1])
-                words = f"the {name.replace('_', ' ')} of {each.name}, {value:.4g} N m, exceeds "
-                text = f"{words}duty.{name} {limit:.4g} N m"
+                unit = joint_unit("N m", each.prismatic)
+                words = f"the {name.replace('_', ' ')} of {each.name}, {value:.4g} {unit}, exceeds "
+                text = f"{words}duty.{name} {limit:.4g} {unit}"
                 found.append(DutyUse(objective=objective, joint=number,
                                      share=(value / limit) ** power, text=text))  # fmt: skip
             if self.reducer_life is not None and each.life is not None:
@@ -174,13 +178,9 @@ class DutyLimits:
         return found
 
 
-def duty_of(
-    histories: Sequence[DutyHistory],
-    names: Sequence[str],
-    torque_max: np.ndarray,
-    ratings: Sequence[LifeRating],
-) -> Duty:
-    """Duty over consecutive histories of n joints."""
+def duty_of(robot: Robot, histories: Sequence[DutyHistory]) -> Duty:
+    """Duty of the drives over consecutive histories."""
+    ratings = [life_rating(robot, j) for j in range(robot.n)]
     duration = sum(float(each.time[-1] - each.time[0]) for each in histories)
 
     def integral(of: Any) -> np.ndarray:
@@ -199,7 +199,7 @@ def duty_of(
     columns = {
         "rms_torque": np.sqrt(square / duration),
         "peak_torque": peak(lambda h: np.abs(h.torque)),
-        "torque_max": np.asarray(torque_max, dtype=float),
+        "torque_max": np.asarray(robot.torque_max, dtype=float),
         "peak_speed": peak(lambda h: np.abs(h.velocity)),
         "mean_speed": turns / duration,
         "peak_power": peak(lambda h: np.abs(h.torque * h.velocity)),
@@ -209,10 +209,11 @@ def duty_of(
     }
     joints = tuple(
         JointDuty(
-            name=name,
-            rating=rating,
+            name=robot.joint_names[j],
+            prismatic=bool(robot.prismatic[j]),
+            rating=ratings[j],
             **{key: float(values[j]) for key, values in columns.items()},
         )
-        for j, (name, rating) in enumerate(zip(names, ratings, strict=True))
+        for j in range(robot.n)
     )
     return Duty(duration=duration, joints=joints)

@@ -16,19 +16,17 @@ import numpy as np
 from stiffopt.certificate.assess import assess, drive_violations
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.command.command_search import CommandOnArms
-from stiffopt.elastic.led_error import led_error
 from stiffopt.elastic.smooth_motion import smooth_motion
-from stiffopt.result.compensation import MIN_RIVAL_GAIN
+from stiffopt.result.compensation import MAX_RIVAL_RATIO
 from stiffopt.result.tool_error import LedError
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.arrival import suppress_vibration_of_links
 from stiffopt.solver.exact_rows import worst_flight_violation
 from stiffopt.solver.exchange import OutcomeOracle, Proposal, Rank
 from stiffopt.solver.programme import Outcome, follow_plan
+from stiffopt.solver.rival_errors import RivalErrors
 from stiffopt.solver.solve_run import SolveRun
 
-# Error over the best rival's up to which a motion is no worse.
-_NO_WORSE = 1.0 + MIN_RIVAL_GAIN
 # Shares of a rival that are tried: the error is flat about the best one.
 _RIVAL_SHARES = (0.2, 0.4, 0.6, 0.8, 1.0)
 
@@ -44,15 +42,16 @@ class BetweenRivals(OutcomeOracle):
     def __init__(self, run: SolveRun, outcome: Outcome) -> None:
         super().__init__(run)
         self._rivals: dict[str, Trajectory] = {}
-        self._best: LedError | None = None
+        self._errors = RivalErrors(run, [])
         self._reason = ""
         kept = [] if run.rivals is None else [each for each in run.rivals[2] if not each.excess]
         # Whether a motion between them passes a via closely enough, the certificate says.
         if not (kept and run.motion.start_fixed and run.motion.end_fixed):
             return
-        best = min(kept, key=lambda each: each.worst_case_peaks)
-        # By an ideal lead too, as the motions beside it.
-        self._best = self._led_error(_smooth_rival(best, float(best.motion.time[-1])))
+        # By an ideal lead too, as the motions beside them.
+        led = [self._errors.of_plan(_smooth_rival(each, each.motion.duration)) for each in kept]
+        durations = [each.motion.duration for each in kept]
+        self._errors = RivalErrors(run, list(zip(durations, led, strict=True)))
         self._rivals = {
             each.motion.name: _smooth_rival(each, outcome.planned.duration) for each in kept
         }
@@ -62,12 +61,12 @@ class BetweenRivals(OutcomeOracle):
         if last.assessment.led is None or not last.raw.converged:
             return None
         tried = [
-            (self._worse(self._led_error(plan)), plan, f"{100 * share:.0f} % of the {name} motion")
+            (self._worse(plan), plan, f"{100 * share:.0f} % of the {name} motion")
             for name, rival in self._rivals.items()
             for share in _RIVAL_SHARES
             for plan in (last.planned.mixed_with(rival, share),)
         ]
-        own = self._worse(last.assessment.led)
+        own = self._worse(last.planned, last.assessment.led)
         better = [each for each in tried if each[0] < own]
         for worse, plan, text in sorted(better, key=lambda each: each[0]):
             motors = follow_plan(self.run, plan, last.smoothing.law)
@@ -79,8 +78,11 @@ class BetweenRivals(OutcomeOracle):
                 found = replace(
                     last, planned=plan, trajectory=motors, assessment=assessment, arm=None
                 )
-                ratio = worse[-1] / own[-1]
-                self._reason = f"with {text} the worst arm has {ratio:.2f} times the error"
+                change = f"{worse[-1] / own[-1]:.2f} times the error"
+                if worse[0] < own[0]:
+                    # Ranked first; the sum of both phases may grow.
+                    change = f"{worse[0]:.2f} times a rival's error in place of {own[0]:.2f}"
+                self._reason = f"with {text} the worst arm has {change}"
                 return Proposal(
                     self._reason, functools.partial(suppress_vibration_of_links, self.run, found)
                 )
@@ -90,7 +92,7 @@ class BetweenRivals(OutcomeOracle):
         """Return the rank with the excess over the best rival before the objective."""
         excess, late, _ = super().rank(found)
         led = found.assessment.led
-        return excess, late, *((np.inf,) if led is None else self._worse(led))
+        return excess, late, *((np.inf,) if led is None else self._worse(found.planned, led))
 
     def accepts(self, found: Outcome, best: Outcome) -> bool:
         """Return True for a better motion that collides with nothing new."""
@@ -99,21 +101,14 @@ class BetweenRivals(OutcomeOracle):
             self.run.notes.append(f"Moved toward a rival after the optimum: {self._reason}.")
         return better
 
-    def _worse(self, led: LedError) -> Rank:
+    def _worse(self, plan: Trajectory, led: LedError | None = None) -> Rank:
         """Return the error over the best rival's, of the phase that is worse, and its sum."""
-        best = self._best
-        if best is None or not min(best.in_flight, best.after_arrival) > 0.0:
-            return _NO_WORSE, led.whole
-        flight, after = led.in_flight / best.in_flight, led.after_arrival / best.after_arrival
-        return max(flight, after, _NO_WORSE), led.whole
-
-    def _led_error(self, plan: Trajectory) -> LedError:
-        problem = self.run.problem
-        return led_error(self.run.arm, plan, problem.uncertainty, problem.servo)
+        led = led or self._errors.of_plan(plan)
+        return max(*self._errors.ratios(plan, led), MAX_RIVAL_RATIO), led.whole
 
 
 def _smooth_rival(rival: CommandOnArms, duration: float) -> Trajectory:
     """Return the links' motion of a rival's command at a duration [s]."""
-    assert rival.motion.rival is not None
+    assert rival.motion.at is not None
     assert rival.spacing is not None
-    return smooth_motion(rival.motion.rival.at(duration), rival.spacing)
+    return smooth_motion(rival.motion.at(duration), rival.spacing)

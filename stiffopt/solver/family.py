@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import json
+import math
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -98,10 +99,10 @@ class WarmStart:
 
     @classmethod
     def from_bytes(cls, content: bytes) -> WarmStart | None:
-        """Read bytes of `to_bytes`; None for another layout, such as of an older version."""
+        """Read bytes of `to_bytes`; None for another layout or what no solve writes."""
         try:
             return cls._parse_bytes(content)
-        except (KeyError, TypeError, ValueError):
+        except (AttributeError, KeyError, TypeError, ValueError):
             return None
 
     @classmethod
@@ -112,16 +113,20 @@ class WarmStart:
         sizes = [size for group in head["sizes"] for size in group]
         if sum(sizes) != len(numbers):
             raise ValueError("cut off")
+        if not np.isfinite(numbers).all():
+            raise ValueError("not finite")
         arrays = iter(np.split(numbers, np.cumsum(sizes)[:-1]))
         groups = [[next(arrays) for _ in group] for group in head["sizes"]]
         (x,), (multipliers_x,), (multipliers_g,), (back_off,), mesh, of_x, of_g = groups
+        if not all((own > 0.0).all() and math.isclose(own.sum(), 1.0) for own in mesh):
+            raise ValueError("no mesh")
         return cls(
             x,
             multipliers_x,
             multipliers_g,
             mesh,
-            Smoothing(*head["smoothing"]),
-            head["scales"],
+            Smoothing(*map(float, head["smoothing"])),
+            {str(name): float(value) for name, value in head["scales"].items()},
             BlockScales(tuple(of_x), tuple(of_g)),
             back_off.reshape(2, -1),
             head["method"],

@@ -14,10 +14,11 @@ import numpy as np
 from stiffopt.command.compensation import rival_commands
 from stiffopt.command.simulation import elastic_arm, rival_motions
 from stiffopt.errors import NotSimulatedError
-from stiffopt.result.compensation import Spreads
+from stiffopt.result.tool_error import LedError
 from stiffopt.solver.arrival import refine_within_mesh
 from stiffopt.solver.exchange import OutcomeOracle, Proposal, Rank
 from stiffopt.solver.programme import Outcome, solve_again
+from stiffopt.solver.rival_errors import RivalErrors
 from stiffopt.solver.solve_run import SolveRun
 
 _MAX_ROUNDS = 2
@@ -37,7 +38,7 @@ class RingingBesideRivals(OutcomeOracle):
 
     def __init__(self, run: SolveRun, outcome: Outcome) -> None:
         super().__init__(run)
-        self._best: Spreads | None = None
+        self._rivals = RivalErrors(run, [])
         if not any(each.kind.of_uncertain_arms for each in run.problem.objectives):
             return
         with suppress(NotSimulatedError):
@@ -45,8 +46,19 @@ class RingingBesideRivals(OutcomeOracle):
             motions = rival_motions(run.problem, run.motion, duration)
             found = rival_commands(run.problem, arm, motions, run.motors)
             run.rivals = duration, motions, found
-            kept = [each.compensated for each in found if not each.excess]
-            self._best = min(kept, key=lambda each: each.worst_case, default=None)
+            errors = [
+                (
+                    each.motion.duration,
+                    LedError(
+                        in_flight=each.compensated.flight.worst,
+                        after_arrival=each.compensated.after.worst,
+                        shares={},
+                    ),
+                )
+                for each in found
+                if not each.excess
+            ]
+            self._rivals = RivalErrors(run, errors)
 
     def rank(self, found: Outcome) -> Rank:
         """Return the rank with the larger excess over the rival before the objective."""
@@ -68,10 +80,7 @@ class RingingBesideRivals(OutcomeOracle):
         return Proposal(reason, lambda: self._solve(last, float(weight) - 1.0))
 
     def _ratios(self, found: Outcome) -> tuple[float, float]:
-        own, best = found.assessment.led, self._best
-        if own is None or best is None or not min(best.flight.worst, best.after.worst) > 0.0:
-            return 0.0, 0.0
-        return own.in_flight / best.flight.worst, own.after_arrival / best.after.worst
+        return self._rivals.ratios(found.planned, found.assessment.led)
 
     def _solve(self, last: Outcome, robust: float) -> Outcome:
         found = solve_again(self.run, last, last.nlp, replace(last.smoothing, robust=robust))

@@ -172,7 +172,7 @@ def _commands_on_arms(run: SolveRun, *outcomes: Outcome | Solution) -> list[Comm
     """Return the commands of motions on uncertain arms."""
     arm = elastic_arm(run.problem, run.motion.start)
     motions = [
-        replace(PlannedMotion.of("optimised", each.assessment, True), motors=each.trajectory)
+        PlannedMotion.of_solution(each.assessment, each.trajectory)
         for each in outcomes
         if each.assessment is not None
     ]

@@ -79,10 +79,7 @@ def with_simulation(
         end_deferral()
         arm = _arm_of(problem, solution)
         counted = assessment.feasible(CERTIFICATE_TOLERANCE)
-        own = PlannedMotion.of("optimised", assessment, counted)
-        if solution.trajectory is not None and solution.trajectory.link is not None:
-            own = replace(own, motors=solution.trajectory)
-
+        own = PlannedMotion.of_solution(assessment, solution.trajectory, counted)
         if rivals is not None and not np.isclose(rivals[0], assessment.duration):
             rivals = None
 
@@ -138,7 +135,8 @@ def beside_rivals(
     try:
         others = simulate_motions(problem, arm, motions, band=band).motions
         if led is not None:
-            led = compare_commands(problem, led, rival_commands(problem, arm, motions))
+            own = PlannedMotion.of_solution(assessment, solution.trajectory)
+            led = compare_commands(problem, arm, own, led, rival_commands(problem, arm, motions))
     except NotSimulatedError:
         return solution
     simulation = replace(simulation, motions=(*simulation.motions, *others))

@@ -28,7 +28,12 @@ from stiffopt.path.timed_path import FASTEST_REASON, timed_motion
 from stiffopt.problem.bounds import check_bounds, shortest_duration
 from stiffopt.problem.files import LoadedProblem
 from stiffopt.problem.formulation import Scales
-from stiffopt.problem.input_checks import check_clear_poses, inconsistent_inertias, slack_belts
+from stiffopt.problem.input_checks import (
+    check_clear_poses,
+    inconsistent_inertias,
+    shifted_numbers,
+    slack_belts,
+)
 from stiffopt.problem.limits.travel import with_bounded_travel
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
@@ -45,6 +50,7 @@ from stiffopt.solver.input_shaping import Window, mark_solution_interrupted, sol
 from stiffopt.solver.programme import Outcome
 from stiffopt.solver.ringing import RingingBesideRivals
 from stiffopt.solver.robust_plan import choose_shaped_motion, robust_plan
+from stiffopt.solver.slowing import Slowing
 from stiffopt.solver.solve_run import MIN_SOLVE_TIME, ProgressCallback, SolveRun
 from stiffopt.solver.starts import BetterBaseline, best_of_starts
 from stiffopt.solver.trivial_outcomes import (
@@ -233,6 +239,7 @@ def choose_for_arms(
 ) -> Solution:
     """Return the solution of an optimum, or of a motion near it for uncertain arms."""
     robust = robust_plan(run, outcome)
+    robust = exchange(run, Slowing(run), robust)
     run.solution = solution_of(run, robust, compared, notes, compare=compare)
     shaped = functools.partial(_solve_shaped_in_remaining_time, run, compared, notes, guess)
     return choose_shaped_motion(run, run.solution, outcome, shaped)
@@ -318,7 +325,11 @@ def preliminary_notes(
     chosen = (problem.chosen,) if problem.chosen else ()
     # Uses the tables of the simulation.
     soft = questionable_springs(problem.robot, motion.start) if simulate else ""
-    doubted = (*inconsistent_inertias(problem.robot), *slack_belts(problem.robot))
+    doubted = (
+        *shifted_numbers(problem.robot),
+        *inconsistent_inertias(problem.robot),
+        *slack_belts(problem.robot),
+    )
     return (
         *chosen,
         *problem.remarks,

@@ -5,12 +5,9 @@ from __future__ import annotations
 import math
 
 from stiffopt.baseline.baselines import better_baseline, slowed_quintic
-from stiffopt.certificate.assess import assess, drive_violations
-from stiffopt.certificate.collisions import with_collisions
 from stiffopt.certificate.objective_value import improvement, is_maximised, objective_value
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.problem.bounds import find_bounds
-from stiffopt.problem.motor_model import LAW_SMOOTHING_FACTOR
 from stiffopt.problem.objective import Bound
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
@@ -18,6 +15,7 @@ from stiffopt.result.provenance import inputs_hash, versions
 from stiffopt.result.solution import Baseline, Solution, SolverRecord
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver.programme import Outcome
+from stiffopt.solver.slowing import slow_down
 from stiffopt.solver.solve_run import SolveRun
 from stiffopt.solver.verdict import Verdict, judge_collisions
 
@@ -205,14 +203,5 @@ def feasible_duration_advice(run: SolveRun, outcome: Outcome) -> str:
 
 def _feasible_duration_of_links(run: SolveRun, outcome: Outcome) -> float | None:
     """Return a duration [s] in which an outcome's links, with new motors, keep every limit."""
-    problem, link = run.problem, outcome.trajectory.link
-    if link is None:
-        return None
-    for times in _DURATION_FACTORS:
-        slow = link.scaled_to(times * link.duration)
-        motors = run.motors.motion(slow, LAW_SMOOTHING_FACTOR * outcome.smoothing.law, run.lag)
-        if drive_violations(problem, motors)[0].value > CERTIFICATE_TOLERANCE:
-            continue
-        if with_collisions(problem, assess(problem, motors)).feasible(CERTIFICATE_TOLERANCE):
-            return motors.duration
-    return None
+    slower = (slow_down(run, outcome, times) for times in _DURATION_FACTORS)
+    return next((each.trajectory.duration for each in slower if each and each.clear), None)

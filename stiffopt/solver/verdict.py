@@ -83,6 +83,10 @@ def judge_outcome(
     better = find_better_baseline(problem, outcome, compared)
     if better is None or found.status is SolveStatus.INFEASIBLE:
         return found
+    # A motion of least tool error was chosen beside the rivals, phase by phase, and is judged with
+    # their commands.
+    if found.status.usable and any(each.kind.of_uncertain_arms for each in problem.objectives):
+        return found
     optimal = found.status is SolveStatus.OPTIMAL
     return Verdict(
         SolveStatus.ACCEPTABLE if optimal else found.status,
@@ -231,14 +235,14 @@ def describe_optimality(
         and each.assessment.feasible(CERTIFICATE_TOLERANCE)
     ]
     tried = "one start" if starts_made == 1 else f"the best of {starts_made} starts"
-    rivals = "it was not compared with baselines"
+    rivals = ""
     if compared:
         rivals = (
-            f"no baseline that keeps every limit ({', '.join(kept)}) is better"
+            f"; no baseline that keeps every limit ({', '.join(kept)}) has a better objective"
             if kept
-            else "no baseline keeps every limit within the duration"
+            else "; no baseline keeps every limit within the duration"
         )
-    return f"It is a local optimum, from {tried}; {rivals}. More method.starts look further."
+    return f"It is a local optimum, from {tried}{rivals}. More method.starts look further."
 
 
 def _describe_advantage(outcome: Outcome) -> str:

@@ -24,12 +24,17 @@ from stiffopt.starter.column_names import (
 from stiffopt.units import to_si
 
 # Units without a known factor to SI, and the factor to ask for.
-FACTOR_REQUESTS = {
+_FACTOR_REQUESTS = {
     "A": "a current: put N m per A at the joint (torque constant times gear ratio)",
     "mA": "a current: put N m per mA at the joint (torque constant times gear ratio)",
     "%": "a share: put N m per % (a hundredth of the rated torque)",
     "counts": "counts of an encoder: put rad per count, one number a joint",
 }
+_TORQUE_COUNTS_REQUEST = (
+    "counts of the drive: put N m per count at the joint (rated torque / 1000 if per mille)"
+)
+# Least reach of counts [counts]: whole degrees and whole N m reach less.
+_MIN_COUNTED_REACH = {"position": 720.0, "torque": 100.0}
 # Counts of one turn of encoders that are read as they are: 12 to 16 bits.
 _COUNTS_PER_TURN = (4096, 8192, 16384, 32768, 65536)
 # Units per rad and per rad/s, for comparing position changes with speeds.
@@ -228,6 +233,16 @@ def with_time(table: Mapping[str, np.ndarray], rate: float) -> dict[str, np.ndar
     return {COUNTED_TIME: np.arange(rows) / rate, **table}
 
 
+def are_poses(table: Mapping[str, np.ndarray], robot: Robot) -> bool:
+    """Return True for a table without a time whose positions do not follow one another."""
+    try:
+        find_time_column(table)
+    except InputError:
+        found = columns_of_kind(list(table), "position", robot.joint_names)
+        return bool(found) and are_unordered(np.column_stack([table[name] for name in found[0]]))
+    return False
+
+
 def find_time_column(table: Mapping[str, np.ndarray]) -> str:
     """Return the name of the column of times.
 
@@ -293,7 +308,8 @@ def _guess_unit(
     stated = {stated_unit(name) for name in names}
     if len(stated) == 1 and None not in stated:
         unit = str(stated.pop())
-        told = f"; {FACTOR_REQUESTS[unit]} in [signals.scale]" if unit in FACTOR_REQUESTS else ""
+        request = request_factor(kind, unit)
+        told = f"; {request} in [signals.scale]" if request else ""
         return unit, f"in {unit or 'SI'} by their names{told}"
     values = _column_values(table, names)
     if kind in ("position", "link_position") and not robot.prismatic.any():
@@ -306,7 +322,9 @@ def _guess_unit(
         return _guess_speed_unit(values, position, seconds, units["position"])
     if kind == "torque":
         if any(set(split_words(name)) & set(CURRENT_WORDS) for name in names):
-            return "A", f"{FACTOR_REQUESTS['A']} in [signals.scale]"
+            return "A", f"{request_factor(kind, 'A')} in [signals.scale]"
+        if _is_counted(values, "torque"):
+            return "counts", f"whole numbers, {_TORQUE_COUNTS_REQUEST} in [signals.scale]"
         most, allowed = _largest_magnitude(values), float(np.nanmax(robot.torque_max))
         if most > 30.0 * allowed:
             return (
@@ -316,11 +334,18 @@ def _guess_unit(
     return "", "taken as SI"
 
 
-def _is_counted(values: np.ndarray) -> bool:
-    """Return True if positions (K, m) are whole numbers beyond those of degrees."""
+def request_factor(kind: str, unit: str) -> str:
+    """Return the factor to ask for; "" for units with a known factor to SI."""
+    if (kind, unit) == ("torque", "counts"):
+        return _TORQUE_COUNTS_REQUEST
+    return _FACTOR_REQUESTS.get(unit, "")
+
+
+def _is_counted(values: np.ndarray, kind: str = "position") -> bool:
+    """Return True if values (K, m) of a kind are whole numbers beyond those of its units."""
     known = values[np.isfinite(values)]
-    # Least reach of counts [counts]: whole degrees reach less.
-    return bool(known.size and np.all(known == np.round(known)) and np.ptp(known) > 720.0)
+    whole = bool(known.size and np.all(known == np.round(known)))
+    return whole and bool(np.ptp(known) > _MIN_COUNTED_REACH[kind])
 
 
 def _column_values(table: Mapping[str, np.ndarray], names: Sequence[str]) -> np.ndarray:
@@ -419,9 +444,9 @@ def guess_angle_unit(values: np.ndarray, robot: Robot) -> tuple[str, str]:
                 f", so {2.0 * np.pi / turn:.6g} rad per count if one turn has {turn}, and zero"
                 f" perhaps at {turn // 2}"
             )
-        return "counts", f"{told}; {FACTOR_REQUESTS['counts']} in [signals.scale]"
+        return "counts", f"{told}; {_FACTOR_REQUESTS['counts']} in [signals.scale]"
     if most > np.degrees(_MAX_JOINT_ANGLE):
-        return "counts", f"they reach {most:.4g}, {FACTOR_REQUESTS['counts']} in [signals.scale]"
+        return "counts", f"they reach {most:.4g}, {_FACTOR_REQUESTS['counts']} in [signals.scale]"
     if most > 4.0 * np.pi or (beyond and most > np.pi):
         return "deg", f"in deg: they reach {most:.4g}, beyond plausible rad"
     return "", f"in rad: they reach {most:.3g}"

@@ -15,16 +15,16 @@ from stiffopt.robot.body_tree import BodyTree, body_tree
 from stiffopt.robot.frames import LinkFrame
 from stiffopt.robot.urdf import LoadedUrdf
 
-# Largest plausible speed of the tool by one joint, or of a prismatic joint [m/s], and of a revolute
-# joint [rad/s] (spindle of the fastest SCARA: 52).
-_MAX_TOOL_SPEED, _MAX_JOINT_SPEED = 30.0, 60.0
+# Largest plausible speed of the tool by one joint, of a prismatic joint (linear motors: 10) [m/s],
+# and of a revolute joint [rad/s] (spindle of the fastest SCARA: 52).
+_MAX_TOOL_SPEED, _MAX_SLIDE_SPEED, _MAX_JOINT_SPEED = 30.0, 15.0, 60.0
 # Largest plausible joint torque [N m] or force [N]: the largest arms have 4e4 N m at their base and
 # 1e5 N at a prismatic joint.
 _MAX_CREDIBLE_TORQUE = 1e5
 # Rounding in the triangle inequality of principal moments [-].
 _INERTIA_ROUNDING = 1.02
-# Fewest joints at which equal torque limits are a placeholder.
-_MIN_EQUAL_TORQUES = 4
+# Fewest joints whose equal limits are one statement: implausible for one, a placeholder of all.
+_MIN_EQUAL_LIMITS = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,55 +46,71 @@ def speed_placeholders(arm: LoadedUrdf, tool: LinkFrame) -> tuple[Placeholder, .
     """Return speed limits that are implausible for an arm of this length."""
     tree = body_tree(arm.model)
     lengths = _chain_lengths(tree, tool)
-    found = []
+    reasons = {}
     for j, (name, stated) in enumerate(arm.joints.items()):
         speed, slides = stated["velocity"], bool(tree.prismatic[j])
         at_tool = speed if slides else speed * lengths[j]
-        if at_tool > _MAX_TOOL_SPEED:
-            why = f"which moves the tool at {at_tool:.3g} m/s"
+        if slides and speed > _MAX_SLIDE_SPEED:
+            reasons[name] = "faster than any prismatic axis"
+        elif at_tool > _MAX_TOOL_SPEED:
+            reasons[name] = f"which moves the tool at {at_tool:.3g} m/s"
         elif not slides and speed > _MAX_JOINT_SPEED:
-            why = "faster than any joint of an arm"
-        else:
-            continue
-        unit = "m/s" if slides else "rad/s"
-        found.append(
-            Placeholder(
-                joint=name, quantity="velocity", value=speed, unit=unit, why=why, format=arm.format
-            )
-        )
-    return tuple(found)
+            reasons[name] = "faster than any joint of an arm"
+    return _describe_placeholders(arm, "velocity", reasons)
 
 
-def torque_placeholders(arm: LoadedUrdf, demands: np.ndarray) -> tuple[Placeholder, ...]:
-    """Return torque limits far beyond the demand of weight and full acceleration.
+def torque_placeholders(
+    arm: LoadedUrdf, demands: np.ndarray, weight: np.ndarray
+) -> tuple[Placeholder, ...]:
+    """Return torque limits that weight and motion contradict.
 
-    `demands` (n,): largest torque of each joint for both; forces of prismatic joints.
+    `demands` (n,): largest torque of each joint for weight and full acceleration; forces of
+    prismatic joints. `weight` (n,): largest gravity torque, 0 where the masses are guessed.
     """
     slides = body_tree(arm.model).prismatic
-    found = []
-    for j, (name, stated) in enumerate(arm.joints.items()):
+    stated = {name: each["effort"] for name, each in arm.joints.items()}
+    reasons = {}
+    for j, (name, torque) in enumerate(stated.items()):
         alike = demands[slides == slides[j]]
         # A placeholder exceeds this multiple of the largest joint demand, and this torque [N m]
         # or, as prismatic joints also press, this force [N].
-        most = max(
-            15.0 * float(np.max(alike)),
-            2000.0 if slides[j] else 200.0,
-        )
-        if stated["effort"] <= min(most, _MAX_CREDIBLE_TORQUE):
-            continue
-        unit = "N" if slides[j] else "N m"
-        why = f"the arm's weight and full acceleration take {np.max(alike):.3g} {unit} at most"
-        found.append(
-            Placeholder(
-                joint=name,
-                quantity="effort",
-                value=stated["effort"],
-                unit=unit,
-                why=why,
-                format=arm.format,
+        most = max(15.0 * float(np.max(alike)), 2000.0 if slides[j] else 200.0)
+        if torque > min(most, _MAX_CREDIBLE_TORQUE):
+            reasons[name] = (
+                "the arm's weight and full acceleration take"
+                f" {np.max(alike):.3g} {'N' if slides[j] else 'N m'} at most"
             )
+        elif _is_shared(torque, stated) and 0.0 < torque < weight[j]:
+            reasons[name] = f"the arm's weight alone takes {float(weight[j]):.3g} N m"
+    return _describe_placeholders(arm, "effort", reasons)
+
+
+def _is_shared(value: float, stated: Mapping[str, float]) -> bool:
+    return sum(each == value for each in stated.values()) >= _MIN_EQUAL_LIMITS
+
+
+def _describe_placeholders(
+    arm: LoadedUrdf, quantity: str, reasons: Mapping[str, str]
+) -> tuple[Placeholder, ...]:
+    """Return the placeholders of these joints, and of those that share their value."""
+    stated = {name: each[quantity] for name, each in arm.joints.items()}
+    shared = {
+        stated[name]: name for name in reversed(list(reasons)) if _is_shared(stated[name], stated)
+    }
+    bodies = body_tree(arm.model).bodies
+    units = {"velocity": ("rad/s", "m/s"), "effort": ("N m", "N")}[quantity]
+    return tuple(
+        Placeholder(
+            joint=name,
+            quantity=quantity,
+            value=value,
+            unit=units[bodies[j].prismatic],
+            why=reasons.get(name) or f"a placeholder as for {shared[value]}",
+            format=arm.format,
         )
-    return tuple(found)
+        for j, (name, value) in enumerate(stated.items())
+        if name in reasons or value in shared
+    )
 
 
 def drop_placeholders(arm: LoadedUrdf, found: tuple[Placeholder, ...]) -> LoadedUrdf:
@@ -109,7 +125,7 @@ def credible_torques(arm: LoadedUrdf) -> np.ndarray:
     """Return torque limits (n,) usable for a mass estimate [N m]; nan otherwise."""
     torques = np.array([stated["effort"] for stated in arm.joints.values()])
     slides = body_tree(arm.model).prismatic
-    if len(torques) >= _MIN_EQUAL_TORQUES and len(set(torques)) == 1:
+    if len(torques) >= _MIN_EQUAL_LIMITS and len(set(torques)) == 1:
         return np.full(len(torques), np.nan)
     known = (torques > 0.0) & (torques < _MAX_CREDIBLE_TORQUE) & ~slides
     return np.where(known, torques, np.nan)
@@ -125,7 +141,7 @@ def open_questions(
     """
     torques = {name: stated["effort"] for name, stated in arm.joints.items()}
     if (
-        len(torques) >= _MIN_EQUAL_TORQUES
+        len(torques) >= _MIN_EQUAL_LIMITS
         and len(set(torques.values())) == 1
         and any(torques.values())
     ):

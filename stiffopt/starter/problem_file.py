@@ -26,17 +26,17 @@ def problem_text(robot: Robot, file: str | Path, folder: Path) -> str:
     motion = first_motion(robot)
     named = relative_path(file, folder) if isinstance(file, Path) else file
     if not motion.yields:
-        objective = ['"torque_squared"']
-        why = "a rigid tool: least heat. With joints that yield, minimise shaped_deviation"
+        objective = '"torque_squared"'
+        why = "a rigid tool: least heat. With joints that yield, minimise tool_error"
     elif motion.rigid_joint:
-        objective = ['"torque_squared"']
+        objective = '"torque_squared"'
         why = (
             f"least heat: {motion.rigid_joint}, the strongest, is rigid here. Give its elements,"
-            " then minimise shaped_deviation"
+            " then minimise tool_error"
         )
     else:
-        objective = ['"shaped_deviation"', 'measure = "peak"']
-        why = "least tool deviation with vibration suppression; at rest after arrival"
+        objective = '"tool_error"'
+        why = "least error of the tool with a command, in flight and after arrival"
     cell = (
         "collisions between links are checked; add obstacles"
         if motion.checked
@@ -65,8 +65,7 @@ def problem_text(robot: Robot, file: str | Path, folder: Path) -> str:
         f'duration = "{motion.duration:.3g} s"',
         "",
         "[[minimise]]",
-        f"objective = {objective[0]}     # {why}",
-        *objective[1:],
+        f"objective = {objective}     # {why}",
         "",
         "[method]",
         "intervals = 40",

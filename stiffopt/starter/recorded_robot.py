@@ -36,6 +36,13 @@ class RecordedRobot:
     file: str  # name of its file in the set
     notes: tuple[str, ...] = ()  # guesses, a sentence each
 
+    def tool_lines(self) -> tuple[str, ...]:
+        """Return the line of recordings.toml on the hand; none where several links end the arm."""
+        tool, model = self.robot.tool, self.robot.model
+        if tool.joint != self.robot.n or not model.existFrame(tool.link):
+            return ()
+        return (f"tool_frame = {toml_string(tool.link)}  # where a force at the hand acts",)
+
     def entries(self, *, torque: bool) -> tuple[str, ...]:
         """Return lines of recordings.toml on an MJCF, for recordings with or without torques."""
         if self.robot.urdf is None or not is_mjcf(self.robot.urdf):

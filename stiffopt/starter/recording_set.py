@@ -7,7 +7,8 @@ import math
 import re
 import shutil
 import tempfile
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,16 +18,18 @@ import numpy as np
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.recording.readers.columns import Table
 from stiffopt.recording.readers.read import RUN_ENDINGS, is_messages, read_tables
+from stiffopt.recording.rest_poses import MIN_POSES
 from stiffopt.recording.run import counted
 from stiffopt.robot.joint_tree import JointTree
 from stiffopt.robot.robot import Robot
 from stiffopt.robot.urdf_xml import read_urdf_tree
 from stiffopt.starter.garbled_rows import drop_garbled_rows
 from stiffopt.starter.guessing import (
-    FACTOR_REQUESTS,
     GuessedColumns,
     UnrecognisedError,
+    are_poses,
     guess_columns,
+    request_factor,
     with_time,
 )
 from stiffopt.starter.recorded_robot import RecordedRobot, store_robot
@@ -92,6 +95,9 @@ def _write_set(
     files = _find_files(data)
     tables, layout, garbled = _read_runs(files, robot)
     files = list(tables)
+    if rate is None and are_poses(tables[files[0]], robot):
+        # One pose a row: the rows are numbered.
+        rate = 1.0
     if rate is not None:
         if not 0.0 < rate < 1e6:
             raise InputError(f"--rate {rate:g} must be above 0 and below 1e6 rows a second.")
@@ -115,26 +121,32 @@ def _write_set(
     notes += begun
     if len(parts) == 1:
         _, stem, table = parts[0]
-        cut = int(_TRAINING_SHARE * len(table[first.time]))
-        if cut < _MIN_TRAINING_ROWS:
+        rows = len(table[first.time])
+        cut = int(_TRAINING_SHARE * rows)
+        needed = math.ceil(
+            MIN_POSES / (1.0 - _TRAINING_SHARE)
+            if first.at_rest
+            else _MIN_TRAINING_ROWS / _TRAINING_SHARE
+        )
+        if rows < needed:
             raise InputFileError(
                 files[0],
                 "",
-                f"has {len(table[first.time])} rows; a single recording is cut in two and needs"
-                f" {math.ceil(_MIN_TRAINING_ROWS / _TRAINING_SHARE)}. Record more, or a second"
-                " one.",
+                f"has {rows} rows; a single recording is cut in two and needs {needed}. Record"
+                " more, or a second one.",
             )
         runs.append((f"{stem}_train", "train", {k: v[:cut] for k, v in table.items()}))
         runs.append((f"{stem}_test", "test", {k: v[cut:] for k, v in table.items()}))
         notes.append(
-            "One recording: its first 70 % are for training, the rest is held out. Record a second"
-            " motion for a stronger validation."
+            "One recording: its first 70 % are for training, the rest is held out. Record"
+            f" {'more poses' if first.at_rest else 'a second motion'} for a stronger validation."
         )
     else:
-        names = [path.name if len(files) > 1 else name for path, name, _ in parts]
+        labels = _label_files(files)
+        names = [labels[path] if len(files) > 1 else name for path, name, _ in parts]
         held_out = [each for each in names if _HELD_OUT_NAME.search(Path(each).stem)]
         if not 0 < len(set(held_out)) < len(set(names)):
-            held_out = [files[-1].name if len(files) > 1 else names[-1]]
+            held_out = [names[-1]]
         for file, (_, name, part) in zip(names, parts, strict=True):
             runs.append((name, "test" if file in held_out else "train", part))
         verb = "is" if len(set(held_out)) == 1 else "are"
@@ -164,7 +176,7 @@ def _read_runs(files: Sequence[Path], robot: Robot) -> tuple[dict[Path, Table], 
             own = path.with_name(f"{path.stem}_{part}{path.suffix}") if part else path
             tables[own] = table
     layout, notes = "", []
-    tables = join_signal_files(tables, robot)
+    tables = _join_by_folder(tables, robot)
     for path, table in tables.items():
         try:
             tables[path], layout = name_blocks(table, robot)
@@ -180,20 +192,46 @@ def _read_runs(files: Sequence[Path], robot: Robot) -> tuple[dict[Path, Table], 
     return tables, layout, notes
 
 
+def _join_by_folder(tables: Mapping[Path, Table], robot: Robot) -> dict[Path, Table]:
+    """Join the files of one signal each in every folder; of all folders, where each has one."""
+    folders = [path.parent for path in tables]
+    if len(set(folders)) == len(folders):
+        return join_signal_files(tables, robot)
+    joined: dict[Path, Table] = {}
+    for folder in dict.fromkeys(folders):
+        own = {path: table for path, table in tables.items() if path.parent == folder}
+        joined |= join_signal_files(own, robot)
+    return joined
+
+
+def _label_files(files: Iterable[Path]) -> dict[Path, str]:
+    """Return the name of each file, with its folder where files of others have that name.
+
+    Raises `InputFileError`: two files remain with one name.
+    """
+    labels = {path: path.name for path in files}
+    for _ in range(2):
+        names = Counter(_run_name(label) for label in labels.values())
+        twice = [path for path, label in labels.items() if names[_run_name(label)] > 1]
+        if not twice:
+            return labels
+        labels |= {path: f"{path.parent.name}_{path.name}" for path in twice}
+    raise InputFileError(twice[0], "", "has the name of another run. Rename one.")
+
+
 def _split_runs(
     tables: Mapping[Path, Mapping[str, np.ndarray]], time: str, names: Sequence[str]
 ) -> tuple[list[tuple[Path, str, dict[str, np.ndarray]]], list[str]]:
     """Return file, name and columns of each run, split at clock resets, and notes."""
     parts: list[tuple[Path, str, dict[str, np.ndarray]]] = []
     notes: list[str] = []
-    taken = {_run_name(path) for path in tables}
+    stems = {path: _run_name(label) for path, label in _label_files(tables).items()}
+    taken = set(stems.values())
     for path, table in tables.items():
         own = list(
             _split_at_clock_resets({name: table[name] for name in names if name in table}, time)
         )
-        called = (
-            [_run_name(path)] if len(own) == 1 else _part_names(_run_name(path), len(own), taken)
-        )
+        called = [stems[path]] if len(own) == 1 else _part_names(stems[path], len(own), taken)
         taken.update(called)
         parts += [(path, name, part) for name, part in zip(called, own, strict=True)]
         if len(own) > 1:
@@ -248,15 +286,11 @@ def _find_files(data: Sequence[Path]) -> list[Path]:
             f"no recordings in {', '.join(map(str, data))}: {', '.join(RUN_ENDINGS)}, rosbag2"
             " and LeRobot datasets are read."
         )
-    stems = [_run_name(path) for path in found]
-    twice = [path for path, stem in zip(found, stems, strict=True) if stems.count(stem) > 1]
-    if twice:
-        raise InputFileError(twice[0], "", "has the name of another run. Rename one.")
     return found
 
 
-def _run_name(path: Path) -> str:
-    return "".join(c if c.isalnum() or c in "-_" else "_" for c in path.stem) or "run"
+def _run_name(label: str) -> str:
+    return "".join(c if c.isalnum() or c in "-_" else "_" for c in Path(label).stem) or "run"
 
 
 def _set_text(
@@ -276,6 +310,7 @@ def _set_text(
         f"name = {toml_string(name)}",
         f"robot = {toml_string(arm.file)}",
         f"joints = {toml_list(map(toml_string, joints))}",
+        *arm.tool_lines(),
         "",
         "[signals]",
         f"time = {toml_string(found.time)}",
@@ -294,9 +329,9 @@ def _set_text(
             if not isinstance(unit, str):
                 each = ("1.0" if not one else toml_string(one) for one in unit)
                 lines.append(f"{kind} = {toml_list(each)}")
-            elif unit in FACTOR_REQUESTS:
-                # Not a valid entry until the user replaces it by a factor.
-                lines.append(f"{kind} = {toml_string(unit)}  # {FACTOR_REQUESTS[unit]} here")
+            elif request := request_factor(kind, unit):
+                # Not a valid entry until the user replaces it by a factor, but for torques.
+                lines.append(f"{kind} = {toml_string(unit)}  # {request} here")
             else:
                 lines.append(f"{kind} = {toml_string(unit)}")
     lines += [

@@ -110,7 +110,8 @@ def robot_text(
     doubted = speed_placeholders(arm, tool)
     arm = drop_placeholders(arm, doubted)
     demands = _torque_demands(arm)
-    doubted += (further := torque_placeholders(arm, demands))
+    weight = 0.0 * demands if bodies else _weight_torques(arm)
+    doubted += (further := torque_placeholders(arm, demands, weight))
     arm = drop_placeholders(arm, further)
     lines = [
         f"# Robot file of {urdf.name}, written by `stiffopt init robot`. Position, velocity and"
@@ -194,16 +195,21 @@ def _describe_guesses(
     if arm.unlimited:
         yield f"GUESSED: limits of position of {', '.join(arm.unlimited)}."
     for quantity in ("effort", "velocity"):
-        taken = {p.joint: p for p in doubted if p.quantity == quantity}
+        taken: dict[str, list[str]] = {}
+        for each in doubted:
+            if each.quantity == quantity:
+                taken.setdefault(str(each), []).append(each.joint)
+        doubtful = {name for names in taken.values() for name in names}
         silent = [name for name, stated in arm.joints.items() if not stated[quantity]]
-        silent = [name for name in silent if name not in taken]
+        silent = [name for name in silent if name not in doubtful]
         if silent:
             yield f"GUESSED: the {arm.format} has no {quantity} for {', '.join(silent)}."
         if taken:
-            said = "; ".join(f"{name}: {each}" for name, each in taken.items())
+            said = "; ".join(f"{', '.join(names)}: {text}" for text, names in taken.items())
             yield (
-                f"QUESTION: the {quantity} of {len(taken)} joints is a placeholder: {said}. Guessed"
-                f" values are in the file, marked estimated: replace them by the data sheet's."
+                f"QUESTION: the {quantity} of {len(doubtful)} joints is a placeholder: {said}."
+                " Guessed values are in the file, marked estimated: replace them by the data"
+                " sheet's."
             )
     bare = [line for line in lines if line.startswith(_NO_REDUCER_COMMENT)]
     if bare:

@@ -181,6 +181,9 @@ def _checked_motion(
             f"{position[kept][row, j]:.4g} rad, outside its range from {low[j]:.4g} to "
             f"{high[j]:.4g}. Check units and order of the columns, and the robot."
         )  # fmt: skip
+    rest = time[moving[0]] - time[0], time[-1] - time[kept][-1]
+    if max(rest) > 0.0:
+        reasons += (f"rest of {rest[0]:.3g} s before and {rest[1]:.3g} s after it: left out",)
     return TimedMotion(
         time=time[kept] - time[moving[0]],
         position=position[kept],

@@ -50,7 +50,12 @@ class Case:
     @property
     def settings(self) -> tuple[str, ...]:
         """Changes in the form of `load_problem`."""
-        return (*self.common, *_format_settings(self.changes))
+        return (*self.common, *self.changed)
+
+    @property
+    def changed(self) -> tuple[str, ...]:
+        """Changes of this case, in that form."""
+        return _format_settings(self.changes)
 
 
 @dataclass(frozen=True)

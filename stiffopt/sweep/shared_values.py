@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+_Place = tuple[int | None, str, str]  # joint, parameter, case
 # Chance that any value at all is called an arm's own where all are common.
 _TEST_LEVEL = 0.05
 # Largest deviation over the expected one of a value that the recordings tell.
@@ -26,6 +27,7 @@ class SharedValue:
 
     joint: int | None  # from 1; None for a value of the arm
     parameter: str
+    case: str  # changed entries of the fits, which are compared with each other only; "" for none
     unit: str
     # Common to all arms, expected value included.
     value: float
@@ -39,13 +41,15 @@ class SharedValue:
 def shared_values(arms: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[SharedValue]:
     """Return all values that at least two arms tell, those that differ most first.
 
-    `arms`: values by arm: `joint`, `parameter`, `unit`, `value`, `sd`, `expected`, `expected_sd`.
+    `arms`: values by arm: `joint`, `parameter`, `case`, `unit`, `value`, `sd`, `expected`,
+    `expected_sd`.
     """
-    found: dict[tuple[int | None, str], dict[str, Mapping[str, Any]]] = {}
+    found: dict[_Place, dict[str, Mapping[str, Any]]] = {}
     for arm, values in arms.items():
         for own in values:
             if 0.0 < own["sd"] < _MAX_UNTOLD * own["expected_sd"]:
-                found.setdefault((own["joint"], own["parameter"]), {})[arm] = own
+                place = own["joint"], own["parameter"], own["case"]
+                found.setdefault(place, {})[arm] = own
     tested = [_test(place, own) for place, own in found.items() if len(own) > 1]
     tested.sort(key=lambda each: each.p)
     kept, common = [], False
@@ -55,7 +59,7 @@ def shared_values(arms: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[Share
     return kept
 
 
-def _test(place: tuple[int | None, str], own: Mapping[str, Mapping[str, Any]]) -> SharedValue:
+def _test(place: _Place, own: Mapping[str, Mapping[str, Any]]) -> SharedValue:
     from scipy.special import chdtrc  # heavy, and needed after the solves only
 
     value, sd, expected, expected_sd = (
@@ -72,6 +76,7 @@ def _test(place: tuple[int | None, str], own: Mapping[str, Mapping[str, Any]]) -
     return SharedValue(
         joint=place[0],
         parameter=place[1],
+        case=place[2],
         unit=str(next(iter(own.values()))["unit"]),
         value=(float(weight.sum()) * mean + prior * float(np.mean(expected))) / total,
         sd=float(total**-0.5),

@@ -147,8 +147,12 @@ class SweepSummary:
     def shared_values(self) -> list[SharedValue]:
         """Values that several recording sets tell, common to all or each arm's own."""
         bases = self.sweep.base_names
-        told = {bases[case.base]: found["result"].get("simulation") for case, found in self.done}
-        return shared_values({name: values for name, values in told.items() if values})
+        told: dict[str, list[dict[str, Any]]] = {}
+        for case, found in self.done:
+            own = {"case": ", ".join(case.changed)}
+            values = found["result"].get("simulation") or ()
+            told.setdefault(bases[case.base], []).extend({**each, **own} for each in values)
+        return shared_values(told)
 
     def document(self) -> dict[str, Any]:
         """Content of sweep.json."""

@@ -1,7 +1,9 @@
 """The error budget against sampled arms: perturbed models of pinocchio, and exact wind-ups."""
 
 import json
+import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
@@ -11,11 +13,13 @@ from small_arms import ROOT
 from stiffopt.budget.budget import ORIENTATION, POSITION, ErrorModel, error_budget
 from stiffopt.budget.ellipsoids import magnitude_bound, semi_axes
 from stiffopt.budget.floor import geometry_floor
+from stiffopt.budget.identified_stiffness import narrow_stiffness
 from stiffopt.budget.measurements import TRACKER_DEVIATION, rank_measurements
 from stiffopt.budget.sources import States
 from stiffopt.cli import run
 from stiffopt.drivetrain.bearing import OutputBearing
 from stiffopt.elastic.uncertainty import Uncertainty
+from stiffopt.errors import InputFileError
 from stiffopt.exact.chain import exact_windup
 from stiffopt.robot.bearing_deflection import bearing_deflections
 from stiffopt.robot.files import load_robot
@@ -178,7 +182,9 @@ def test_command_writes_page_and_numbers_and_narrows_with_identified_stiffness(t
     text = (ROOT / "problems" / "ur10_tool_deviation.toml").read_text(encoding="utf-8")
     problem.write_text(text + "\n[tolerances]\nframe_position = '0.1 mm'\nreference = 'start'\n")
     assert run(["budget", str(problem), "-o", str(tmp_path / "wide")]) == 0
-    assert "measurement that narrows the bound most" in capsys.readouterr().out
+    said = " ".join(capsys.readouterr().out.split())
+    assert "of the bound is a known error" in said
+    assert "measurement that narrows the bound most" in said
     identified = tmp_path / "known"
     identified.mkdir()
     joints = [
@@ -196,6 +202,23 @@ def test_command_writes_page_and_numbers_and_narrows_with_identified_stiffness(t
     (identified / "stiffness.json").write_text(json.dumps({"joints": joints + joints}))
     assert run([*narrow, str(identified)]) == 2
     assert "Give the stiffness of the same arm" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("joints", "said"),
+    [
+        ('[{"status": "identified", "stiffness": 0, "sd": 1}]', "joints[0].stiffness: is 0;"),
+        ('[{"status": "identified", "stiffness": 1, "sd": NaN}]', "joints[0].sd: is nan;"),
+        ('[{"status": "identified", "stiffness": 1}]', "joints[0].sd: is None;"),
+        ("{}", "joints: is not a list of joints."),
+        ("[3]", "joints: is not a list of joints."),
+    ],
+)
+def test_corrupt_numbers_of_an_identified_stiffness_are_named(joints, said, tmp_path):
+    (tmp_path / "stiffness.json").write_text(f'{{"joints": {joints}}}')
+    model = SimpleNamespace(robot=SimpleNamespace(joint_names=["J1"], name="arm"))
+    with pytest.raises(InputFileError, match=re.escape(said) + ".*Run identify-stiffness again"):
+        narrow_stiffness(model, tmp_path)
 
 
 def test_tilt_of_bearings_agrees_with_sampled_arms():

@@ -1,6 +1,7 @@
 """Parts of a cycle against closed forms: payload change, duty, time split, joined motions."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,9 +11,11 @@ from stiffopt.cycle.time_split import ShortestDuration, TimeSplit, combined
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
-from stiffopt.result.cycle import JoinedMotion
+from stiffopt.report.cycle.page import write_cycle_report
+from stiffopt.result.cycle import CycleSolution, JoinedMotion, LegResult
 from stiffopt.result.duty import DutyHistory, DutyLimits, duty_of
 from stiffopt.result.life_rating import LifeRating
+from stiffopt.result.status import SolveStatus
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.robot.files import load_robot
 
@@ -68,6 +71,16 @@ def test_joined_motion_rests_between_parts_and_overlaps_without_a_jump():
     assert early(np.array([1.5]))[0, 0] == pytest.approx(0.5)
 
 
+def one_joint(rating, prismatic=False):
+    """Robot of one joint whose reducer has a rating."""
+    element = SimpleNamespace(
+        rated_torque=rating.torque, rated_speed=rating.speed, rated_life=rating.life,
+        life_exponent=rating.exponent)  # fmt: skip
+    stages = [SimpleNamespace(element=element, reduction=1.0, ratio=1.0)]
+    return SimpleNamespace(n=1, joint_names=["a"], torque_max=[60.0], prismatic=[prismatic],
+                           chains=[SimpleNamespace(stages=stages)])  # fmt: skip
+
+
 def test_duty_of_a_duty_cycle_by_hand():
     """Half the time 30 N m at 2 rad/s, a quarter -10 N m at 4 rad/s, a quarter holding 20 N m."""
 
@@ -78,7 +91,7 @@ def test_duty_of_a_duty_cycle_by_hand():
 
     rating = LifeRating(torque=40.0, speed=2.0, life=7000.0 * 3600.0, exponent=3.0)
     parts = [piece(0.0, 2.0, 30.0, 2.0), piece(2.0, 3.0, -10.0, 4.0), piece(3.0, 4.0, 20.0, 0.0)]
-    (found,) = duty_of(parts, ["a"], np.array([60.0]), [rating]).joints
+    (found,) = duty_of(one_joint(rating), parts).joints
     assert found.rms_torque == pytest.approx(np.sqrt((2 * 900 + 100 + 400) / 4))
     assert (found.peak_torque, found.peak_speed, found.peak_power) == (30.0, 4.0, 60.0)
     assert (found.energy, found.regenerated) == (120.0, 40.0)
@@ -92,7 +105,7 @@ def test_limits_of_the_duty_name_joint_and_numbers():
     time, rate = np.array([0.0, 1.0]), np.ones((2, 1))
     part = DutyHistory(time=time, velocity=rate, torque=5 * rate, reducer_torque=8 * rate)
     rating = LifeRating(torque=4.0, speed=1.0, life=3600.0 * 80.0, exponent=3.0)
-    duty = duty_of([part], ["a"], np.array([60.0]), [rating])
+    duty = duty_of(one_joint(rating), [part])
     limits = DutyLimits(rms_torque=np.array([4.0]), reducer_life=3600.0 * 11.0, energy=6.0)
     torque, life, work = limits.uses(duty)
     assert "rms torque of a, 5 N m, exceeds duty.rms_torque 4 N m" in torque.text
@@ -101,6 +114,9 @@ def test_limits_of_the_duty_name_joint_and_numbers():
     shares = [each.share for each in (torque, life, work)]
     assert shares == pytest.approx([25.0 / 16.0, 1.1, 5.0 / 6.0])
     assert not DutyLimits().uses(duty)
+    force = limits.uses(duty_of(one_joint(rating, prismatic=True), [part]))[0]
+    assert "rms torque of a, 5 N, exceeds duty.rms_torque 4 N" in force.text
+    assert "N m" not in force.text
 
 
 @pytest.mark.parametrize("by", ["peak", "rms", "sum"])
@@ -146,3 +162,15 @@ def test_time_split_gives_a_failed_leg_more_and_says_when_time_is_short():
     assert split.durations.sum() == pytest.approx(2.0)
     split.learn(np.array([np.nan, np.nan]))
     assert split.proposal() is None
+
+
+def test_page_of_a_cycle_without_a_motion_says_why(tmp_path):
+    failed = SimpleNamespace(assessment=None, objective=None, status=SolveStatus.ITERATION_LIMIT)
+    leg = LegResult(name="to pick", moves=("pick",), problem=None, solution=failed, start=0.0,
+                    arrival=1.0, dwell=0.0, until_settled=False, event="", mass_before=1.0,
+                    mass_after=1.0)  # fmt: skip
+    found = CycleSolution(status=SolveStatus.ITERATION_LIMIT, message="stalled in leg 1",
+                          title="a cycle", legs=(leg,), objective=None)  # fmt: skip
+    page = write_cycle_report(None, found, tmp_path).read_text()
+    assert "stalled in leg 1" in page
+    assert "<figure" not in page

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from stiffopt.discovery import prediction_bands
 from stiffopt.discovery.comparison.bands import BANDS, choose_fit_band
 from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.prediction_bands import choose_prediction_bands
+from stiffopt.discovery.prediction_bands import _select_widest_adequate, choose_prediction_bands
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import Training, prepare_training
 from stiffopt.recording.recording_set import load_recordings
@@ -78,3 +79,16 @@ def test_bands_with_little_motion_keep_defaults() -> None:
     at_rest = replace(training, recorded=(replace(still, velocity=None),))
     bands = choose_prediction_bands(at_rest, Extension())
     assert set(bands) == {prediction_bands.PREDICTION_CUTOFF}
+
+
+def test_prediction_band_moves_steadily_with_the_errors() -> None:
+    """The error of the next band falls from far above the adequate one to it."""
+    tried, adequate = (20.0, 35.0, 60.0), 1.0 + prediction_bands._MAX_WIDER_BAND_COST
+    found = [
+        _select_widest_adequate(tried, np.array([1.0, adequate - 0.02, error]))
+        for error in adequate + np.geomspace(1.0, 1e-6, 60)
+    ]
+    assert found == sorted(found)
+    assert found[0] < 36.0
+    assert found[-1] == 60.0
+    assert max(after / before for before, after in itertools.pairwise(found)) < 1.2

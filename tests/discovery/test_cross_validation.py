@@ -10,8 +10,10 @@ import pytest
 from shipped_set import SHIPPED
 
 from stiffopt.discovery.catalogue import effect
+from stiffopt.discovery.comparison.comparison import solve_boxed
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.judging.friction_refit import _apply_steps, _MovingSamples, refit_friction
+from stiffopt.discovery.search.cross_validation import FoldPredictions
 from stiffopt.discovery.search.left_out_gain import (
     LeftOutGain,
     _excess_share,
@@ -134,3 +136,22 @@ def test_link_encoder_offset_is_not_refitted() -> None:
     found = [Selected(each, 1.0, 1.0, 1.0, (), 1) for each in (offset, there)]
     kept, _ = refit_friction(training, comparison, found)
     assert [each.located for each in kept] == [offset, there]
+
+
+def test_values_beside_others_held_at_their_bounds_are_the_likeliest_ones() -> None:
+    """Against a bounded least-squares solver, with columns left out as well."""
+    draw = np.random.default_rng(5)
+    columns, prior = draw.normal(size=(400, 8)), draw.uniform(0.05, 2.0, 8)
+    target = columns @ draw.normal(size=8) + draw.normal(size=400)
+    limits = np.array([1.0, 1.0, 1.0, 2.0, 2.0, *[np.inf] * 3])
+    fold = np.arange(400) // 100
+    predictions = FoldPredictions(columns, target, prior, limits, fold)
+    for kept in (np.ones(8, dtype=bool), draw.uniform(size=8) < 0.7):
+        left = predictions.residual(kept)
+        own = columns[:, kept]
+        for number in range(4):
+            others = fold != number
+            gram, moment = own[others].T @ own[others], own[others].T @ target[others]
+            values = solve_boxed(gram, moment, prior[kept], limits[kept])
+            expected = target[~others] - own[~others] @ values
+            np.testing.assert_allclose(left[~others], expected, atol=1e-8)

@@ -54,6 +54,25 @@ def test_probability_is_the_product_of_its_shares(
     assert found.probability == pytest.approx(probability, abs=0.01)
 
 
+def test_gains_of_cut_runs_count_alike(training: Training, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is gained once the first 5 % of the runs are left out."""
+
+    def gains(_: object, __: object, begin: float, ___: int) -> tuple[LeftOutGain]:
+        left_open = 0.0 if begin < 0.05 else 1e6
+        gain = LeftOutGain(
+            removed=10.0, left_open=left_open, share=0.5, explained=0.5, channel=1, support=1.0
+        )
+        return (gain,)
+
+    monkeypatch.setattr(conclusions, "left_out_gains", gains)
+    located = LocatedEffect(effect=effect("coulomb"), joint=1)
+    comparison = training.comparison()
+    known = estimate_parameters(comparison, [located])
+    there = Selected(located, 1.0, 1.0, 1.0, (), 1)
+    (found,) = build_findings(comparison, [there], known, training, np.ones(1))
+    assert found.probability == pytest.approx(0.5, abs=0.01)
+
+
 @pytest.mark.parametrize(("calibrated", "probability"), [(False, 0.7), (True, 0.96)])
 def test_friction_is_not_doubted_as_what_a_joint_may_lack(
     training: Training, monkeypatch: pytest.MonkeyPatch, calibrated: bool, probability: float

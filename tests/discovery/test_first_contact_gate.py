@@ -140,5 +140,11 @@ def test_noise_of_a_sliding_joint_is_a_force():
 
 
 def test_residual_shares_are_percentages():
-    told = format_shares(np.array([96.0, 0.64]), np.array([2.9e-4, 0.012]), [0, 1])
-    assert "0.029 % at joint 1 (as described 9,600 %), 1.2 % at joint 2 (as described 64 %)" in told
+    told = format_shares(np.array([9.6, 0.64]), np.array([2.9e-4, 0.012]), [0, 1])
+    assert "0.029 % at joint 1 (as described 960 %), 1.2 % at joint 2 (as described 64 %)" in told
+
+
+def test_residual_shares_stay_readable():
+    told = format_shares(np.array([2e6, 12.0]), np.array([3e-9, 0.5]), [0, 1])
+    assert "under 0.01 % at joint 1 (as described over 1,000 %)" in told
+    assert "50 % at joint 2 (as described over 1,000 %)" in told

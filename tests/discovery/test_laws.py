@@ -142,20 +142,31 @@ def test_a_sprung_mass_follows_slowly_and_not_at_once() -> None:
     assert abs(steady[2]) < 0.1
 
 
-@pytest.mark.parametrize(("kind", "begin"), [("acceleration", 0.0), ("speed", 0.0), ("load", 1.0)])
-def test_hidden_masses_are_at_rest_where_a_recording_begins_in_motion(kind, begin) -> None:
-    """A load may act for ever, a joint cannot."""
+@pytest.mark.parametrize("kind", ["acceleration", "speed", "load"])
+def test_hidden_masses_follow_the_start_before_a_recording_that_begins_in_motion(kind) -> None:
+    """A joint has started from rest by its first acceleration; a load may act for ever."""
+    dt, count, begin = 0.002, 1000, 100  # samples; of the start that is not recorded
+    time = np.arange(count) * dt
+    speed = np.minimum(4.0 * time, 2.0)
+    whole = {
+        "motor_acceleration": np.where(time < 0.5, 4.0, 0.0),
+        "motor_velocity": speed,
+        "spring_torque": np.where(time < 0.1, 0.0, 3.0),
+    }
+    of_joint = SimpleNamespace(**{name: x[begin:] for name, x in whole.items()}, dt=dt)
+    of_robot = SimpleNamespace(**{name: x[begin:, None] for name, x in whole.items()}, dt=dt)
     law = Law(0, "drive_torque", (Factor(LawSource(kind, 0), "sprung", (2.0, 0.1)),))
-    names = ("motor_acceleration", "motor_velocity", "spring_torque")
-    of_robot, of_joint = (
-        SimpleNamespace(**dict.fromkeys(names, steady), dt=0.002)
-        for steady in (np.full((500, 1), 3.0), np.full(500, 3.0))
-    )
     (found,) = law.columns(of_robot)
-    assert found[0] == pytest.approx(3.0 * begin, abs=0.05)
+    if kind == "load":
+        np.testing.assert_allclose(found, 3.0, rtol=1e-12)
+    else:
+        x = whole["motor_velocity" if kind == "speed" else "motor_acceleration"]
+        past = operators.sprung(x, 2.0, 0.1, dt, np.zeros(0))[begin:]
+        np.testing.assert_allclose(found, past, atol=1e-9 * np.abs(past).max())
     (code,) = law.formulas(code=True)
-    names_in_code = {"sprung": operators.sprung, "signals": of_joint, "f": 2.0, "z": 0.1}
-    np.testing.assert_array_equal(eval(code, names_in_code), found)
+    space = {name: getattr(operators, name) for name in operators.OPERATOR_NAMES}
+    space |= {"signals": of_joint, "f": 2.0, "z": 0.1}
+    np.testing.assert_array_equal(eval(code, space), found)
 
 
 @pytest.mark.parametrize(
@@ -254,6 +265,25 @@ def test_a_form_becomes_more_general_where_the_data_ask_for_it() -> None:
     assert factor.shapes == pytest.approx((-0.2, 2.5), abs=0.1)
 
 
+def test_a_square_needs_no_exponent() -> None:
+    found = search_channel(KnownChannel(lambda s: 3.0 * s.motor_velocity[:, 4] ** 2))
+    assert found.best is not None
+    assert found.best.law.equation == "tau_5 += A * w_5**2"
+    assert found.best.law.amplitude_unit == "N m/(rad/s)^2"
+
+
+def test_functions_of_one_signal_are_one_law_whatever_it_is_called() -> None:
+    speed = LawSource("speed", 4)
+    odd = Law(4, "drive_torque", (Factor(speed, "signed_square"),))
+    product = Law(4, "drive_torque", (SIGN, Factor(speed, "square")))
+    foreign = Law(4, "drive_torque", (Factor(LawSource("speed", 3), "signed_square"),))
+    first, same, other = (
+        find._Ranked(9.0, law, None, np.ones(4)) for law in (odd, product, foreign)
+    )
+    assert first.is_same_as(same, width=1.0)
+    assert not first.is_same_as(other, width=1.0)
+
+
 def test_the_best_pairs_of_every_carrier_are_tried() -> None:
     """A law of the load alone beside one in proportion to it, which explains much."""
     found = search_channel(KnownChannel(lambda s: 9.0 * np.tanh(s.spring_torque[:, 4] / 6.0)))
@@ -293,6 +323,29 @@ def test_an_overtone_is_found_beside_its_wave() -> None:
     assert found.best is not None
     assert found.best.law.factors[0].form == "wave_overtone"
     assert found.best.fit.amplitudes == pytest.approx([0.0, 9.0, 1.8, 0.0], abs=0.2)
+    # The wave alone is no rival of its own refinement.
+    assert not any(factor.form == "wave" for law in found.near for factor in law.law.factors)
+
+
+def test_equal_frequencies_of_recordings_apart_are_laws_of_their_own() -> None:
+    """Recordings of 30 s every 500 s tell a frequency up to multiples of 2 mHz."""
+    channel = KnownChannel(lambda s: np.zeros(len(s.time)))
+    for number, run in enumerate(channel.comparison.runs):
+        run.signals = replace(run.signals, session_time=run.time + 500.0 * number)
+    clock = channel.comparison.rows.sample_signal(lambda run: run.signals.session_time)
+    channel.target = channel.target + 1.5 * np.sin(2.0 * np.pi * 1.3 * clock)
+    found = search_channel(channel)
+    assert found.best is not None
+    every = [found.best, *found.near]
+    frequencies = [law.law.frequencies for law in every if law.law.frequencies]
+    assert len(frequencies) >= 3
+    for frequency in (1.298, 1.3, 1.302):
+        assert min(abs(own - frequency) for (own,) in frequencies) < 1e-4
+    first, second = (find._Ranked(0.0, law.law, None, np.ones(4)) for law in (every[0], every[1]))
+    assert not first.is_same_as(second, width=1.0)
+    assert first.is_same_as(first, width=1.0)
+    titles = {law_effect(law.law, law.fit.amplitudes).title for law in every}
+    assert len(titles) == len(every)
 
 
 def test_shapes_are_fitted_to_their_true_values() -> None:

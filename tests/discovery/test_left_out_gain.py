@@ -10,7 +10,7 @@ import pytest
 from shipped_set import SHIPPED
 
 from stiffopt.discovery.catalogue import effect
-from stiffopt.discovery.comparison.channel_rows import ChannelNoise
+from stiffopt.discovery.comparison.channel_rows import ChannelNoise, elapsed_shares
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.design_matrix import DesignMatrix
 from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter
@@ -62,6 +62,16 @@ def test_present_effect_has_support_and_absent_none() -> None:
     assert absent.share < MIN_HELD_OUT_SHARE
 
 
+def test_start_of_the_runs_that_is_left_out_gains_nothing() -> None:
+    comparison = prepare_training(load_recordings(SHIPPED), Settings()).comparison()
+    effects = [LocatedEffect(effect=effect(name), joint=1) for name in ("coulomb", "torque_offset")]
+    before = left_out_gains(comparison, effects, 0.1)
+    early = comparison.rows.sample_signal(lambda run: elapsed_shares(run.time)) < 0.1
+    comparison.target[early & (comparison.rows.channel == 1)] += 50.0
+    assert left_out_gains(comparison, effects, 0.1) == before
+    assert left_out_gains(comparison, effects)[0].left_open > 10.0 * before[0].left_open
+
+
 def test_noise_that_is_stated_too_small_leaves_nothing_open() -> None:
     """What the channels hold above the filter's band is noise, whatever the set states."""
     whole = prepare_training(load_recordings(SHIPPED), Settings()).comparison()
@@ -83,5 +93,5 @@ def test_nominal_values_out_of_bounds_do_not_stand_for_an_effect_left_out() -> N
     predictions = FoldPredictions(columns, target, prior, limits, fold)
     left = predictions.residual(np.array([True, False]))
     np.testing.assert_allclose(left, target - 0.8 * shape, atol=1e-6)
-    both = predictions.residual(np.array([True, True]))
+    both = predictions.residual()
     assert np.mean(both**2) == pytest.approx(1.0, abs=0.05)

@@ -12,6 +12,7 @@ import pytest
 from servo_sets import ARMATURE, COULOMB, DELAY, KP, VISCOUS, write_servo_set
 
 from stiffopt.closed_loop.arm import CommandedArm
+from stiffopt.closed_loop.polish import Polished
 from stiffopt.closed_loop.simulation import simulate
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.located_effect import (
@@ -30,6 +31,7 @@ from stiffopt.discovery.loop_fit import build_loop, commanded_run, nominal_param
 from stiffopt.discovery.position_fit import ClosedLoopModel
 from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
 from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.signals import RobotConstants
 from stiffopt.discovery.training import open_training_runs, prepare_training
 from stiffopt.recording.recording_set import RecordingSet, load_recordings
 
@@ -53,11 +55,11 @@ def simulated(recordings: RecordingSet, *found: EstimatedEffect) -> np.ndarray:
     robot, physics, own_values = robot_in_loop(own.recordings, model)
     run = commanded_run(own.recordings, own.runs[0])
     loop = build_loop(own.recordings, [run], robot.tree, physics)
-    values = nominal_parameters(own.recordings, robot)
+    values = nominal_parameters(own.recordings, robot, physics)
     for name, value in (("armature", ARMATURE), ("viscous", VISCOUS), ("coulomb", COULOMB)):
         values.values[values.place(name)] = value
     for (name, place), value in own_values.items():
-        values.values[values.place(name)][place] = value
+        values.values[values.place(name)][place] += value
     quiet = replace(run, command=np.full_like(run.command, 0.8))
     return simulate(loop, quiet, values)[:, 0]
 
@@ -127,7 +129,11 @@ def test_backlash_before_the_encoder_lets_the_motor_travel_unseen(servo: Recordi
     assert spring.encoder_at_output
     assert physics.torque is None
     load = training.constants.joints[0].torque_rated
-    both = [float(spring.windup(ca.SX(sign * load))) for sign in (1.0, -1.0)]
+    unknown = physics.amplitudes
+    both = [
+        float(ca.substitute(spring.windup(ca.SX(sign * load)), unknown.symbols, unknown.values))
+        for sign in (1.0, -1.0)
+    ]
     # The flanks yield besides.
     assert width < both[0] - both[1] < width + 0.02
 
@@ -185,37 +191,75 @@ def test_laws_of_accelerations_are_left_out(servo: RecordingSet) -> None:
     np.testing.assert_array_equal(simulated(servo), simulated(servo, law(jolt)))
 
 
+def fitted_loop(servo: RecordingSet, more: float) -> ClosedLoopModel:
+    """Return a closed loop whose fitted dry friction exceeds the nominal one by some amount."""
+    fitted = nominal_parameters(servo, servo.robot)
+    fitted.values[fitted.place("coulomb")] += more
+    law = resolve_actuator(servo, open_training_runs(servo)).recordings.actuator
+    assert law is not None
+    loop = CommandedArm(servo.robot.tree, law, np.zeros(1))
+    count = len(fitted.values)
+    spread = np.full(count, 0.005)
+    polished = Polished(
+        parameters=fitted,
+        deviations=spread,
+        residual=np.ones(1),
+        places=np.arange(count),
+        covariance=np.diag(spread**2),
+        expected=fitted,
+        expected_deviations=spread,
+    )
+    return ClosedLoopModel(
+        nominal_loop=loop,
+        loop=loop,
+        nominal=nominal_parameters(servo, servo.robot),
+        fitted=fitted,
+        deviations=spread,
+        polished=polished,
+    )
+
+
+def constants(servo: RecordingSet) -> RobotConstants:
+    """Return the constants of the training runs."""
+    runs = open_training_runs(servo)
+    return prepare_training(servo, Settings(), None, lambda _: None, runs).constants
+
+
+def claimed_friction(rivals: tuple[Rival, ...] = ()) -> Finding:
+    """Return a claim of 0.05 N m more dry friction."""
+    return Finding(
+        estimated=found("coulomb", (0.05,), ()),
+        link=None,
+        probability=0.999 - sum(rival.probability for rival in rivals),
+        misfit=0.001,
+        rivals=rivals,
+        parameters=(Parameter(name="dFc", value=0.05, sd=0.005, unit="N m", prior_sd=0.1),),
+        where="",
+        channel="torque_1",
+        variance_explained=0.5,
+    )
+
+
 @pytest.mark.parametrize(("simulated_more", "certainty"), [(0.0, "possible"), (0.05, "found")])
 @pytest.mark.parametrize("rival_share", [0.0, 0.01])
 def test_a_value_that_the_simulation_refutes_is_not_claimed(
     servo: RecordingSet, rival_share: float, simulated_more: float, certainty: str
 ) -> None:
     """The unknown cause, the finding and its rivals are all that there may be."""
-    own = Parameter(name="dFc", value=0.05, sd=0.005, unit="N m", prior_sd=0.1)
     drag = LocatedEffect(effect=effect("quadratic_drag"), joint=0)
-    claimed = Finding(
-        estimated=found("coulomb", (0.05,), ()),
-        link=None,
-        probability=0.999 - rival_share,
-        misfit=0.001,
-        rivals=(Rival(located=drag, probability=rival_share),) if rival_share else (),
-        parameters=(own,),
-        where="",
-        channel="torque_1",
-        variance_explained=0.5,
+    rivals = (Rival(located=drag, probability=rival_share),) if rival_share else ()
+    model = fitted_loop(servo, simulated_more)
+    (judged,) = findings_with_loop_values(
+        servo, constants(servo), model, [claimed_friction(rivals)], ()
     )
-    fitted = nominal_parameters(servo, servo.robot)
-    fitted.values[fitted.place("coulomb")] += simulated_more
-    law = resolve_actuator(servo, open_training_runs(servo)).recordings.actuator
-    assert law is not None
-    loop = CommandedArm(servo.robot.tree, law, np.zeros(1))
-    model = ClosedLoopModel(
-        nominal_loop=loop,
-        loop=loop,
-        nominal=nominal_parameters(servo, servo.robot),
-        fitted=fitted,
-        deviations=np.full(len(fitted.values), 0.005),
-    )
-    (judged,) = findings_with_loop_values(servo, model, [claimed])
     assert judged.certainty == certainty
     assert judged.misfit + judged.group_probability == pytest.approx(1.0)
+
+
+def test_a_finding_has_no_part_in_what_the_starting_model_holds(servo: RecordingSet) -> None:
+    earlier = Extension(effects=(found("coulomb", (0.2,), ()), found("viscous", (0.1,), ())))
+    model = fitted_loop(servo, 0.26)
+    (judged,) = findings_with_loop_values(
+        servo, constants(servo), model, [claimed_friction()], (earlier,)
+    )
+    assert judged.parameters[0].value == pytest.approx(0.06)

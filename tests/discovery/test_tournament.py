@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from shipped_set import SHIPPED
@@ -10,6 +12,8 @@ from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.judging.ensemble import _mean_by_kind, odds_in_member, recurrence
+from stiffopt.discovery.search import search as search_module
+from stiffopt.discovery.search.joint_fit import prune_effects
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.tournament import (
     CATALOGUE_MODEL,
@@ -18,6 +22,7 @@ from stiffopt.discovery.search.tournament import (
     hold_tournament,
 )
 from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.thresholds import NAMED_EVIDENCE
 from stiffopt.discovery.training import prepare_training
 from stiffopt.recording.recording_set import load_recordings
 
@@ -39,7 +44,19 @@ def _selected(located: LocatedEffect) -> Selected:
 def test_present_effect_is_named_by_all_members_and_absent_by_none(comparison: Comparison) -> None:
     found = [_selected(PRESENT), _selected(ABSENT)]
     again, _ = recurrence(comparison, found, None, free_bodies=False)
-    np.testing.assert_array_equal(again, [1.0, 0.0])
+    np.testing.assert_allclose(again, [1.0, 0.0], atol=0.01)
+
+
+def test_share_of_members_falls_steadily_with_the_evidence(comparison: Comparison) -> None:
+    found = comparison.extension_of(comparison.fit([PRESENT]))
+    ranked = [Selected(PRESENT, NAMED_EVIDENCE, 1.0, 1.0, (), 1)]
+    shares = []
+    for noise in np.geomspace(10.0, 300.0, 12):
+        loud = comparison.with_extension(found, noise * comparison.inflation)
+        again, _ = recurrence(loud, ranked, None, free_bodies=False)
+        shares.append(float(again[0]))
+    assert shares == sorted(shares, reverse=True)
+    assert sum(0.05 < share < 0.95 for share in shares) >= 2
 
 
 @pytest.mark.parametrize("width", [1.5, 5.0])
@@ -88,3 +105,20 @@ def test_kinds_of_perturbation_have_equal_weight() -> None:
     acts, yes, no = np.ones(1, dtype=bool), np.ones(1, dtype=bool), np.zeros(1, dtype=bool)
     share = _mean_by_kind([[(yes, acts)] * 9, [(no, acts)], [(yes, ~acts)]])
     np.testing.assert_array_equal(share, [0.5])
+
+
+def test_a_value_found_again_is_still_one_that_the_set_does_not_state(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Dry friction that leaves its bounds beside what is missing is no new effect afterwards."""
+    start = prepare_training(load_recordings(SHIPPED), Settings()).comparison()
+    pruned = []
+
+    def prune(comparison: Comparison, effects: list[LocatedEffect]) -> list[LocatedEffect]:
+        pruned.append(effects)
+        return prune_effects(comparison, effects) if len(pruned) > 1 else []
+
+    monkeypatch.setattr(search_module, "prune_effects", prune)
+    unstated = replace(PRESENT, calibrated=True)
+    found = search_module.search(start, [PRESENT.effect], start=[unstated])
+    assert [each.located for each in found.selected] == [unstated]

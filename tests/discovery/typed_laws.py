@@ -41,26 +41,31 @@ def signal_of(words: str, signals) -> np.ndarray:
     return np.array(getattr(signals, _JOINT_SIGNALS[kind])[:, j])
 
 
-def _operators(dt: float, at_rest: Callable[[np.ndarray], bool]) -> dict[str, Callable]:
+def _operators(
+    dt: float, history: Callable[[np.ndarray], list[float] | None]
+) -> dict[str, Callable]:
     """The operators, sample by sample as the page defines them."""
 
-    def before(x):
-        return 0.0 if at_rest(x) else x[0]
+    def begin(x):
+        past = history(x)
+        return (x[0], []) if past is None else (0.0, past)
 
     def lag(x, T):
-        p, y = math.exp(-dt / T), [before(x)]
-        for now in x:
+        start, past = begin(x)
+        p, y = math.exp(-dt / T), [start]
+        for now in [*past, *x]:
             y.append(p * y[-1] + (1.0 - p) * now)
-        return np.array(y[1:])
+        return np.array(y[1 + len(past) :])
 
     def second_order(x, f, z, over):
         o = math.tan(math.pi * f * dt)
-        x, y = [before(x)] * 2 + [*x], [before(x)] * 2
+        start, past = begin(x)
+        x, y = [start, start, *past, *x], [start, start]
         for k in range(2, len(x)):
             right = (o**2 + over * o) * x[k] + 2 * o**2 * x[k - 1] + (o**2 - over * o) * x[k - 2]
-            past = 2 * (o**2 - 1) * y[k - 1] + (1 - 2 * z * o + o**2) * y[k - 2]
-            y.append((right - past) / (1 + 2 * z * o + o**2))
-        return np.array(y[2:])
+            own = 2 * (o**2 - 1) * y[k - 1] + (1 - 2 * z * o + o**2) * y[k - 2]
+            y.append((right - own) / (1 + 2 * z * o + o**2))
+        return np.array(y[2 + len(past) :])
 
     def stop(x, r):
         y = [x[0]]
@@ -82,8 +87,18 @@ def typed_torque(equation: str, numbers: Sequence[str], meanings: Sequence[str],
     space: dict[str, object] = {
         name: getattr(np, name) for name in ("tanh", "exp", "log", "abs", "sqrt", "sign")
     }
-    moving: list[object] = []  # speeds and accelerations
-    operators = _operators(signals.dt, lambda x: any(x is each for each in moving))
+    moving: list[tuple[str, object]] = []  # speeds and accelerations
+
+    def history(x):
+        for words, each in moving:
+            if each is x:
+                kind, place = words.split(" ", 1)
+                w, a = (signal_of(f"{k} {place}", signals)[0] for k in ("speed", "acceleration"))
+                n = min(round(w / (a * signals.dt)), len(x)) if w * a > 0.0 else 0
+                return [a if kind == "acceleration" else w * k / n for k in range(n)]
+        return None
+
+    operators = _operators(signals.dt, history)
     space |= {"cos": np.cos, "sin": np.sin, "pi": math.pi, **operators}
     for line in numbers:
         name, value = re.match(r"(\w+) = (\S+)", line).groups()
@@ -94,6 +109,6 @@ def typed_torque(equation: str, numbers: Sequence[str], meanings: Sequence[str],
             name = f"signal{len(space)}"
             space[name] = signal_of(words, signals)
             if words.startswith(("speed", "acceleration")):
-                moving.append(space[name])
+                moving.append((words, space[name]))
             text = re.sub(rf"(?<!\w){re.escape(symbol)}(?!\w)", name, text)
     return eval(text, space) + 0.0 * signals.time

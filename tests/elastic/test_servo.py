@@ -10,6 +10,7 @@ from elastic_arms import arm, bang
 from runge_kutta import integrate
 
 from stiffopt.baseline.rivals import quintic_law
+from stiffopt.elastic import servo as servo_module
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.servo import Servo
 from stiffopt.elastic.servo_kinds import SERVO_KINDS
@@ -86,6 +87,17 @@ def test_known_lag_and_dead_time_are_led_by_the_command(servo):
     plain = servo.follow(MotorMotion.of(plan), 0.6, ahead=servo.dead_time).position(times)
     assert np.abs(found - wanted).max() < 0.03 * np.abs(plain - wanted).max()
     np.testing.assert_allclose(led(np.array([led.time[-1]])), [[1.0]], atol=1e-5)
+
+
+@pytest.mark.parametrize("numbers", [(20.0, 0.9, 0.0, 0.5), (15.0, 0.9, 2.1e-3, 0.8, 250.0)])
+def test_response_in_blocks_is_that_of_one(numbers, monkeypatch):
+    command = MotorMotion.of(smooth())
+    whole = Servo(*numbers).follow(command, 0.5, ahead=1e-3)
+    monkeypatch.setattr(servo_module, "_STEPS_AT_ONCE", 7)
+    parts = Servo(*numbers).follow(command, 0.5, ahead=1e-3)
+    for order in (0, 1):
+        found, expected = (each(whole.time, order) for each in (parts, whole))
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
 
 
 def test_every_kind_of_controller_lags():

@@ -63,6 +63,8 @@ def test_report_shows_vibration_beside_the_certificate(solved):
     page = (solved / "out" / "report.html").read_text()
     assert "Elastic simulation" in page
     assert "after arrival" in page
+    # The servo of the problem, by default an industrial one.
+    assert "The motors follow each motion in position loops of 20 Hz" in page
 
 
 def test_jerky_plan_without_feasible_command_gives_the_reason(solved, capsys):

@@ -202,3 +202,17 @@ def test_members_in_parts_are_those_of_one_batch(tmp_path, monkeypatch):
     assert parts.position.shape == whole.position.shape
     np.testing.assert_allclose(parts.position, whole.position, rtol=1e-12, atol=1e-15)
     np.testing.assert_allclose(parts.orientation, whole.orientation, rtol=1e-12, atol=1e-15)
+
+
+def test_one_derivative_of_the_bodies_stands_for_several_steps(tmp_path, monkeypatch):
+    elastic = planar(tmp_path)
+    command, plan = (made((3.0, -4.0), 0.2, (0.3, 0.4)) for made in (bang, there_and_stop))
+    box = ParameterBox(Uncertainty(payload=0.3), elastic.robot)
+    levels = np.random.default_rng(2).uniform(-1.0, 1.0, (5, 7))
+    members = [Member(command=command, departure=box.departure(each)) for each in levels]
+    held = UncertainArms(elastic, plan)
+    monkeypatch.setattr(uncertain_arms, "_BODY_STRIDE", 1)
+    exact = UncertainArms(elastic, plan)
+    assert held.bodies.nbytes < 0.2 * exact.bodies.nbytes
+    peaks = exact.position_peaks(members)
+    np.testing.assert_allclose(held.position_peaks(members), peaks, rtol=0, atol=3e-4 * peaks.max())

@@ -374,7 +374,8 @@ def test_csv_has_the_joints_names(folder, tmp_path):
         (["--to", "csv", "--rate", "nan"], "above 0"),
         (["--to", "mjcf"], "with the formats abb-egm, csv, fanuc-stream, krl-rsi"),
         (["--to", "abb"], "Allowed: abb-egm, csv"),
-        (["--to", "yaskawa-job", "--pulses", "1,2"], "6 numbers"),
+        # Another maker's arm takes no pulses.
+        (["--to", "yaskawa-job", "--pulses", "1,2"], "run on arms of Yaskawa"),
         (["--to", "yaskawa-job", "--pulses", "a"], "separated by commas"),
         (["--to", "csv", "--pulses", "1"], "CSV takes no pulses"),
     ],
@@ -388,6 +389,9 @@ def test_a_job_needs_pulses_and_shares_of_speed_need_limits(folder, capsys):
     write_result_of_arm(folder, "yaskawa-job")
     assert run(["export", str(folder), "--to", "yaskawa-job"]) == 2
     assert "Give the pulses per degree of axes S, L, U, R, B and T" in capsys.readouterr().err
+    for wrong in ("1,2", "1,2,3,0,5,6"):
+        assert run(["export", str(folder), "--to", "yaskawa-job", "--pulses", wrong]) == 2
+        assert f"--pulses {wrong}: give 6 numbers" in capsys.readouterr().err
     stored = read_motion(folder)
     robot = replace(stored.problem.robot, velocity_max=np.full(6, np.inf))
     unlimited = replace(stored, problem=replace(stored.problem, robot=robot))

@@ -185,6 +185,15 @@ def test_an_exported_file_is_checked(folder, to, capsys):
             assert words in capsys.readouterr().err
 
 
+def test_a_job_without_room_for_a_header_is_said_to_have_none(tmp_path, capsys):
+    job = tmp_path / "MOVE.JBI"
+    assert run(["check", str(job), "--result", str(tmp_path)]) == 2
+    assert "no room" not in capsys.readouterr().err
+    job.write_text("/JOB\n")
+    assert run(["check", str(job), "--result", str(tmp_path)]) == 2
+    assert "has no room for the header" in capsys.readouterr().err
+
+
 def test_file_of_another_result_is_refused(folder, tmp_path_factory, capsys):
     out = tmp_path_factory.mktemp("out")
     assert run(["export", str(folder), "--to", "csv", "--rate", "100", "--out", str(out)]) == 0

@@ -18,6 +18,7 @@ from stiffopt.identification.comparison import (
 )
 from stiffopt.identification.stiffness import identify_stiffness
 from stiffopt.recording.static_set import load_static_set
+from stiffopt.report.identification.page import print_comparison
 from stiffopt.robot.files import load_robot
 from tests.identification.static_arms import BentArm, measure
 
@@ -33,7 +34,8 @@ def identified(stiffness, share=0.02):
         stiffness=stiffness,
         sd=share * stiffness,
         compliance=compliance,
-        compliance_sd=share * compliance,
+        # Smaller than `sd`, which is the larger of two.
+        compliance_sd=0.5 * share * compliance,
         torque=(1.0, TORQUE, 40.0),
     )
 
@@ -53,6 +55,15 @@ def test_sets_are_pooled_with_their_scatter():
     assert joint.pooled_sd > 3.0 * 0.02 * joint.pooled / np.sqrt(2.0)
     assert joint.spread == pytest.approx(abs(1e-5 - 1 / 1.2e5) / (0.02 * np.hypot(1e-5, 1 / 1.2e5)))
     assert joint.model is None
+
+
+def test_one_set_is_its_own_pool(capsys):
+    joints = compare_stiffness(sets(identified(1e5)))
+    assert joints[0].pooled_sd == pytest.approx(joints[0].sd[0])
+    print_comparison(["one"], joints)
+    assert "all sets" not in capsys.readouterr().out
+    print_comparison(["one", "other"], compare_stiffness(sets(identified(1e5), identified(1.2e5))))
+    assert "all sets" in capsys.readouterr().out
 
 
 def test_joint_as_modelled_points_to_no_element():

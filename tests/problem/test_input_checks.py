@@ -15,7 +15,12 @@ from stiffopt.baseline.baselines import baselines, strict_baseline
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.cli import run
 from stiffopt.errors import ProblemError
-from stiffopt.problem.input_checks import check_plausible, inconsistent_inertias, max_reach
+from stiffopt.problem.input_checks import (
+    check_plausible,
+    inconsistent_inertias,
+    max_reach,
+    shifted_numbers,
+)
 from stiffopt.problem.resolve import resolve
 from stiffopt.report.solve.wording import comparison
 
@@ -148,3 +153,18 @@ def test_inconsistent_inertia_is_reported():
     bodies = (*tree.bodies[:2], wrong, *tree.bodies[3:])
     (text,) = inconsistent_inertias(SimpleNamespace(tree=replace(tree, bodies=bodies)))
     assert "j3 ([0.1, 0.1, 0.3] kg m^2)" in text
+
+
+@pytest.mark.parametrize(
+    ("names", "told"),
+    [
+        (("rail_7", "arm_1"), "1 is rail_7, 2 is arm_1"),
+        (("joint_0", "joint_1"), "1 is joint_0, 2 is joint_1"),
+        (("joint_1", "joint_2"), ""),
+        (("shoulder_pan_joint", "wrist_1"), ""),
+    ],
+)
+def test_numbers_unlike_those_of_the_names_are_told(names, told):
+    found = " ".join(shifted_numbers(SimpleNamespace(joint_names=names, n=2)))
+    assert told in found
+    assert bool(found) == bool(told)

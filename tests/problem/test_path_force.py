@@ -115,6 +115,9 @@ def test_table_has_forces_at_its_rows(tmp_path):
         '[[minimise]]\nobjective = "duration"\n'
     )
     path = tmp_path / "problem.toml"
+    path.write_text(text.replace("[path.force]\n", ""))
+    with pytest.raises(InputError, match=r"no section says in which axes. Add \[path.force\]"):
+        load_problem(path)
     path.write_text(text)
     force = load_problem(path).problem.path_force
     np.testing.assert_allclose(force(np.array([0.0, 0.35, 1.0]))[:, 2], [0.0, 3.5, 10.0], atol=1e-2)

@@ -21,6 +21,7 @@ from stiffopt.report.stiffness.page import (
     loss_figure,
     shares_figure,
     stiffness_curves,
+    stiffness_headline,
     tangent_figure,
     where_contacts_matter,
 )
@@ -176,6 +177,11 @@ def test_torque_of_largest_contact_loss_per_joint():
     assert "largest torque" in largest
     assert "J2 (2.6 % to 1.1 %)" in least
     assert "least torque" in least
+    assert stiffness_headline(curves, ["J1", "J2"]).endswith("(J2 at 0.1 % of its largest torque)")
+    rigid = {1: curve(1, 0.0, 0.0)}
+    assert "J1" not in where_contacts_matter(curves | rigid, ["J1", "J2"])
+    assert where_contacts_matter(rigid, ["J1"]) == "Without contacts both curves are one."
+    assert stiffness_headline(rigid, ["J1"]).startswith("No joint has contacts")
 
 
 @pytest.mark.parametrize(("second", "scale"), [(0.009, "linear"), (0.5, "log")])

@@ -85,6 +85,22 @@ def test_an_infeasible_motion_claims_no_gain(tmp_path):
     assert "optimised (exceeds limits)" in page.text
 
 
+def test_a_slowed_baseline_is_compared_where_no_other_keeps_the_limits():
+    given = solution(1)
+    slowed = replace(given.baselines["toppra"], name="slowed S-curve")
+    only = {"quintic": given.baselines["quintic"]}
+    found = replace(
+        given,
+        baselines=only,
+        ratio_to_better_baseline=None,
+        strict_baseline=slowed,
+        ratio_to_strict_baseline=0.25,
+    )
+    assert "4 times less than the slowed S-curve motion" in comparison(problem(1), found)
+    late = replace(found, strict_baseline=replace(slowed, feasible=False))
+    assert comparison(problem(1), late) == "No baseline meets all limits, so none is counted."
+
+
 def test_report_without_baselines(tmp_path):
     found = solution(1, baselines={}, ratio_to_better_baseline=None)
     assert "It was not compared with baselines" in page_of(problem(1), found, tmp_path).text
@@ -211,6 +227,27 @@ def test_compared_quantities_have_units(tmp_path):
     _, rows = compare_results(tmp_path / "one", tmp_path / "two")
     assert rows[0] == ("objective, value", "0.1 mm", "0.2 mm", "+100 %")
     assert rows[1][:3] == ("baselines, toppra, objective", "0.3 mm", "0.6 mm")
+
+
+def test_numbers_of_a_list_and_what_one_result_lacks_are_one_compared_entry(tmp_path):
+    torque, jerk = ({"limit": name, "joint": 1, "value": -0.1} for name in ("torque", "jerk"))
+    answers = {
+        "one": {
+            "draws": [1.0, 2.0, 4.0],
+            "rivals": {"quintic": 1, "toppra": 2},
+            "v": [torque, jerk],
+        },
+        "two": {"draws": [1.0, 2.5, 4.0], "v": [{**jerk, "value": -0.2}, torque]},
+    }
+    for name, answer in answers.items():
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "result.json").write_text(json.dumps(answer))
+    _, rows = compare_results(tmp_path / "one", tmp_path / "two")
+    assert rows == [
+        ("draws", "3 values, 1 to 4", "3 values, 1 to 4", "up to 12 % of the largest"),
+        ("rivals", "2 entries", "–", ""),
+        ("v, jerk of joint 1, value", "-0.1", "-0.2", "+100 %"),
+    ]
 
 
 def test_a_limit_within_the_tolerance_of_the_certificate_is_kept():

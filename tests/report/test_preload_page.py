@@ -17,6 +17,7 @@ from stiffopt.report.preload.page import write_preload_report
 from stiffopt.report.preload.words import (
     active_limits_sentence,
     fastener_words,
+    headline,
     prose,
     readable,
     stiffness_sentence,
@@ -180,6 +181,9 @@ def test_page_of_an_infeasible_study_has_reasons_and_no_recommendation(tmp_path)
     assert "Set the wrench" not in page.text
     assert "recommended" not in page.text.replace("all others as recommended", "")
     assert "knee" not in page.text
+    chosen = headline(replace(study, choice=flange().choice))
+    assert chosen.startswith("The present bolts cannot meet all requirements; the catalogue has ")
+    assert flange().choice.designs["flexspline_flange"].label in chosen
 
 
 def test_page_of_several_joints_has_a_utilisation_matrix(tmp_path):

@@ -18,12 +18,13 @@ from stiffopt.drivetrain.bearing import OutputBearing
 from stiffopt.drivetrain.chain import Chain, Stage
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.led_error import _ideal_command, _ServoChange, led_error
+from stiffopt.elastic.servo import Servo
 from stiffopt.elastic.uncertain_arms import Member, UncertainArms
 from stiffopt.elastic.uncertainty import ParameterBox, Uncertainty
 from stiffopt.errors import ProblemError
 from stiffopt.problem.limits.travel import with_bounded_travel
 from stiffopt.problem.motor_model import MotorModel
-from stiffopt.problem.objective import Objective
+from stiffopt.problem.objective import OBJECTIVES, Objective
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.result.joint_path import JointPath
@@ -32,11 +33,12 @@ from stiffopt.result.status import SolveStatus
 from stiffopt.result.tool_error import LedError
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.robot.tolerances import Tolerances
-from stiffopt.solver import between_rivals
+from stiffopt.solver import between_rivals, verdict
 from stiffopt.solver.between_rivals import BetweenRivals
 from stiffopt.solver.ipopt import RawSolution
 from stiffopt.solver.programme import solve_stage
 from stiffopt.solver.ringing import RingingBesideRivals
+from stiffopt.solver.rival_errors import RivalErrors
 from stiffopt.solver.simulated_solution import _judge_beside_rivals, with_simulation
 from stiffopt.solver.solve import solve
 from stiffopt.solver.stage_plan import SolveStage
@@ -107,7 +109,7 @@ def test_quasi_static_error_is_that_of_simulated_arms_in_a_slow_motion(problem, 
         problem.robot, rates, 0.01, np.zeros(2), rest_poses=(motion.start, motion.end)
     )
     error = model.commanded_error(unsure, problem.servo)
-    square = ca.Function("square", [ca.vertcat(*rates)], [error.quasi_static])
+    square = ca.Function("square", [ca.vertcat(*rates)], [error.quasi_static + error.lateness])
     times = np.linspace(0.0, duration, 201)
     states = np.hstack([*(path(times, k) for k in range(3)), np.zeros((201, 6))])
     found = np.sqrt(np.array(square(states.T))[0])
@@ -127,6 +129,29 @@ def test_quasi_static_error_is_that_of_simulated_arms_in_a_slow_motion(problem, 
     true = np.sqrt(np.sum((away / steps[:, None, None]) ** 2, axis=(0, 2)))
     at = np.interp(times, simulated.time, true)
     assert found == pytest.approx(at, abs=0.05 * at.max())
+
+
+def test_worst_error_is_the_lateness_of_the_servo_plus_the_errors_of_the_other_parameters(problem):
+    """Of the default servo and of one with a delay, far above where small errors are smoothed."""
+    motion = resolve(problem)
+    rates = [ca.SX.sym(f"d{k}", 2) for k in range(6)]
+    model = MotorModel(
+        problem.robot, rates, 0.01, np.zeros(2), rest_poses=(motion.start, motion.end)
+    )
+    kind, bound, scale = OBJECTIVES["tool_error"], 3e-4, 2e-5
+    state = np.concatenate([motion.start, [1.0, 0.5], [2.0, 1.0], np.zeros(6)])
+
+    for servo in (Servo(), Servo(bandwidth=20.0, feed_forward=0.9, delay=4e-3)):
+        own = replace(problem, servo=servo)
+        given = SimpleNamespace(problem=own, statics=(bound,), model=model, scale=scale)
+        (row,) = kind.terms(given).path_rows[0].expressions
+        error = model.commanded_error(own.uncertainty, servo)
+        parts = ca.vertcat(row, error.quasi_static, error.lateness)
+        found, others, late = np.array(ca.Function("row", [ca.vertcat(*rates)], [parts])(state))[
+            :, 0
+        ]
+        worst = np.sqrt(late) + 1.5 * np.sqrt(others)
+        assert (found + (bound / scale) ** 2) * scale**2 == pytest.approx(worst**2, rel=1e-2)
 
 
 def test_known_error_of_the_links_is_not_searched_again(problem, solution, monkeypatch):
@@ -200,14 +225,16 @@ def test_weight_of_the_ringing_follows_the_phase_that_is_worse_than_the_rival(
     monkeypatch, flight, after, weight
 ):
     oracle = RingingBesideRivals.__new__(RingingBesideRivals)
-    one = SimpleNamespace(worst=1.0)
-    oracle._best = SimpleNamespace(flight=one, after=one)
+    oracle._rivals = RivalErrors(
+        None, [(1.0, LedError(in_flight=1.0, after_arrival=1.0, shares={}))]
+    )
     monkeypatch.setattr(oracle, "_solve", lambda last, robust: 1.0 + robust, raising=False)
     led = LedError(in_flight=flight, after_arrival=after, shares={})
     last = SimpleNamespace(
         assessment=SimpleNamespace(led=led),
         raw=SimpleNamespace(converged=True),
         smoothing=SimpleNamespace(robust=0.0),
+        planned=SimpleNamespace(duration=1.0),
     )
     proposal = oracle.propose(last, 0)
     assert (None if proposal is None else proposal.solve()) == (weight and pytest.approx(weight))
@@ -230,9 +257,10 @@ def test_motion_between_is_the_best_one_whose_motors_keep_their_limits(
 ):
     """The error in flight falls toward the rival, that after arrival is least at half of it."""
     oracle = BetweenRivals.__new__(BetweenRivals)
-    oracle._rivals, oracle._best, oracle.run = (
+    errors = RivalErrors(None, [] if best is None else [(1.0, best)])
+    oracle._rivals, oracle._errors, oracle.run = (
         {"quintic": straight(1.0)},
-        best,
+        errors,
         SimpleNamespace(problem=None),
     )
 
@@ -240,7 +268,7 @@ def test_motion_between_is_the_best_one_whose_motors_keep_their_limits(
         x = float(plan(1.0)[0])
         return LedError(in_flight=1.1 - x, after_arrival=1.0 + 2.0 * abs(x - 0.5), shares={})
 
-    monkeypatch.setattr(oracle, "_led_error", led_of, raising=False)
+    monkeypatch.setattr(errors, "of_plan", led_of)
     monkeypatch.setattr(between_rivals, "follow_plan", lambda run, plan, law: plan)
     monkeypatch.setattr(
         between_rivals, "drive_violations", lambda *_: [SimpleNamespace(value=-1.0)]
@@ -259,8 +287,25 @@ def test_motion_between_is_the_best_one_whose_motors_keep_their_limits(
     )
     proposal = oracle.propose(last, 0)
     assert proposal.reason.startswith(f"with {share} % of the quintic motion")
+    # Beside a rival the ratio to it falls, whatever the sum of both phases does.
+    assert ("times a rival's error in place of" in proposal.reason) == (best is not None)
     oracle._rivals = {}
     assert oracle.propose(last, 0) is None
+
+
+def test_slower_rival_is_compared_with_the_motion_slowed_to_its_duration(monkeypatch):
+    """The error falls with the square of the duration; the slow rival's does too, from more."""
+
+    def error(flight, after):
+        return LedError(in_flight=flight, after_arrival=after, shares={})
+
+    slow, equal, beaten = error(0.5, 0.5), error(1.2, 0.9), error(3.0, 2.0)
+    errors = RivalErrors(None, [(2.0, slow), (1.0, equal), (2.0, beaten)])
+    monkeypatch.setattr(
+        errors, "of_plan", lambda plan: error(1.0 / plan.duration**2, 1.0 / plan.duration**2)
+    )
+    found = errors.ratios(straight(1.0), error(1.0, 1.0))
+    assert found == pytest.approx((1.0 / 1.2, 1.0 / 0.9))
 
 
 @pytest.mark.slow
@@ -272,6 +317,25 @@ def test_soft_arm_is_no_worse_than_its_best_rival_in_either_phase(problem):
     assert found.status is SolveStatus.OPTIMAL
     assert max(found.compensation.ratios) < 1.02
     assert any("of the quintic motion the worst arm has" in each for each in found.notes)
+
+
+@pytest.mark.parametrize(
+    ("goal", "status"), [("tool_error", "optimal"), ("tool_deviation", "acceptable")]
+)
+def test_a_baseline_of_less_summed_error_is_judged_with_its_command(
+    problem, solution, monkeypatch, goal, status
+):
+    """The motion was chosen phase by phase: its sum may exceed that of a baseline."""
+    own = verdict.Verdict(SolveStatus.OPTIMAL, "")
+    monkeypatch.setattr(verdict, "_solve_status", lambda _: own.status)
+    monkeypatch.setattr(verdict, "_status_message", lambda *_: own.message)
+    monkeypatch.setattr(verdict, "_judge_model_agreement", lambda *_: own)
+    baseline = SimpleNamespace(name="quintic")
+    monkeypatch.setattr(verdict, "find_better_baseline", lambda *_: baseline)
+    stated = replace(problem, objectives=(Objective(name=goal),))
+    outcome = SimpleNamespace(assessment=solution.assessment)
+    found = verdict.judge_outcome(stated, outcome, solution.assessment, {})
+    assert found.status.value == status
 
 
 @pytest.mark.parametrize(("wins", "status"), [(True, "acceptable"), (False, "optimal")])

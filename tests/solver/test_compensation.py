@@ -10,7 +10,7 @@ import pytest
 from small_arms import load
 
 from stiffopt.baseline.baselines import baselines
-from stiffopt.baseline.rivals import FairRival, quintic_law
+from stiffopt.baseline.rivals import FairRival, quintic_law, s_curve_law
 from stiffopt.certificate.assess import assess
 from stiffopt.command import command_search
 from stiffopt.command.compensation import compensate, compensate_motion, rival_commands
@@ -25,6 +25,7 @@ from stiffopt.report.solve.compensation import (
     compensation_section,
     compensation_text,
 )
+from stiffopt.report.solve.wording import rival_text
 from stiffopt.result.compensation import compensation_document, write_command
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.store import write_rival
@@ -104,13 +105,17 @@ def test_table_text_and_document_have_every_motion(smooth):
     _, _, found = smooth
     section = compensation_section(found)
     head, rows = section.head, section.rows
-    assert [row[:2] for row in rows] == [
+    assert [[row[0], row[2]] for row in rows] == [
         [name, how] for name in ("optimised", "toppra") for how in ("as planned", "compensated")
     ]
     assert all(len(row) == len(head) for row in rows)
     text = compensation_text(found)
     assert "in the worst case" in text
-    assert "toppra's motion" in text
+    assert "toppra's motion" in rival_text(found)
+    assert "toppra's motion" not in text
+    flight, after, across = map(float, rows[3][-2].split(" / "))
+    assert (flight, after) == pytest.approx(found.ratios, rel=5e-3)
+    assert across == pytest.approx(found.beside_best.ratios["across the path"], rel=5e-3)
     assert "50 arms" in section.lines[0]
     document = compensation_document(found)
     assert document["command"] == "command.csv"
@@ -208,11 +213,34 @@ def test_rival_is_slowed_before_its_command_is_judged_on_drawn_arms(tmp_path, mo
     assert len(judged) == 1
 
 
+def test_slower_rival_is_compared_with_the_motion_slowed_to_its_duration(tmp_path):
+    """The same motion in more time has less error, and at equal duration the same."""
+    problem = replace(load(tmp_path), uncertainty=Uncertainty(draws=50))
+    path = JointPath.through(resolve(problem).points)
+    rival = FairRival(problem, path, "quintic", quintic_law(1.0))
+    quick = PlannedMotion.of_solution(assess(problem, rival.at(0.4)), rival.at(0.4))
+    calm = PlannedMotion.of_rival(rival, assess(problem, rival.at(0.6)), True)
+    found = compensate(problem, elastic_arm(problem, quick.position[0]), [quick, calm])
+    own, slow = (each.compensated.worst_case for each in found.motions)
+    assert slow < 0.6 * own
+    assert found.ratios == pytest.approx((1.0, 1.0), rel=1e-6)
+    assert found.beside_best.ratios["across the path"] == pytest.approx(1.0, rel=1e-6)
+    assert not found.rival_wins
+    assert found.rival_command is None
+    rows = compensation_section(found).rows
+    assert [row[:2] for row in rows[2:]] == [
+        *[["quintic", "0.6 s"]] * 2,
+        ["optimised, slowed", "0.6 s"],
+    ]
+    assert "slowed to 0.6 s" in rival_text(found)
+
+
 def test_rival_that_wins_is_handed_over_with_a_command_within_the_limits(tmp_path):
     problem = replace(load(tmp_path), uncertainty=Uncertainty(draws=50))
     path = JointPath.through(resolve(problem).points)
     rival = FairRival(problem, path, "quintic", quintic_law(1.0))
-    quick = PlannedMotion.of("optimised", assess(problem, rival.at(0.4)), True)
+    rough = FairRival(problem, path, "optimised", s_curve_law(problem, path, 0.4)).at(0.6)
+    quick = PlannedMotion.of_solution(assess(problem, rough), rough)
     calm = PlannedMotion.of_rival(rival, assess(problem, rival.at(0.6)), True)
     arm = elastic_arm(problem, quick.position[0])
     found = compensate(problem, arm, [quick, calm])

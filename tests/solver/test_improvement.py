@@ -1,5 +1,7 @@
 """Improvement of given motions: limits, path, vibration."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from stiffopt.errors import ProblemError
 from stiffopt.files import load_json, read_table
 from stiffopt.improvement.given_motion import GivenMotion
 from stiffopt.improvement.improvement import improve
+from stiffopt.report.improvement.page import answer, faults
 from stiffopt.robot.files import load_robot
 
 START = np.array([0.2, 0.3, -0.4, 0.2, 0.6, 0.1])
@@ -79,6 +82,30 @@ def test_motion_that_ends_in_flight_is_refused():
     time, positions = curved_motion(1.5, 0.01)
     with pytest.raises(ProblemError, match="ends while joint 1 moves"):
         GivenMotion(time[:80], positions[:80])
+
+
+def test_answer_names_the_cause_of_a_longer_motion():
+    plan = SimpleNamespace(duration=1.2)
+    found = SimpleNamespace(
+        kept=True,
+        retimed=True,
+        compensation=object(),
+        plan=plan,
+        path_deviation=0.0,
+        given=SimpleNamespace(exceeded=(), assessment=SimpleNamespace(duration=1.0)),
+    )
+    assert answer(found).startswith("The motion is slowed for the lead of the motors;")
+    found.given.exceeded = (object(),)
+    assert answer(found).startswith("The motion is slowed where it exceeds a limit;")
+
+
+def test_a_motion_that_rings_on_does_not_settle():
+    both = SimpleNamespace(peak=1e-3, peak_after=2e-4, settling_time=None, band=5e-5)
+    given = SimpleNamespace(uses=(), exceeded=(), both=both)
+    found = SimpleNamespace(problem=SimpleNamespace(robot=None), given=given)
+    assert "and does not settle to 0.05 mm within a second." in faults(found)[-1]
+    both.settling_time = 0.3
+    assert "and stays within 0.05 mm after 300 ms." in faults(found)[-1]
 
 
 @pytest.mark.slow

@@ -1,7 +1,5 @@
 """Limits of the duty on a path: kept by its timing, and refused where no speed keeps them."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -91,11 +89,11 @@ def test_note_gives_a_slide_newtons_and_a_reducer_at_rest_no_life(monkeypatch):
     rating = LifeRating(torque=100.0, speed=1.0, life=1e7, exponent=3.0)
     still = {"peak_torque": 0.0, "peak_speed": 0.0, "peak_power": 0.0, "mean_speed": 0.0,
              "energy": 0.0, "regenerated": 0.0, "mean_torque": 0.0, "rating": rating}  # fmt: skip
-    rail = JointDuty(name="rail", rms_torque=300.0, torque_max=1000.0, **still)
-    turn = JointDuty(name="turn", rms_torque=1.0, torque_max=100.0, **still)
+    rail = JointDuty(name="rail", prismatic=True, rms_torque=300.0, torque_max=1000.0, **still)
+    turn = JointDuty(name="turn", prismatic=False, rms_torque=1.0, torque_max=100.0, **still)
     duty = Duty(duration=1.0, joints=(rail, turn))
     monkeypatch.setattr(path_duty, "motion_duty", lambda robot, motion: duty)
-    told = describe_duty(SimpleNamespace(prismatic=[True, False]), None)
+    told = describe_duty(None, None)
     assert told.endswith("with an rms torque of 300 N in rail, 30% of its limit.")
 
 

@@ -1,5 +1,6 @@
 """Replays: the recipe of a result, solved again and compared."""
 
+import hmac
 import json
 from collections import OrderedDict
 from dataclasses import replace
@@ -106,7 +107,9 @@ def test_rivals_are_simulated_when_the_page_is_drawn(tmp_path):
     again, _ = family.solve(problem, state, simulate=True, beside_rivals=False)
     assert [each.name for each in alone.simulation.motions] == ["optimised"]
     assert not again.baselines
-    assert "not compared with baselines" in again.message
+    # What the page completes is no part of the message.
+    assert "baseline" not in again.message
+    assert "no baseline" in whole.message
     for each in (alone, again):
         found = complete_comparison(problem, each)
         assert [each.name for each in found.simulation.motions] == [
@@ -161,11 +164,16 @@ def test_functions_of_an_earlier_process_are_not_prepared_again(stored, tmp_path
         monkeypatch.setattr(module, name, OrderedDict())
         if hasattr(prepared, name):
             monkeypatch.setattr(prepared, name, getattr(module, name))
-    # What cannot be read is prepared again.
-    damaged = tmp_path / PREPARED_FILE
-    damaged.write_bytes((stored[1] / PREPARED_FILE).read_bytes()[:-100])
-    prepared.read_prepared(damaged)
-    assert not node_derivatives.kept_formulas
+    # What cannot be read, or was written by another user, is prepared again.
+    other, content = tmp_path / PREPARED_FILE, (stored[1] / PREPARED_FILE).read_bytes()
+    for written in (
+        b"",
+        content[:-100],
+        content[:-32] + hmac.digest(bytes(32), content[:-32], "sha256"),
+    ):
+        other.write_bytes(written)
+        prepared.read_prepared(other)
+        assert not node_derivatives.kept_formulas
     state = read_state(stored[1])
     assert node_derivatives.kept_formulas
     monkeypatch.setattr(node_derivatives, "_without_numbers", None)
@@ -180,3 +188,10 @@ def test_functions_of_an_earlier_process_are_not_prepared_again(stored, tmp_path
 def test_a_state_that_is_cut_off_is_no_start(stored, tmp_path):
     content = (stored[1] / STATE_FILE).read_bytes()
     assert WarmStart.from_bytes(content[:-8]) is None
+    head, _, numbers = content.partition(b"\n")
+    for key, value in (("scales", None), ("scales", {"torque_squared": "x"}), ("smoothing", ["a"])):
+        forged = json.dumps({**json.loads(head), key: value}).encode()
+        assert WarmStart.from_bytes(forged + b"\n" + numbers) is None
+    for factor in (np.nan, 0.0, 1e300):
+        forged = (factor * np.frombuffer(numbers, "<f8")).tobytes()
+        assert WarmStart.from_bytes(head + b"\n" + forged) is None

@@ -125,7 +125,11 @@ def test_a_limit_without_effort_is_silent_about_it(tmp_path, capfd):
 @pytest.mark.parametrize(
     ("effort", "velocity", "said"),
     [
-        ("1e6", "2", r"the effort of 6 joints is a placeholder: 1: the URDF says 1e\+06 N m"),
+        (
+            "1e6",
+            "2",
+            r"the effort of 6 joints is a placeholder: 1, 2, 3, 4, 5, 6: the URDF says 1e\+06 N m",
+        ),
         ("80", "100", r"the velocity of 6 joints is a placeholder: 1: the URDF says 100 rad/s"),
         ("1e6", "100", r"the effort of 6 joints is a placeholder"),
     ],
@@ -142,10 +146,39 @@ def test_placeholders_are_questioned_by_name_and_guessed(effort, velocity, said,
     assert all('provenance = "estimated"' in part for part in text.split("[[joint]]")[1:])
 
 
+@pytest.mark.parametrize(
+    ("effort", "velocity", "said"),
+    [
+        # The first joint alone would move the tool too fast; the wrist has the same number.
+        (
+            "150",
+            "24",
+            r"the velocity of 6 joints .* 5, 6: the URDF says 24 rad/s, a placeholder as for 1",
+        ),
+        # Only the first joints cannot hold the weight.
+        (
+            "30",
+            "2",
+            r"the effort of 6 joints .* a placeholder as for 2; 2: .* weight alone takes",
+        ),
+    ],
+)
+def test_one_number_for_all_joints_is_a_placeholder_of_all(
+    effort, velocity, said, tmp_path, capsys
+):
+    urdf = written(tmp_path, chain(6, inside=limits(effort, velocity)))
+    assert run(["init", "robot", str(urdf)]) == 0
+    assert re.search(f"QUESTION: {said}", capsys.readouterr().out)
+    arm = load_robot(tmp_path / "arm_robot.toml")
+    stated = arm.velocity_max if velocity == "24" else arm.torque_max
+    assert not np.any(np.isin(stated, [24.0, 30.0]))
+
+
 def test_doubtful_limits_are_kept_and_questioned(tmp_path, capsys):
     """One torque for all joints, and one that does not bear the weight of three links of 3 kg."""
-    assert run(["init", "robot", str(written(tmp_path, chain(6)))]) == 0
-    assert "torque 80 N m" in capsys.readouterr().out
+    urdf = written(tmp_path, chain(6, inside=limits("150", "2")))
+    assert run(["init", "robot", str(urdf)]) == 0
+    assert "torque 150 N m" in capsys.readouterr().out
     parts = chain(3).split('effort="80"')
     weak = parts[0] + 'effort="80"' + parts[1] + 'effort="4"' + parts[2] + 'effort="60"' + parts[3]
     urdf = written(tmp_path, weak)

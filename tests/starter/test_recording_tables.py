@@ -162,13 +162,13 @@ def test_unused_columns_are_listed(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("names", "factor", "kind", "said"),
+    ("names", "factor", "asked", "said"),
     [
-        (["t", "q1", "q2", "torque1 [%]", "torque2 [%]"], 1.0, "torque", "N m per %"),
-        (NAMES, 1e6, "position", "rad per count"),
+        (["t", "q1", "q2", "torque1 [%]", "torque2 [%]"], 1.0, "are stated in %.", "N m per %"),
+        (NAMES, 1e6, "signals.scale.position", "rad per count"),
     ],
 )
-def test_unknown_scale_factor_is_required_from_user(names, factor, kind, said, tmp_path, capsys):
+def test_unknown_scale_factor_is_required_from_user(names, factor, asked, said, tmp_path, capsys):
     columns = [TIME, *(factor * v for v in VALUES[:2]), *VALUES[2:]]
     (tmp_path / "log.csv").write_text("\n".join(lines(names, columns)))
     arguments = ["init", "recording", str(tmp_path / "log.csv"), "--urdf", str(URDF)]
@@ -176,9 +176,9 @@ def test_unknown_scale_factor_is_required_from_user(names, factor, kind, said, t
     assert said in capsys.readouterr().out
     folder = tmp_path / "log_set"
     assert run(["recording", "check", str(folder)]) == 2
-    assert f"signals.scale.{kind}" in capsys.readouterr().err
+    assert asked in capsys.readouterr().err
     text = (folder / "recordings.toml").read_text()
-    unit = {"torque": '"%"', "position": '"counts"'}[kind]
+    unit = '"%"' if "%" in said else '"counts"'
     (folder / "recordings.toml").write_text(text.replace(unit, "1e-6"))
     assert load_recordings(folder).runs
 
@@ -611,3 +611,88 @@ def test_recorded_arm_is_a_shipped_robot_by_its_name(tmp_path, capsys):
     assert len(load_recordings(tmp_path / "set").joints) == 6
     assert run(["init", "recording", str(log), "--robot", "ur11", "-o", str(tmp_path / "no")]) == 2
     assert "ur10" in capsys.readouterr().err
+
+
+def test_signal_files_of_several_folders_are_a_run_each(tmp_path):
+    """One file a joint and signal, in a folder a motion: their names repeat."""
+    for number, folder in enumerate(("slow", "fast"), start=1):
+        (tmp_path / folder).mkdir()
+        for name, values in zip(NAMES[1:], VALUES, strict=True):
+            np.savetxt(tmp_path / folder / f"{name}.txt", number * values)
+    out = tmp_path / "set"
+    folders = [str(tmp_path / name) for name in ("slow", "fast")]
+    assert (
+        run(
+            ["init", "recording", *folders, "--rate", "200", "--urdf", str(URDF), "--out", str(out)]
+        )
+        == 0
+    )
+    found = load_recordings(out)
+    assert [(entry.name, entry.role) for entry in found.runs] == [
+        ("slow", "train"),
+        ("fast", "test"),
+    ]
+    assert found.signals.position == ("q1", "q2")
+
+
+def test_files_of_one_name_in_two_folders_are_named_after_these(tmp_path):
+    for folder in ("before", "after"):
+        (tmp_path / folder).mkdir()
+        for name in ("run1.csv", "run2.csv"):
+            (tmp_path / folder / name).write_text("\n".join(lines()))
+    out = tmp_path / "set"
+    folders = [str(tmp_path / name) for name in ("before", "after")]
+    assert run(["init", "recording", *folders, "--urdf", str(URDF), "--out", str(out)]) == 0
+    assert [(entry.name, entry.role) for entry in load_recordings(out).runs] == [
+        ("before_run1", "train"),
+        ("before_run2", "train"),
+        ("after_run1", "train"),
+        ("after_run2", "test"),
+    ]
+
+
+def test_whole_numbers_of_a_drive_are_torques_without_a_factor(tmp_path, capsys):
+    """The sign of a joint is told beside its factor; a joint without weight keeps its unit."""
+    motion = dict(np.load(URDF.parent / "train_1.npz"))
+    columns = [motion[name] for name in ("t", "q1", "q2")]
+    columns += [np.round(motion["tau1"] / 0.02), np.round(motion["tau2"] / -0.02)]
+    (tmp_path / "log.csv").write_text("\n".join(lines(columns=columns)))
+    out = tmp_path / "set"
+    log = str(tmp_path / "log.csv")
+    assert run(["init", "recording", log, "--urdf", str(URDF), "--out", str(out)]) == 0
+    assert "whole numbers" in capsys.readouterr().out
+    assert load_recordings(out).signals.torque_units == ("counts", "counts")
+    assert run(["recording", "check", str(out)]) == 2
+    told = capsys.readouterr().err
+    first, second = re.search(r"write torque = \[([-\d.]+), ([-\d.]+)\]", told).groups()
+    assert float(first) == pytest.approx(0.02, rel=0.1)
+    assert float(second) == pytest.approx(-0.02, rel=0.1)
+    assert "N m per count" in told
+
+
+def test_last_link_is_the_hand_of_a_new_set(tmp_path):
+    (tmp_path / "log.csv").write_text("\n".join(lines()))
+    out = tmp_path / "set"
+    log = str(tmp_path / "log.csv")
+    assert run(["init", "recording", log, "--urdf", str(URDF), "--out", str(out)]) == 0
+    assert load_recordings(out).tool_frame == load_robot(URDF).tool.link
+
+
+def test_poses_without_a_time_need_no_rate_and_few_rows(tmp_path, capsys):
+    rng = np.random.default_rng(3)
+    poses = [*rng.uniform(-1.0, 1.0, (2, 30)), *rng.uniform(-20.0, 20.0, (2, 30))]
+    body = [
+        "q1,q2,tau1,tau2",
+        *(",".join(f"{x:.6g}" for x in row) for row in zip(*poses, strict=True)),
+    ]
+    log, out = tmp_path / "poses.csv", tmp_path / "set"
+    log.write_text("\n".join(body))
+    assert run(["init", "recording", str(log), "--urdf", str(URDF), "--out", str(out)]) == 0
+    assert "poses at rest" in capsys.readouterr().out
+    assert load_recordings(out).signals.at_rest
+    log.write_text("\n".join(body[:12]))
+    assert (
+        run(["init", "recording", str(log), "--urdf", str(URDF), "--out", str(tmp_path / "few")])
+        == 2
+    )
+    assert "needs 20" in capsys.readouterr().err

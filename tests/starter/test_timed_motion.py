@@ -55,6 +55,16 @@ def test_table_of_degrees_and_milliseconds(arm, tmp_path):
     np.testing.assert_allclose(read.position, POSITION, atol=1e-12)
 
 
+def test_rest_around_the_motion_is_left_out_and_told(arm, tmp_path):
+    rows = np.vstack([POSITION[:1], POSITION, POSITION[-1:]])
+    time = np.concatenate([[0.0], TIME + 0.5, [2.0]])
+    read = read_timed_motion(
+        write_table(tmp_path / "m.csv", f"t,{joint_names(6)}", time, rows), arm
+    )
+    assert read.time[-1] == pytest.approx(1.0)
+    assert read.reasons[-1] == "rest of 0.5 s before and 0.5 s after it: left out"
+
+
 @pytest.mark.parametrize("form", ["json", "yaml", "flow"])
 def test_joint_trajectory_is_read_in_the_order_of_its_names(arm, tmp_path, form):
     order = [5, 2, 0, 1, 4, 3]

@@ -84,7 +84,7 @@ def test_rigid_strongest_joint_gets_least_heat_objective(tmp_path, capsys):
     spring = '[[joint.element]]\nname = "spring"\ntype = "constant"\nstiffness = 1e4\n'
     elastic = [table_of("shoulder", spring), table_of("elbow", spring, torque_max=30.0)]
     bare = [table_of("shoulder", ""), table_of("elbow", spring, torque_max=30.0)]
-    for joints, objective in ((elastic, "shaped_deviation"), (bare, "torque_squared")):
+    for joints, objective in ((elastic, "tool_error"), (bare, "torque_squared")):
         robot = write_robot(tmp_path, "planar", joints)
         out = tmp_path / f"{objective}.toml"
         assert run(["init", "problem", str(robot), "--out", str(out)]) == 0
@@ -114,12 +114,12 @@ def test_shapes_without_extent_are_left_out(tmp_path):
 
 
 def test_first_problem_has_time_for_vibration(tmp_path):
-    """The seven axes with a hand: shaped, within the joints' limits."""
+    """The seven axes with a hand: within the joints' limits."""
     urdf = write_gripper_urdf(tmp_path)
     assert run(["init", "robot", str(urdf)]) == 0
     assert run(["init", "problem", str(tmp_path / "seven_robot.toml")]) == 0
     problem = load_problem(tmp_path / "seven_first.toml").problem
-    assert problem.is_shaped
+    assert problem.objectives[0].name == "tool_error"
     pose = resolve(problem).start
     lowest = modes(ElasticArm(problem.robot, pose), pose)[0].frequency
     assert problem.duration[0] > 2.0 / lowest + 0.2

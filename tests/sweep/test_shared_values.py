@@ -11,12 +11,16 @@ import pytest
 from servo_sets import ARMATURE, COULOMB, DELAY, KP, write_servo_set
 
 from stiffopt.cli import run
+from stiffopt.sweep.cases import Case, Sweep
 from stiffopt.sweep.shared_values import SharedValue, shared_values
+from stiffopt.sweep.summary import SweepSummary
 
 
-def told(parameter: str, value: float, sd: float, expected_sd: float = 10.0) -> dict[str, Any]:
+def told(
+    parameter: str, value: float, sd: float, expected_sd: float = 10.0, case: str = ""
+) -> dict[str, Any]:
     """One value of an arm."""
-    expected = {"expected": 1.0, "expected_sd": expected_sd}
+    expected = {"expected": 1.0, "expected_sd": expected_sd, "case": case}
     return {"joint": 1, "parameter": parameter, "unit": "N m", "value": value, "sd": sd} | expected
 
 
@@ -72,6 +76,21 @@ def test_common_values_are_seldom_called_own() -> None:
 def test_values_that_only_their_expectation_tells_are_left_out() -> None:
     assert shared_values({"0": [told("drag", 1.0, 9.9)], "1": [told("drag", 1.0, 9.9)]}) == []
     assert shared_values({"0": [told("drag", 1.0, 0.1)]}) == []
+
+
+def test_arms_are_compared_within_a_case_of_the_sweep() -> None:
+    sweep = Sweep(path=Path("s.toml"), title="", kind="recordings", places=("limit",), front="",
+                  starts=1, cases=tuple(
+        Case(k + 1, "recordings", Path(arm) / "recordings.toml", (("limit", limit),), 0, False, "")
+        for k, (arm, limit) in enumerate([("a", 1), ("a", 2), ("b", 1), ("b", 2)])
+    ))  # fmt: skip
+    results = [
+        {"result": {"simulation": [told("coulomb", value, 0.02)]}} for value in (1.0, 2.0, 1.0, 3.0)
+    ]
+    found = {each.case: each for each in SweepSummary(sweep, results, False).shared_values()}
+    assert found["limit=1"].common
+    assert not found["limit=2"].common
+    assert [value for _, value, _ in found["limit=2"].arms] == [2.0, 3.0]
 
 
 @pytest.mark.slow

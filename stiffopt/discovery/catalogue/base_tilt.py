@@ -113,6 +113,7 @@ BASE_TILT = Effect(
     needs=("torque", "moves"),
     confused_with=("encoder_offset", "joint_zero"),
     shifts_weight=True,
+    turned_gravity=tilted_gravity,
     term=base_tilt_term,
     amplitudes=tuple(
         Amplitude(

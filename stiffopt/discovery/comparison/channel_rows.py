@@ -160,10 +160,18 @@ class _RowPlaces:
     block: np.ndarray
 
 
-def part_numbers(time: np.ndarray, parts: int) -> np.ndarray:
-    """Return the number (K,) of the equal part of a run that each of its times is in."""
-    share = (time - time[0]) / float(time[-1] - time[0])
-    return np.asarray(np.minimum((share * parts).astype(int), parts - 1))
+def part_numbers(time: np.ndarray, parts: int, begin: float = 0.0) -> np.ndarray:
+    """Return the number (K,) of the equal part of a run that each of its times is in.
+
+    `begin`: share of the run before the first part, which gets its number.
+    """
+    share = (elapsed_shares(time) - begin) / (1.0 - begin)
+    return np.asarray(np.clip((share * parts).astype(int), 0, parts - 1))
+
+
+def elapsed_shares(time: np.ndarray) -> np.ndarray:
+    """Return the share (K,) of a run that has elapsed at each of its times."""
+    return np.asarray((time - time[0]) / float(time[-1] - time[0]))
 
 
 # Standard deviation of rounding to one count.

@@ -15,6 +15,7 @@ from stiffopt.discovery.comparison.extension_change import (
     relative_compliance,
     select_calibration,
     spring_laws,
+    with_turned_gravity,
 )
 from stiffopt.discovery.comparison.filtering import derivative
 from stiffopt.discovery.comparison.located_effect import Extension
@@ -51,7 +52,8 @@ def simulate_links(run: PreparedRun, extension: Extension) -> PreparedRun:
     if key not in run.extension_cache:
         while len(run.extension_cache) >= _MAX_CACHED_RUNS:
             run.extension_cache.pop(next(iter(run.extension_cache)))
-        found = run.extension_cache[key] = _simulate_with_fallback(run, moving)
+        found = _simulate_with_fallback(with_turned_gravity(run, moving), moving)
+        run.extension_cache[key] = found
         assert found.vibration is not None
         # What follows is linearised anew, about the motion found.
         found.vibration.response.release_steps()
@@ -244,7 +246,7 @@ def linearise_run(
     if start.empty and found.empty:
         return run, 0.0, 0.0
     if run.vibration is None:
-        base = extend_run(run, start)
+        base = with_turned_gravity(extend_run(run, start), found)
         change = extension_change(base, replace(found, calibration={}))
         if not change.link_torque.any():
             return base, 0.0, 0.0
@@ -276,6 +278,7 @@ def linearise_run(
 
 def _extend_static_run(run: PreparedRun, extension: Extension) -> PreparedRun:
     """Return the run with an extension, links quasi-static."""
+    run = with_turned_gravity(run, extension)
     bent = with_link_torque(run, extension_change(run, extension).link_torque)
     change = extension_change(bent, extension)
     wound = with_link_torque(run, change.link_torque).signals

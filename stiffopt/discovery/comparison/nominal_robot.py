@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from copy import copy
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -186,10 +186,19 @@ class RobotModel:
         position, velocity, acceleration = (x[:, self.order][..., self.order] for x in slopes)
         return position, velocity, acceleration
 
-    def body_torques(self, body: int, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+    def body_torques(
+        self,
+        body: int,
+        q: np.ndarray,
+        v: np.ndarray,
+        a: np.ndarray,
+        added_gravity: np.ndarray | None = None,
+    ) -> np.ndarray:
         """Return the spring torques per inertial parameter of one body (K, n, 10)."""
-        motion = self._ordered(q, v, a)
-        torques = body_torque_regressor(self.arm.tree, int(self.order[body]), *motion)
+        motion, tree = self._ordered(q, v, a), self.arm.tree
+        if added_gravity is not None:
+            tree = replace(tree, gravity=np.asarray(tree.gravity + added_gravity))
+        torques = body_torque_regressor(tree, int(self.order[body]), *motion)
         # Avoid a copy of the largest array of a long run where both orders agree.
         return torques if np.all(self.order == np.arange(self.n)) else torques[:, self.order]
 
@@ -198,12 +207,19 @@ class RobotModel:
         return np.concatenate([self.body_torques(b, q, v, a) for b in range(self.n)], axis=2)
 
     def changed_torque(
-        self, change: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray
+        self,
+        change: np.ndarray,
+        q: np.ndarray,
+        v: np.ndarray,
+        a: np.ndarray,
+        added_gravity: np.ndarray | None = None,
     ) -> np.ndarray:
         """Return the spring torques (K, n) of changed inertial parameters (n, 10)."""
-        by_body = np.empty_like(change)
+        by_body, bodies = np.empty_like(change), self._bodies
         by_body[self.order] = change
-        return self._bodies.changed_torque(by_body, *self._ordered(q, v, a))[:, self.order]
+        if added_gravity is not None:
+            bodies = bodies.with_gravity(np.asarray(self.arm.tree.gravity + added_gravity))
+        return bodies.changed_torque(by_body, *self._ordered(q, v, a))[:, self.order]
 
     def weight(self, q: np.ndarray) -> np.ndarray:
         """Return the gravity torque per gravity along the axes of the base (K, n, 3)."""
@@ -310,11 +326,30 @@ class _TorqueParts:
 
 
 class BodyRegressor(_TorqueParts):
-    """Joint torques along a motion per inertial parameter (K, n, 10 n), body by body."""
+    """Joint torques along a motion per inertial parameter (K, n, 10 n), body by body.
 
-    def __init__(self, robot: RobotModel, motion: tuple[np.ndarray, ...]) -> None:
-        super().__init__(robot, motion, PARAMETERS_PER_BODY, robot.body_torques)
+    `added_gravity` (3,): in the axes of the base, beside the stated gravity [m/s^2].
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        motion: tuple[np.ndarray, ...],
+        added_gravity: np.ndarray | None = None,
+    ) -> None:
+        evaluate = partial(robot.body_torques, added_gravity=added_gravity)
+        super().__init__(robot, motion, PARAMETERS_PER_BODY, evaluate)
+        self.added_gravity = added_gravity
         self._changes: dict[bytes, np.ndarray] = {}
+
+    def along(self, *motion: np.ndarray) -> BodyRegressor:
+        """Return the torques along another motion."""
+        return BodyRegressor(self._robot, motion, self.added_gravity)
+
+    def under(self, added: np.ndarray) -> BodyRegressor:
+        """Return the torques under still more gravity (3,)."""
+        before = 0.0 if self.added_gravity is None else self.added_gravity
+        return BodyRegressor(self._robot, self._motion, before + added)
 
     def torque_of_body(self, body: int, change: np.ndarray) -> np.ndarray:
         """Return the torques (K, n) of changed parameters (10,) of one body (from 0)."""
@@ -327,7 +362,10 @@ class BodyRegressor(_TorqueParts):
         if key not in self._changes:
             while len(self._changes) >= _MAX_CACHED_CHANGES:
                 self._changes.pop(next(iter(self._changes)))
-            self._changes[key] = self._robot.changed_torque(change, *self._motion)
+            q, v, a = self._motion
+            self._changes[key] = self._robot.changed_torque(
+                change, q, v, a, added_gravity=self.added_gravity
+            )
         return self._changes[key]
 
 
@@ -393,12 +431,21 @@ class LazyArmSignals:
 
     def decimate(self, every: int) -> LazyArmSignals:
         """Return every k-th sample."""
-        return LazyArmSignals(self._robot, *(x[::every] for x in self._motion))
+        other = LazyArmSignals(self._robot, *(x[::every] for x in self._motion))
+        if (added := self.body_regressor.added_gravity) is not None:
+            return other.under_gravity(added)
+        return other
 
     def with_bodies(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> LazyArmSignals:
         """Return the signals with the body torques along another motion."""
         other = copy(self)
-        other.body_regressor = BodyRegressor(self._robot, (q, v, a))
+        other.body_regressor = self.body_regressor.along(q, v, a)
+        return other
+
+    def under_gravity(self, added: np.ndarray) -> LazyArmSignals:
+        """Return the signals with the body torques under more gravity (3,) [m/s^2]."""
+        other = copy(self)
+        other.body_regressor = self.body_regressor.under(added)
         return other
 
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import softmax
 
+from stiffopt.discovery.comparison.channel_rows import elapsed_shares
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.evidence import (
     BlockSums,
@@ -25,7 +26,6 @@ from stiffopt.discovery.comparison.evidence import (
 )
 from stiffopt.discovery.comparison.inertial_parameters import body_units
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.search.cross_validation import number_folds, stack_columns
 from stiffopt.discovery.search.rigid_model import PRIOR_WIDTHS
 from stiffopt.discovery.search.rivals import Selected, tempering_width
@@ -33,9 +33,6 @@ from stiffopt.discovery.thresholds import MIN_ACTIVE_SHARE, NAMED_EVIDENCE
 
 # Shares of each run's start that members leave out: filters, contacts and warm-up act there.
 START_CUTS = (0.03, 0.05, 0.10)
-# Share of a finding's evidence, or of the required one if that is less, in proportion to the rows
-# of a member, with which it is named again: evidence of equal stretches differs by about as much.
-MIN_EVIDENCE_KEPT = 0.5
 # Prior standard deviations of inertial parameters over their typical sizes in the members with free
 # masses: the two widest of the re-identification.
 FREE_WIDTHS = PRIOR_WIDTHS[-2:]
@@ -56,11 +53,11 @@ def recurrence(
     rivals. `half_band`: the same runs in half the band. `free_bodies`: True where no tolerance of
     masses is stated, so that members free them.
 
-    A member names a finding again if the evidence for it, beside the other findings, reaches half
-    of the one required of all data in proportion to its rows, and its main amplitude keeps its
-    sign. A rival that gains on it takes its probability, not that of the two together: one of them
+    A member names a finding again as far as the evidence for it, beside the other findings, reaches
+    the one required of all data in proportion to its rows, if its main amplitude keeps its sign. A
+    rival that gains on it takes its probability, not that of the two together: one of them
     is there. Members in which an effect does not act are not counted for it. A drift between runs
-    is named only if it is named again without each single run: one odd run is no drift.
+    is named only as far as it is without each single run: one odd run is no drift.
     """
     signs = np.sign(comparison.fit([each.located for each in selected]).amplitudes())
     own = _Member(comparison, selected, signs)
@@ -79,7 +76,7 @@ def recurrence(
         number = comparison.rows.run
         for left_out in np.unique(number):
             member = own.judge(number != left_out, rivals=False)
-            share = np.where(drifts & member.acts & ~member.again, 0.0, share)
+            share = np.where(drifts & member.acts, np.minimum(share, member.again), share)
     return np.nan_to_num(share, nan=1.0), tuple(map(_with_odds, selected, odds))
 
 
@@ -114,10 +111,7 @@ def _kept_rows(comparison: Comparison) -> tuple[list[np.ndarray], list[np.ndarra
     """Return masks (m,) of the rows that are left without a stretch, and without starts of runs."""
     fold = number_folds(comparison)
 
-    def progress(run: PreparedRun) -> np.ndarray:
-        return np.asarray((run.time - run.time[0]) / float(run.time[-1] - run.time[0]))
-
-    share = comparison.rows.sample_signal(progress)
+    share = comparison.rows.sample_signal(lambda run: elapsed_shares(run.time))
     return (
         [fold != left_out for left_out in range(int(fold.max()) + 1)],
         [share >= cut for cut in START_CUTS],
@@ -139,9 +133,8 @@ def _other_members(
 class _Judgement:
     """Judgement of a member on the findings."""
 
-    # again, acts (e,) of bool: findings that are named again, and that act in its rows.
-    again: np.ndarray
-    acts: np.ndarray
+    again: np.ndarray  # (e,) how far each is named again, 0 to 1
+    acts: np.ndarray  # (e,) of bool: findings that act in its rows
     # (1 + r,) log evidence for each finding, and the leads of its rivals over it in its place;
     # empty where not asked for.
     leads: Sequence[np.ndarray]
@@ -164,7 +157,7 @@ class _Member:
         ]
 
     def judge(self, kept: np.ndarray | None = None, *, rivals: bool = True) -> _Judgement:
-        """Return which findings are named again, and the leads of their rivals if asked.
+        """Return how far findings are named again, and the leads of their rivals if asked.
 
         `kept` (m,) of bool: rows that are fitted; default all.
         """
@@ -174,7 +167,7 @@ class _Member:
         found = _fit(columns, target, self._prior)
         share = float(np.mean(kept))
         first = int(np.sum(self._owner < 0))
-        again = np.zeros(len(self._selected), dtype=bool)
+        again = np.zeros(len(self._selected))
         acts = np.zeros(len(self._selected), dtype=bool)
         leads = []
         for k, each in enumerate(self._selected):
@@ -187,8 +180,8 @@ class _Member:
             # Deviations of runs are about the mean of the runs left: their signs may change.
             drifts = each.located.effect.of_runs is not None
             same_sign = drifts or mean[main] * self._signs[rows[main] - first] > 0.0
-            asked = MIN_EVIDENCE_KEPT * share * min(NAMED_EVIDENCE, each.loss)
-            again[k] = gained >= asked and same_sign
+            asked = share * min(NAMED_EVIDENCE, each.loss)
+            again[k] = float(np.clip(gained / asked, 0.0, 1.0)) if same_sign else 0.0
             if rivals:
                 ahead = [
                     self._lead(k, located, rival, kept, mean, covariance)

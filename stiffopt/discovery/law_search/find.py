@@ -178,9 +178,13 @@ class _Ranked:
         """Return True where both are one function of the same signals, in other words.
 
         The rows hold less evidence of their difference, in units of `width`, than the parameters of
-        one of them are worth.
+        one of them are worth. Waves of frequencies that the rows do not tell apart are two
+        functions: they part between the recordings.
         """
-        signals = [{f.source for f in each.law.factors} for each in (self, other)]
+        waves = self.law.frequencies, other.law.frequencies
+        if all(waves) and not np.allclose(*waves):
+            return False
+        signals = [{f.source.origin for f in each.law.factors} for each in (self, other)]
         apart = 0.5 * float(np.sum((self.rows - other.rows) ** 2)) / width
         return signals[0] == signals[1] and apart < PARAMETER_LOG_PRICE * self.law.parameter_count
 
@@ -214,7 +218,11 @@ class _State:
         """
         fit, n = self.comparison.fit(self.effects), self.comparison.robot.n
         beyond = np.nan_to_num(self.comparison.channel_ratio(fit.residual) / self.comparison.least)
-        named = {each.channel % n for each in self.kept if not each.located.calibrated}
+        named = {
+            each.channel % n
+            for each in self.kept
+            if not each.located.calibrated and each.located.key not in self._irreplaceable
+        }
         found = [
             int(c)
             for c in np.argsort(-beyond)
@@ -247,7 +255,7 @@ class _State:
     def search(self, number: int, *, is_open: bool) -> ChannelLaw | None:
         """Search a channel for a law in place of its findings or, where it is open, beside them.
 
-        None where no law could be likelier than findings that explain the channel.
+        None where no law is likelier than findings that explain the channel.
         """
         own = self._findings_at(number)
         beside = OpenChannel(self.comparison, self.effects, number)
@@ -259,8 +267,6 @@ class _State:
                 if outcome.best is not None and beats(apart, outcome.best, beside.square, own):
                     self.effects, self._dropped = others, own
                     return outcome
-                if not is_open:
-                    return replace(outcome, best=None)
             if not is_open:
                 return None
         return search_channel(beside)
@@ -409,9 +415,10 @@ def _mean_stiffness(comparison: Comparison, joint: int) -> float:
 def _is_determined(
     comparison: Comparison, effects: Sequence[LocatedEffect], law: LocatedEffect
 ) -> bool:
-    """Return True where a law's amplitude stands out of its deviation, all else free.
+    """Return True where a law's amplitude stands out of its deviation between parts and runs.
 
-    Sharp forms in a few samples gain evidence with an amplitude that is anything.
+    Sharp forms in a few samples gain evidence with an amplitude that is anything. The shapes are
+    held: the amplitude of a power or a hinge is told only together with its place.
     """
-    estimate = estimate_parameters(comparison, effects)
-    return estimate.amplitude_deviations(list(effects).index(law)) >= CONFIRMED_DEVIATIONS
+    estimate, index = estimate_parameters(comparison, effects), list(effects).index(law)
+    return estimate.amplitude_deviations(index, shapes_held=True) >= CONFIRMED_DEVIATIONS

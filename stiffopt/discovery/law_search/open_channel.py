@@ -155,14 +155,23 @@ class OpenChannel:
         if not coarse.size:
             return ()
         power = sum(self._wave_power(time, coarse, own) for own in parts)
-        found = []
-        fine_step = _FREQUENCY_STEP / float(np.ptp(time))
-        for peak in coarse[np.argsort(-power)[:_WAVE_PEAKS]]:
-            reach = min(0.5 / short, _MAX_FINE_STEPS * fine_step)
-            fine = np.arange(peak - reach, peak + reach, fine_step)
-            whole = self._wave_power(time, fine, np.ones(len(time), dtype=bool))
-            found.append(float(fine[int(np.argmax(whole))]))
-        return tuple(found)
+        peaks = coarse[np.argsort(-power)[:_WAVE_PEAKS]]
+        return tuple(self.near_frequencies(source, peak)[0] for peak in peaks)
+
+    def near_frequencies(self, source: LawSource, frequency: float) -> list[float]:
+        """Return the frequencies about one that single runs do not tell from it, best first.
+
+        Runs apart tell it only up to multiples of the inverse time between them.
+        """
+        time = self.comparison.rows.sample_signal(source.value_in)[self.rows]
+        short = min(float(np.ptp(time[self.block == b])) for b in np.unique(self.block))
+        step = _FREQUENCY_STEP / float(np.ptp(time))
+        reach = min(0.5 / short, _MAX_FINE_STEPS * step)
+        fine = np.arange(frequency - reach, frequency + reach, step)
+        power = self._wave_power(time, fine, np.ones(len(time), dtype=bool))
+        inside = power[1:-1]
+        tops = 1 + np.flatnonzero((inside >= power[:-2]) & (inside > power[2:]))
+        return [float(fine[k]) for k in sorted(tops, key=lambda k: -power[k])] or [frequency]
 
     def orders(self, source: LawSource) -> tuple[float, ...]:
         """Return the likeliest orders of the residual over an angle, beyond the grid [1/rad].

@@ -68,7 +68,9 @@ def search_channel(channel: OpenChannel) -> ChannelLaw:
         found = _ranked([*found, *_fit_pairs(channel, products)])
     if found and _is_short_of(channel, found, left):
         found = _ranked([*found, *_add_factor(channel, found[0])])
-    found = _ranked([*found, *_generalise(channel, found[:_MAX_NEAR])])
+    found = _generalise(channel, found)
+    if found:
+        found = _ranked([*found, *_fit_near_frequencies(channel, found[0])])
     best = found[0] if found else None
     explained = 0.0 if best is None else channel.share(best.left)
     attainable = channel.share(left)
@@ -159,15 +161,34 @@ def _fit_best(channel: OpenChannel, laws: Sequence[Law]) -> list[FittedLaw]:
 
 
 def _generalise(channel: OpenChannel, found: Sequence[FittedLaw]) -> list[FittedLaw]:
-    """Return the best laws with one form in place of which a more general one is fitted."""
-    general = []
-    for each in found:
+    """Put a more general form in place of one of a best law's where that is likelier.
+
+    A law is no rival of its own refinement: what it leaves over is what its formula lacks.
+    """
+    best = []
+    for each in found[:_MAX_NEAR]:
+        refined = [each]
         for number, factor in enumerate(each.law.factors):
             if factor.own.general:
                 own = factor.generalised(_extent_of(channel, factor.source))
                 factors = (*each.law.factors[:number], own, *each.law.factors[number + 1 :])
-                general.append((replace(each.law, factors=factors), each.tried))
-    return [fit_shapes(channel, law, tried + len(general)) for law, tried in general]
+                law = replace(each.law, factors=factors)
+                refined.append(fit_shapes(channel, law, each.tried + _MAX_NEAR))
+        best.append(_ranked(refined)[0])
+    return _ranked([*best, *found[_MAX_NEAR:]])
+
+
+def _fit_near_frequencies(channel: OpenChannel, best: FittedLaw) -> list[FittedLaw]:
+    """Return the law at the other frequencies that single runs do not tell from its own."""
+    fitted = []
+    for wave in (factor for factor in best.law.factors if factor.is_wave):
+        (own,), half_turn = wave.shapes, 0.5 / channel.extent(wave.source).span
+        near = channel.near_frequencies(wave.source, own)
+        for frequency in [f for f in near if abs(f - own) > half_turn][:_MAX_NEAR]:
+            other = replace(wave, shapes=(frequency,))
+            factors = tuple(other if each is wave else each for each in best.law.factors)
+            fitted.append(fit_shapes(channel, replace(best.law, factors=factors), best.tried))
+    return fitted
 
 
 def _add_factor(channel: OpenChannel, found: FittedLaw) -> list[FittedLaw]:

@@ -48,7 +48,7 @@ class Form:
     words: str  # "{x}" is the signal
     symmetry: Symmetry = "none"  # in the signal
     shapes: tuple[FormShape, ...] = ()
-    in_signal: bool = False  # True where the value has the unit of the signal
+    unit_power: int = 0  # power of the signal's unit that the value has
     analytic: bool = True  # False for formulas with comparisons, which have no complex derivative
     # True where no smooth function of the signal resembles it: with memory, or periodic.
     unscreened: bool = False
@@ -65,13 +65,13 @@ class Form:
         return tuple(eval(f"lambda {names}: {each}", space) for each in self.formulas)
 
     def values(
-        self, x: Quantity, dt: float, before: float | None, shapes: Sequence[Quantity]
+        self, x: Quantity, dt: float, before: np.ndarray | None, shapes: Sequence[Quantity]
     ) -> list[Quantity]:
         """Return the values (K,) of every formula."""
         return [function(x, dt, before, *shapes) for function in self._functions]
 
     def derivatives(
-        self, x: np.ndarray, dt: float, before: float | None, shapes: Sequence[float]
+        self, x: np.ndarray, dt: float, before: np.ndarray | None, shapes: Sequence[float]
     ) -> list[list[Any]]:
         """Return the derivative (K,) of every formula by every shape; exact where analytic."""
         found = []
@@ -100,7 +100,7 @@ def _form_with_memory(name: str, formula: str, words: str, **entries: Any) -> Fo
         (formula,),
         words,
         symmetry="odd",
-        in_signal=True,
+        unit_power=1,
         unscreened=True,
         has_memory=True,
         **entries,
@@ -110,13 +110,13 @@ def _form_with_memory(name: str, formula: str, words: str, **entries: Any) -> Fo
 FORMS = {
     each.name: each
     for each in (
-        Form("linear", ("x",), "in proportion to the {x}", symmetry="odd", in_signal=True),
+        Form("linear", ("x",), "in proportion to the {x}", symmetry="odd", unit_power=1),
         Form(
             "offset",
             ("(x - c)",),
             "in proportion to the {x} from one value on, both ways",
             shapes=(centre("c", 0.25, 0.5, 0.75, beyond=1.0),),
-            in_signal=True,
+            unit_power=1,
             general="stiffening",
             resembles="a spring or cable at rest at one place",
         ),
@@ -125,7 +125,7 @@ FORMS = {
             ("(x - c) * (1.0 + ((x - c) / s) ** 2)",),
             "with the {x} from one value on, both ways, ever more",
             shapes=(centre("c", 0.5, beyond=1.0), width("s", 0.7, least=0.1, most=10.0)),
-            in_signal=True,
+            unit_power=1,
             resembles="a spring or cable that stiffens to both sides of one place",
         ),
         Form(
@@ -133,7 +133,7 @@ FORMS = {
             ("np.abs(x)",),
             "with the magnitude of the {x}",
             symmetry="even",
-            in_signal=True,
+            unit_power=1,
             general="rounded_magnitude",
         ),
         Form(
@@ -142,21 +142,38 @@ FORMS = {
             "with the magnitude of the {x}, hardly at first",
             symmetry="even",
             shapes=(scale("s", 0.1, least=1e-3),),
-            in_signal=True,
+            unit_power=1,
+        ),
+        Form(
+            "square",
+            ("x**2",),
+            "with the square of the {x}",
+            symmetry="even",
+            unit_power=2,
+            general="power",
+        ),
+        Form(
+            "signed_square",
+            ("x * np.abs(x)",),
+            "with the square of the {x}, odd",
+            symmetry="odd",
+            unit_power=2,
+            general="signed_power",
+            resembles="the drag of a fluid",
         ),
         Form(
             "power",
             ("np.exp(n * np.log(np.abs(x) + 1e-12))",),
             "with a power of the magnitude of the {x}",
             symmetry="even",
-            shapes=(fixed("n", "", (0.5, 2.0), 0.2, 5.0),),
+            shapes=(fixed("n", "", (0.5,), 0.2, 5.0),),
         ),
         Form(
             "signed_power",
             ("np.sign(x) * np.exp(n * np.log(np.abs(x) + 1e-12))",),
             "with a power of the {x}, odd",
             symmetry="odd",
-            shapes=(fixed("n", "", (0.5, 2.0), 0.05, 5.0),),
+            shapes=(fixed("n", "", (0.5,), 0.05, 5.0),),
         ),
         Form(
             "saturating",
@@ -222,7 +239,7 @@ FORMS = {
             ("0.5 * (x - c + np.sqrt((x - c) ** 2 + 1e-8))",),
             "in proportion to the {x} above one value",
             shapes=(PLACE_SHAPE,),
-            in_signal=True,
+            unit_power=1,
             general="power_above",
             resembles="a cable or spring that tightens from one place on",
         ),
@@ -231,7 +248,7 @@ FORMS = {
             ("0.5 * (c - x + np.sqrt((x - c) ** 2 + 1e-8))",),
             "in proportion to the {x} below one value",
             shapes=(PLACE_SHAPE,),
-            in_signal=True,
+            unit_power=1,
             general="power_below",
             resembles="a cable or spring that tightens up to one place",
         ),

@@ -14,7 +14,7 @@ import numpy as np
 
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.discovery.laws.forms import FORMS, Form
-from stiffopt.discovery.laws.shapes import SignalRange
+from stiffopt.discovery.laws.shapes import FREQUENCY_SHAPE, SignalRange
 from stiffopt.discovery.laws.sources import SOURCE_KINDS, LawSource
 from stiffopt.discovery.signals import JointSignals, RobotSignals
 from stiffopt.symbolic import Quantity
@@ -47,17 +47,25 @@ class Factor:
         """The form itself."""
         return FORMS[self.form]
 
+    @property
+    def is_wave(self) -> bool:
+        """True where it is periodic over a clock."""
+        return FREQUENCY_SHAPE in self.own.shapes
+
     def values(
         self, signals: RobotSignals | JointSignals, shapes: Sequence[Quantity] | None = None
     ) -> list[Quantity]:
         """Return the values (K,) of every formula."""
         at = self.shapes if shapes is None else shapes
-        return self.own.values(self.source.value(signals), signals.dt, self.source.own.before, at)
+        return self.own.values(self.source.value(signals), signals.dt, self._before(signals), at)
 
     def derivatives(self, signals: RobotSignals | JointSignals) -> list[list[np.ndarray]]:
         """Return the derivative (K,) of every formula by every shape."""
-        x, before = self.source.value(signals), self.source.own.before
+        x, before = self.source.value(signals), self._before(signals)
         return self.own.derivatives(x, signals.dt, before, self.shapes)
+
+    def _before(self, signals: RobotSignals | JointSignals) -> np.ndarray | None:
+        return self.source.value_before(signals) if self.own.has_memory else None
 
     def generalised(self, extent: SignalRange) -> Factor:
         """Return the factor in its more general form, from its own shapes."""
@@ -102,8 +110,7 @@ class Law:
     @property
     def _load_factors(self) -> list[Factor]:
         """Factors of the load of its joint, or of the nominal wind-up under it."""
-        loads = (LawSource("load", self.joint), LawSource("windup", self.joint))
-        return [f for f in self.factors if f.source in loads]
+        return [f for f in self.factors if f.source.origin == LawSource("load", self.joint)]
 
     @property
     def yields(self) -> bool:
@@ -120,6 +127,11 @@ class Law:
         """True where that deflection bends with the load alone, as a spring with play does."""
         alone = self.yields and len(self._load_factors) == len(self.factors) and not self.lags
         return alone and any(f.form != "linear" for f in self.factors)
+
+    @property
+    def frequencies(self) -> tuple[float, ...]:
+        """Frequencies over clocks [Hz]."""
+        return tuple(factor.shapes[0] for factor in self.factors if factor.is_wave)
 
     @property
     def structure(self) -> tuple[object, ...]:
@@ -216,9 +228,9 @@ class Law:
     @property
     def amplitude_unit(self) -> str:
         """Unit of the amplitudes."""
-        units = [f.source.own.unit for f in self.factors if f.own.in_signal and f.source.own.unit]
-        base = _PLACE_UNITS[self.place]
-        return base + "".join(f"/({unit})" for unit in units)
+        powers = [(f.source.own.unit, f.own.unit_power) for f in self.factors]
+        units = [f"/({unit})" + f"^{n}" * (n > 1) for unit, n in powers if unit and n]
+        return _PLACE_UNITS[self.place] + "".join(units)
 
     @property
     def shape_units(self) -> tuple[str, ...]:
@@ -236,8 +248,12 @@ class Law:
         for factor in self.factors:
             words = {"x": factor.source.symbol, "dt": "dt"}
             if code:
-                words["x"] = factor.source.expression(self.joint, of_robot=self.of_robot)
-                words |= {"dt": "signals.dt", "before": str(factor.source.own.before)}
+                before = factor.source.expression_before(self.joint, of_robot=self.of_robot)
+                words = {
+                    "x": factor.source.expression(self.joint, of_robot=self.of_robot),
+                    "dt": "signals.dt",
+                    "before": before,
+                }
             for shape in factor.own.shapes:
                 words[shape.name] = names.pop(0)
             parts = [_substitute(each, words) for each in factor.own.formulas]
@@ -318,7 +334,8 @@ def law_effect(law: Law, amplitudes: Sequence[float]) -> Effect:
         scope="joint",
         equation=law.equation,
         signature=f"{law.words}{like}",
-        title=f"law {law.equation}",
+        title=f"law {law.equation}"
+        + "".join(f" with f = {frequency:.7g} Hz" for frequency in law.frequencies),
         phrase=f"{law.words}, which no catalogue has{like}",
         remedy=f"Look for its cause at {{where}}{like}. {describe_test(law)}",
         needs=("torque" if law.place != "deflection" else "link", "moves"),
@@ -363,6 +380,11 @@ def _is_joint(number: int, constants: object) -> bool:
 
 def describe_test(law: Law) -> str:
     """Describe the motion that would tell the law from others."""
+    if law.frequencies:
+        return (
+            f"Move joint {law.joint + 1} for several times as long without a pause: recordings"
+            " apart tell a frequency only up to multiples of one over the time between them."
+        )
     moved = [f.source.words for f in law.factors if f.source.kind != "direction"]
     last = moved[-1] if moved else f"position of joint {law.joint + 1}"
     return (

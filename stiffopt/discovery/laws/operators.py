@@ -1,7 +1,7 @@
 """Operators with memory: linear lags, a sprung mass, and the stop element of hysteresis.
 
 Each takes a signal (K,) at equal time steps. Parameters may be floats or complex numbers (for
-derivatives). `before`: constant value of the signal before its first sample; None: that sample's.
+derivatives). `before`: the signal before its first sample, zero before that; None: that sample's.
 """
 
 from __future__ import annotations
@@ -15,17 +15,34 @@ from scipy.linalg import get_lapack_funcs
 from stiffopt.symbolic import Quantity
 
 # Operators that formulas of laws may name.
-OPERATOR_NAMES = ("lag", "sprung", "mode", "stop")
+OPERATOR_NAMES = ("lag", "sprung", "mode", "stop", "speed_before", "acceleration_before")
 
 
-def lag(x: Quantity, T: Quantity, dt: float, before: float | None = None) -> Quantity:
+def speed_before(speed: np.ndarray, acceleration: np.ndarray, dt: float) -> np.ndarray:
+    """Return the speed of a joint before a recording that begins in motion.
+
+    It has started from rest: by the first acceleration, if that leads to the first speed.
+    """
+    count = len(acceleration_before(speed, acceleration, dt))
+    return np.asarray(speed[0] * np.arange(count) / max(count, 1))
+
+
+def acceleration_before(speed: np.ndarray, acceleration: np.ndarray, dt: float) -> np.ndarray:
+    """Return the acceleration of a joint before a recording that begins in motion."""
+    if speed[0] * acceleration[0] <= 0.0:
+        return np.zeros(0)
+    count = round(min(speed[0] / (acceleration[0] * dt), len(speed)))
+    return np.full(count, acceleration[0])
+
+
+def lag(x: Quantity, T: Quantity, dt: float, before: np.ndarray | None = None) -> Quantity:
     """Return the first-order lag y of a signal, T dy/dt = x - y [unit of x]."""
     kept = np.exp(-dt / T)
     return _filter_linear([1.0 - kept], [1.0, -kept], x, before)
 
 
 def sprung(
-    x: Quantity, f: Quantity, z: Quantity, dt: float, before: float | None = None
+    x: Quantity, f: Quantity, z: Quantity, dt: float, before: np.ndarray | None = None
 ) -> Quantity:
     """Return the acceleration of a mass on a spring and damper whose base accelerates by x.
 
@@ -35,7 +52,9 @@ def sprung(
     return _filter_by_mode(x, f, z, dt, before, by_damper=True)
 
 
-def mode(x: Quantity, f: Quantity, z: Quantity, dt: float, before: float | None = None) -> Quantity:
+def mode(
+    x: Quantity, f: Quantity, z: Quantity, dt: float, before: np.ndarray | None = None
+) -> Quantity:
     """Return the mode y of a hidden mass that x pushes against a spring and a damper.
 
     As `sprung`, with the transfer function w^2 / (s^2 + 2 z w s + w^2) [unit of x].
@@ -44,7 +63,7 @@ def mode(x: Quantity, f: Quantity, z: Quantity, dt: float, before: float | None 
 
 
 def _filter_by_mode(
-    x: Quantity, f: Quantity, z: Quantity, dt: float, before: float | None, *, by_damper: bool
+    x: Quantity, f: Quantity, z: Quantity, dt: float, before: np.ndarray | None, *, by_damper: bool
 ) -> Quantity:
     over = np.tan(np.pi * f * dt)  # half step of the angular frequency, prewarped
     damped, square = 2.0 * z * over, over * over
@@ -71,15 +90,16 @@ def stop(x: Quantity, r: Quantity) -> Quantity:
 
 
 def _filter_linear(
-    b: Sequence[Any], a: Sequence[Any], x: np.ndarray, before: float | None
+    b: Sequence[Any], a: Sequence[Any], x: np.ndarray, before: np.ndarray | None
 ) -> np.ndarray:
-    """Filter a signal that has been constant before its first sample; the gain at rest is 1.
+    """Filter a signal with what it has been before its first sample; the gain at rest is 1.
 
     As `scipy.signal.lfilter`, whose import takes half a second: its recurrence is a triangular
     system with as many diagonals as coefficients.
     """
-    start = x[0] if before is None else before
-    driven = np.convolve(x - start, b)[: len(x)]
-    diagonals = np.repeat(np.array(a)[:, None], len(x), axis=1)
+    start, past = (x[0], np.zeros(0)) if before is None else (0.0, np.atleast_1d(before))
+    whole = np.concatenate([past, x - start])
+    driven = np.convolve(whole, b)[: len(whole)]
+    diagonals = np.repeat(np.array(a)[:, None], len(whole), axis=1)
     (solve,) = get_lapack_funcs(("tbtrs",), (diagonals, driven))
-    return np.asarray(start + solve(diagonals, driven, uplo="L")[0])
+    return np.asarray(start + solve(diagonals, driven, uplo="L")[0][len(past) :])

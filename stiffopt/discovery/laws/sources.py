@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from stiffopt.discovery.laws import operators
 from stiffopt.discovery.signals import JointSignals, RobotSignals
 from stiffopt.symbolic import Quantity
 
@@ -22,11 +23,14 @@ class SourceKind:
     unit: str
     words: str
     forms: tuple[str, ...]  # names of the forms that a law may take in it
+    # Kind of the signal of its joint that it is a function of; "" for a signal of its own.
+    function_of: str = ""
     per_joint: bool = True  # False for a signal of the robot as a whole
     of_own_joint: bool = False  # True where only laws of that joint may depend on it
-    # Value before the first sample for forms with memory: a robot that moves has started from rest,
-    # though not in the recording. None: that of the first sample, as of the load by gravity.
-    before: float | None = None
+    # Operator for its values before the first sample, which forms with memory ask for: a robot that
+    # moves has started from rest, though not in the recording. "": that of the first sample, as of
+    # the load by gravity.
+    before: str = ""
 
 
 _PLACE_FORMS = (
@@ -42,6 +46,8 @@ _PLACE_FORMS = (
 _SIGNED_FORMS = (
     "linear",
     "magnitude",
+    "square",
+    "signed_square",
     "power",
     "signed_power",
     "saturating",
@@ -63,10 +69,15 @@ SOURCE_KINDS = {
         "rad/s",
         "speed of joint {}",
         (*_SIGNED_FORMS, "lag", "slip", "sprung"),
-        before=0.0,
+        before="speed_before",
     ),
     "direction": SourceKind(
-        "motor_direction", "sg(w_{})", "", "direction of motion of joint {}", ("linear",)
+        "motor_direction",
+        "sg(w_{})",
+        "",
+        "direction of motion of joint {}",
+        ("linear",),
+        function_of="speed",
     ),
     "acceleration": SourceKind(
         "motor_acceleration",
@@ -74,7 +85,7 @@ SOURCE_KINDS = {
         "rad/s^2",
         "acceleration of joint {}",
         ("linear", "magnitude", "saturating", "sprung", "mode", "loose"),
-        before=0.0,
+        before="acceleration_before",
     ),
     "load": SourceKind(
         "spring_torque",
@@ -84,7 +95,13 @@ SOURCE_KINDS = {
         (*_SIGNED_FORMS, *("hinge_above", "hinge_below", "lag", "stop", "sprung", "mode", "loose")),
     ),
     "windup": SourceKind(
-        "windup", "D_{}", "rad", "nominal wind-up of joint {}", ("linear",), of_own_joint=True
+        "windup",
+        "D_{}",
+        "rad",
+        "nominal wind-up of joint {}",
+        ("linear",),
+        function_of="load",
+        of_own_joint=True,
     ),
     "friction": SourceKind(
         "nominal_friction",
@@ -92,6 +109,7 @@ SOURCE_KINDS = {
         "N m",
         "nominal friction of joint {}",
         ("linear",),
+        function_of="speed",
         of_own_joint=True,
     ),
     "drive": SourceKind("drive_torque", "u_{}", "N m", "drive torque of joint {}", ("linear",)),
@@ -153,6 +171,11 @@ class LawSource:
         return self.own.symbol.format(self._number)
 
     @property
+    def origin(self) -> LawSource:
+        """The signal that it is a function of."""
+        return LawSource(self.own.function_of or self.kind, self.joint)
+
+    @property
     def words(self) -> str:
         """Name in sentences."""
         return self.own.words.format(self._number)
@@ -178,6 +201,24 @@ class LawSource:
     def value_in(self, run: Any) -> np.ndarray:
         """Return the signal (K,) in a run."""
         return np.broadcast_to(np.asarray(self.value(run.signals)), run.time.shape)
+
+    def value_before(self, signals: RobotSignals | JointSignals) -> np.ndarray | None:
+        """Return the signal before the first sample; None where it has always been that sample."""
+        if not self.own.before:
+            return None
+        motion = [LawSource(kind, self.joint).value(signals) for kind in ("speed", "acceleration")]
+        found: np.ndarray = getattr(operators, self.own.before)(*motion, signals.dt)
+        return found
+
+    def expression_before(self, joint: int, *, of_robot: bool) -> str:
+        """Return the Python expression of that, see `expression`."""
+        if not self.own.before:
+            return "None"
+        motion = (
+            LawSource(kind, self.joint).expression(joint, of_robot=of_robot)
+            for kind in ("speed", "acceleration")
+        )
+        return f"{self.own.before}({', '.join(motion)}, signals.dt)"
 
     def expression(self, joint: int, *, of_robot: bool) -> str:
         """Return the Python expression in `signals` for a law at a joint."""

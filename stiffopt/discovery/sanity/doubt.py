@@ -54,6 +54,8 @@ class DoubtfulRecordings(InputFileError):
         )
 
 
+# Shares of a residual that are told in figures [%].
+_SMALLEST_PERCENT, _LARGEST_PERCENT = 0.01, 1000.0
 # Signals in units of the position, with the suffix of their unit.
 _UNITS_OVER_POSITION = {"velocity": "/s", "link_position": ""}
 
@@ -67,7 +69,7 @@ def scale_line(
 ) -> str:
     """Return an entry of [signals.scale]: a unit for all joints, or a corrected factor each.
 
-    Joints of `unknown` (n,) keep "A", a current whose factor nobody has told.
+    Joints of `unknown` (n,) keep the unit of a torque whose factor nobody has told, or get "A".
     """
     if unit:
         text = f'{signal} = "{unit}"'
@@ -80,9 +82,10 @@ def scale_line(
     stated = recordings.signals.scale_of(signal, recordings.n)
     if unknown is None or not unknown.any():
         return f"{signal} = {format_numbers(stated * factors)} in [signals.scale]"
+    units = recordings.signals.torque_units or ("",) * recordings.n
     each = [
-        '"A"' if left else format_numbers([value])[1:-1]
-        for value, left in zip(stated * factors, unknown, strict=True)
+        f'"{unit or "A"}"' if left else format_numbers([value])[1:-1]
+        for value, left, unit in zip(stated * factors, unknown, units, strict=True)
     ]
     return (
         f"{signal} = [{', '.join(each)}] in [signals.scale] (the weight does not tell that of"
@@ -128,4 +131,8 @@ def format_shares(before: np.ndarray, after: np.ndarray, joints: Sequence[int]) 
 
 
 def _format_share(value: float) -> str:
-    return f"{float(f'{100.0 * value:.2g}'):,g} %"
+    """Format a share with two digits; beyond these bounds its size tells nothing more."""
+    percent = float(f"{100.0 * value:.2g}")
+    if percent > _LARGEST_PERCENT:
+        return f"over {_LARGEST_PERCENT:,g} %"
+    return f"{percent:,g} %" if percent >= _SMALLEST_PERCENT else f"under {_SMALLEST_PERCENT:g} %"

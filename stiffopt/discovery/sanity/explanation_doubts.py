@@ -24,8 +24,8 @@ from stiffopt.recording.recording_set import RecordingSet
 
 # Range of gear ratios of arms.
 _GEAR_RATIO_RANGE = (20.0, 400.0)
-# Magnitudes of gains that are a sign or a prefix of the unit, no current.
-_UNIT_GAINS = (-1.0, 1e-3, -1e-3)
+# Gains that are a sign or a prefix of the unit, no current.
+_UNIT_GAINS = (1.0, -1.0, 1e3, -1e3, 1e-3, -1e-3)
 
 
 def describe_explanation(
@@ -198,25 +198,30 @@ def _doubt_gains(
 ) -> Iterator[Doubt]:
     """Yield doubts about torque gains, one per joint; one line corrects all.
 
-    Where torques are currents, joints whose factor the motion does not tell stay currents in it.
+    Where the torques are in another unit, joints whose factor the motion does not tell stay so.
     """
     before = search.strict
     gains = explanation.gains
     assert gains is not None
     ratio = recordings.nominal.gear_ratio
     factors = np.array([float(f"{1.0 / gain:.3g}") for gain in gains])
-    currents = recordings.signals.currents or any(
-        0.0 < abs(gain) < 1.0 and gain not in _UNIT_GAINS for gain in gains
+    other_unit = recordings.signals.unscaled or any(
+        gain not in _UNIT_GAINS and (abs(gain) < 1.0 or not search.torque_scale_known.any())
+        for gain in gains
     )
     unknown = (
-        (gains == 1.0) & ~search.torque_scale_known if currents else np.zeros(len(gains), bool)
+        (gains == 1.0) & ~search.torque_scale_known if other_unit else np.zeros(len(gains), bool)
     )
     line = scale_line(recordings, "torque", factors, unknown=unknown)
     for j in np.flatnonzero(gains != 1.0):
         slides = bool(recordings.prismatic[j])
+        newton = "N" if slides else "N m"
         kind, words = _describe_gain(
-            float(gains[j]), None if ratio is None else float(ratio[j]), "N" if slides else "N m"
+            float(gains[j]), None if ratio is None else float(ratio[j]), newton
         )
+        if unit := recordings.signals.torque_units[j] if recordings.signals.torque_units else "":
+            one = unit.removesuffix("s")
+            kind, words = "torque unit", f"has {factors[j]:.3g} {newton} per {one}"
         shares = format_shares(before, explanation.left, [int(j)])
         yield Doubt(
             kind=kind,

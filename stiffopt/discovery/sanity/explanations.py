@@ -99,14 +99,14 @@ class Explanations:
     def left(self) -> np.ndarray:
         """Residual shares (n,) with a possible spring at each joint and another payload.
 
-        Not for currents, which such additions could turn into torques.
+        Not for torques without a factor, which such additions could replace.
         """
         return self._shares_with_additions(self.motion, self.strict)
 
     def _shares_with_additions(self, motion: Motion, strict: np.ndarray) -> np.ndarray:
         """Return the shares of a motion where those without additions (n,) fail."""
         shares = strict.copy()
-        if self.robot.recordings.signals.currents:
+        if self.robot.recordings.signals.unscaled:
             return shares
         for j in np.flatnonzero(shares > _MIN_FAILURE_SHARE).tolist():
             shares[j] = self.share_with_additions(motion, j)
@@ -202,7 +202,7 @@ class Explanations:
         for j in range(self.n):
             if not before[j] > _MIN_FAILURE_SHARE:
                 continue
-            current = j in self.robot.recordings.signals.current_joints
+            current = j in self.robot.recordings.signals.unscaled_joints
             usual = (-1.0, 1e3, 1e-3, -1e3, -1e-3, 1.0 / ratio[j], -1.0 / ratio[j])
             gain, share = self.torque_fit.gain(motion, torque[:, j], j, None if current else usual)
             if not _USUAL_GAIN_RANGE[0] < gain < _USUAL_GAIN_RANGE[1] and _is_explained(
@@ -226,7 +226,7 @@ class Explanations:
         needed = np.sqrt(np.nanmean(motion.spring**2, axis=0))
         near_zero = size < _MAX_IDLE_SHARE * needed
         told = known.any(axis=0)
-        if near_zero[told].all() or self.robot.recordings.signals.currents:
+        if near_zero[told].all() or self.robot.recordings.signals.unscaled:
             return np.zeros(self.n, dtype=bool)
         return np.asarray(near_zero)
 
@@ -415,7 +415,11 @@ class Explanations:
         delay: float | None = None,
         against: np.ndarray | None = None,
     ) -> Explanation | None:
-        """Return the explanation if it explains a failing joint and worsens none, else None."""
+        """Return the explanation if it explains a failing joint and worsens none, else None.
+
+        Each step of a reading has to explain a joint: a few signs and zeros fit any torque of one
+        joint that carries little weight.
+        """
         before = self.left if against is None else against
         with np.errstate(invalid="ignore"):
             mended = np.array([_is_explained(b, a) for b, a in zip(before, left, strict=True)])
@@ -429,7 +433,7 @@ class Explanations:
             )
         for joint in np.flatnonzero(mended & (np.array(reading.includes) != 0)).tolist():
             mended[joint] = not self._is_coupled_drive(reading, joint, left[joint])
-        if not mended.any() or worse.any():
+        if mended.sum() < max(reading.steps, 1) or worse.any():
             return None
         return Explanation(
             left=left,

@@ -80,10 +80,10 @@ class SanityGate:
             return (_doubt_masses(recordings),)
         if recordings.signals.commanded and (told := tuple(doubt_commands(recordings, self._runs))):
             return told
-        if self._without_currents is not None:
-            return self._without_currents.doubts
+        if self._without_unscaled is not None:
+            return self._without_unscaled.doubts
         found = [
-            *_doubt_currents(recordings),
+            *_doubt_unscaled(recordings),
             *_doubt_set_points(recordings),
             *doubt_second_sensors(recordings, runs),
             *doubt_repeated_torques(runs),
@@ -117,11 +117,11 @@ class SanityGate:
     @property
     def remarks(self) -> tuple[Doubt, ...]:
         """Remarks that do not stop a diagnosis, if there are no doubts."""
-        if self._without_currents is not None:
-            left = _remark_currents(self.recordings.signals.current_joints)
-            return (left, *self._without_currents.remarks)
+        if self._without_unscaled is not None:
+            left = _remark_unscaled(self.recordings)
+            return (left, *self._without_unscaled.remarks)
         told = tuple(_doubt_references(self.recordings))
-        if self._explanation_search is None or self.recordings.signals.currents:
+        if self._explanation_search is None or self.recordings.signals.unscaled:
             return told
         return (
             *told,
@@ -130,16 +130,16 @@ class SanityGate:
         )
 
     @cached_property
-    def _without_currents(self) -> SanityGate | None:
-        """Gate of the other joints, where the weight tells no factor of the remaining currents."""
+    def _without_unscaled(self) -> SanityGate | None:
+        """Gate of the other joints, where the weight tells no factor of those without one."""
         signals = self.recordings.signals
-        if not signals.some_currents:
+        if not signals.partly_unscaled:
             return None
         explanation = None if self._explanation_search is None else self._explanation_search.best()
         gains = None if explanation is None else explanation.gains
-        if gains is not None and np.any(gains[list(signals.current_joints)] != 1.0):
+        if gains is not None and np.any(gains[list(signals.unscaled_joints)] != 1.0):
             return None
-        return SanityGate(*leave_out_currents(self.recordings, self._runs))
+        return SanityGate(*leave_out_unscaled(self.recordings, self._runs))
 
     @property
     def _contacts_at_rest(self) -> tuple[Doubt, ...]:
@@ -191,37 +191,48 @@ def _doubt_masses(recordings: RecordingSet) -> Doubt:
     )
 
 
-def _doubt_currents(recordings: RecordingSet) -> Iterator[Doubt]:
-    """Doubt torques that are all still currents."""
-    if recordings.signals.currents and not recordings.signals.some_currents:
+def _doubt_unscaled(recordings: RecordingSet) -> Iterator[Doubt]:
+    """Doubt torques that are all without a factor to N m."""
+    if recordings.signals.unscaled and not recordings.signals.partly_unscaled:
+        stated, one = _format_units(recordings)
         yield Doubt(
             kind="torque unit",
-            evidence="The torques are stated as currents in A. Give N m per A at each joint (the"
-            " motor's torque constant times the gear ratio) as torque in [signals.scale]; an"
-            " estimate from the weight of the nominal model, if possible, is listed as well.",
+            evidence=f"The torques are stated in {stated}. Give N m per {one} at"
+            " each joint (of a current: the motor's torque constant times the gear ratio) as torque"
+            " in [signals.scale]; an estimate from the weight of the nominal model, if possible, is"
+            " listed as well.",
         )
 
 
-def _remark_currents(joints: Sequence[int]) -> Doubt:
-    """Remark that currents whose factor neither the user nor the weight tells are left out."""
+def _remark_unscaled(recordings: RecordingSet) -> Doubt:
+    """Remark that torques whose factor neither the user nor the weight tells are left out."""
+    joints = recordings.signals.unscaled_joints
+    stated, one = _format_units(recordings)
     return Doubt(
         kind="torque unit",
         joints=tuple(j + 1 for j in joints),
-        evidence=f"The torque of {format_joints(joints)} is stated as a current in A, and the"
-        " weight does not tell its N m per A: it is left out of a diagnosis. Give the motor's"
-        " torque constant times the gear ratio as torque in [signals.scale] to include it.",
+        evidence=f"The torque of {format_joints(joints)} is stated in {stated}, and the"
+        f" weight does not tell its N m per {one}: it is left out of a diagnosis. Give that"
+        " factor (of a current: the motor's torque constant times the gear ratio) as torque in"
+        " [signals.scale] to include it.",
     )
 
 
-def leave_out_currents(
+def _format_units(recordings: RecordingSet) -> tuple[str, str]:
+    """Return the units of torques without a factor: "A and counts", "A or count"."""
+    units = sorted(set(recordings.signals.torque_units) - {""})
+    return " and ".join(units), " or ".join(unit.removesuffix("s") for unit in units)
+
+
+def leave_out_unscaled(
     recordings: RecordingSet, runs: Sequence[RecordedRun]
 ) -> tuple[RecordingSet, list[RecordedRun]]:
-    """Return a set and its runs without torques that are still currents, unless all are."""
-    if not recordings.signals.some_currents:
+    """Return a set and its runs without torques that have no factor, unless none has one."""
+    if not recordings.signals.partly_unscaled:
         return recordings, list(runs)
-    joints = list(recordings.signals.current_joints)
+    joints = list(recordings.signals.unscaled_joints)
     torque = tuple("" if j in joints else c for j, c in enumerate(recordings.signals.torque))
-    signals = replace(recordings.signals, torque=torque, current_joints=())
+    signals = replace(recordings.signals, torque=torque, torque_units=())
     left = []
     for run in runs:
         values = run.torque.copy()

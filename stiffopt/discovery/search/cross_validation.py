@@ -6,15 +6,16 @@ Folds are whole runs where there are several, else parts of runs.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 
 from stiffopt.discovery.comparison.channel_rows import part_numbers
-from stiffopt.discovery.comparison.comparison import Comparison, solve_boxed
+from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.design_matrix import MIN_RUNS_AS_BLOCKS
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 
-# Number of folds, over all runs, where runs are few.
+# Number of folds, over all runs, where runs are few: a fit has to carry over to a sixth of them.
 FOLDS_OF_FEW_RUNS = 6
 
 
@@ -46,28 +47,39 @@ class FoldPredictions:
         limits: np.ndarray,
         fold: np.ndarray,
     ) -> None:
-        self._columns, self._target = columns, target
-        self._prior, self._limits = prior, limits
+        self._target, self._prior, self._limits = target, prior, limits
         self._rows = [np.flatnonzero(fold == number) for number in range(int(fold.max()) + 1)]
-        self._gram = np.array([columns[own].T @ columns[own] for own in self._rows])
-        self._moment = np.array([columns[own].T @ target[own] for own in self._rows])
+        self._columns = [columns[own] for own in self._rows]
+        self._gram = np.array([own.T @ own for own in self._columns])
+        self._moment = np.array(
+            [own.T @ target[rows] for own, rows in zip(self._columns, self._rows, strict=True)]
+        )
 
-    def residual(self, kept: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """Return the residual (m,) with the columns of a mask (p,)."""
-        left, prior, limits = self._target.copy(), self._prior[kept], self._limits[kept]
-        whole = self._gram.sum(axis=0)[kept][:, kept]
-        moment = self._moment.sum(axis=0)[kept]
-        for own, gram, part in zip(self._rows, self._gram, self._moment, strict=True):
-            others, goal = whole - gram[kept][:, kept], moment - part[kept]
-            left[own] -= self._columns[own][:, kept] @ _solve_within(others, goal, prior, limits)
+    @cached_property
+    def _others(self) -> list[_Normal]:
+        """Normal equations without each fold."""
+        gram, moment = self._gram.sum(axis=0), self._moment.sum(axis=0)
+        return [
+            _Normal(gram - own, moment - part, self._prior, self._limits)
+            for own, part in zip(self._gram, self._moment, strict=True)
+        ]
+
+    @cached_property
+    def _whole(self) -> _Normal:
+        """Normal equations of all folds."""
+        gram, moment = self._gram.sum(axis=0), self._moment.sum(axis=0)
+        return _Normal(gram, moment, self._prior, self._limits)
+
+    def residual(self, kept: np.ndarray | None = None) -> np.ndarray:
+        """Return the residual (m,) with the columns of a mask (p,), default all."""
+        left = self._target.copy()
+        for rows, columns, others in zip(self._rows, self._columns, self._others, strict=True):
+            left[rows] -= columns @ others.values(kept)
         return left
 
-    def prior_squares(self, kept: np.ndarray, count: int) -> float:
+    def prior_squares(self, count: int, kept: np.ndarray | None = None) -> float:
         """Return the squares over priors of the first columns (k,), fitted to all folds."""
-        prior, limits = self._prior[kept], self._limits[kept]
-        whole, moment = self._gram.sum(axis=0)[kept][:, kept], self._moment.sum(axis=0)[kept]
-        values = _solve_within(whole, moment, prior, limits)
-        return float(np.sum((values[:count] / prior[:count]) ** 2))
+        return float(np.sum((self._whole.values(kept)[:count] / self._prior[:count]) ** 2))
 
     def squares(self, first: np.ndarray) -> float:
         """Return the sum of squares of the residual with other priors of the first columns (k,).
@@ -83,32 +95,56 @@ class FoldPredictions:
         return total
 
 
-def _solve_within(
-    gram: np.ndarray, moment: np.ndarray, prior: np.ndarray, limits: np.ndarray
-) -> np.ndarray:
-    """Return the likeliest values (k,), within bounds where they would leave them."""
-    values = np.linalg.solve(gram + np.diag(prior**-2.0), moment)
-    beyond = np.any(np.abs(values) > limits * prior)
-    return solve_boxed(gram, moment, prior, limits) if beyond else values
+class _Normal:
+    """Normal equations, solved once for all columns and corrected for values that are held."""
+
+    def __init__(
+        self, gram: np.ndarray, moment: np.ndarray, prior: np.ndarray, limits: np.ndarray
+    ) -> None:
+        self._prior, self._limits = prior, limits
+        self._inverse = np.linalg.inv(gram * np.outer(prior, prior) + np.eye(len(prior)))
+        self._likeliest = self._inverse @ (prior * moment)
+
+    def values(self, kept: np.ndarray | None) -> np.ndarray:
+        """Return the likeliest values (p,); those that leave their bounds are held there.
+
+        `kept` (p,): mask of the columns that are fitted; the others are zero.
+        """
+        held = np.zeros(len(self._prior), dtype=bool) if kept is None else ~kept
+        found, bound = self._likeliest, np.zeros(len(self._prior))
+        while True:
+            if held.any():
+                inner = self._inverse[np.ix_(held, held)]
+                away = np.linalg.solve(inner, (self._likeliest - bound)[held])
+                found = self._likeliest - self._inverse[:, held] @ away
+                found[held] = bound[held]
+            beyond = np.where(held, 0.0, np.abs(found) / self._limits)
+            worst = int(np.argmax(beyond))
+            if beyond[worst] <= 1.0:
+                return np.asarray(self._prior * found)
+            held[worst], bound[worst] = True, np.copysign(self._limits[worst], found[worst])
 
 
-def predict_folds(
-    comparison: Comparison, effects: Sequence[LocatedEffect], fold: np.ndarray | None = None
-) -> FoldPredictions:
-    """Return the predictions of folds (m,), by default those of `number_folds`, with effects."""
+def predict_folds(comparison: Comparison, effects: Sequence[LocatedEffect]) -> FoldPredictions:
+    """Return the predictions of folds by fits with effects."""
     columns, prior, _ = stack_columns(comparison, effects)
-    fold = number_folds(comparison) if fold is None else fold
-    return FoldPredictions(columns, comparison.target, prior, comparison.limits(len(prior)), fold)
+    limits, fold = comparison.limits(len(prior)), number_folds(comparison)
+    return FoldPredictions(columns, comparison.target, prior, limits, fold)
 
 
-def folds_per_run(runs: int) -> int:
-    """Return the number of folds that each run is cut into."""
-    return 1 if runs >= 2 * MIN_RUNS_AS_BLOCKS else -(-FOLDS_OF_FEW_RUNS // runs)
+def folds_per_run(runs: int, folds: int = FOLDS_OF_FEW_RUNS) -> int:
+    """Return the number of folds that each of few runs is cut into; many are folds themselves."""
+    return 1 if runs >= 2 * MIN_RUNS_AS_BLOCKS else -(-folds // runs)
 
 
-def number_folds(comparison: Comparison, parts: int | None = None) -> np.ndarray:
-    """Return the fold number of every row (m,): runs, or parts of runs in time."""
+def number_folds(
+    comparison: Comparison, parts: int | None = None, begin: float = 0.0
+) -> np.ndarray:
+    """Return the fold number of every row (m,): runs, or parts of runs in time.
+
+    `begin`: share of each run before its first part.
+    """
     rows = comparison.rows
     cut = folds_per_run(len(comparison.runs)) if parts is None else parts
-    part = rows.sample_signal(lambda run: part_numbers(run.time, cut))
+    part = rows.sample_signal(lambda run: part_numbers(run.time, cut, begin))
     return np.unique(rows.run * cut + part, return_inverse=True)[1]

@@ -13,13 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from stiffopt.discovery.comparison.channel_rows import noise_above_cutoff
+from stiffopt.discovery.comparison.channel_rows import elapsed_shares, noise_above_cutoff
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.search.cross_validation import (
     FOLDS_OF_FEW_RUNS,
+    FoldPredictions,
+    folds_per_run,
     number_folds,
-    predict_folds,
     stack_columns,
 )
 from stiffopt.discovery.search.uncertainty import number_stretches
@@ -65,35 +66,45 @@ class LeftOutGain:
 
 
 def left_out_gains(
-    comparison: Comparison, effects: Sequence[LocatedEffect]
+    comparison: Comparison,
+    effects: Sequence[LocatedEffect],
+    begin: float = 0.0,
+    count: int = FOLDS_OF_FEW_RUNS,
 ) -> tuple[LeftOutGain, ...]:
     """Return the gain of every effect in folds left out.
+
+    `begin`: share of each run's start that is in no fold. `count`: folds of few runs.
 
     Folds are parts of every run for an effect that acts in few of them: if each joint moves in a
     run of its own, the other runs say nothing of it.
     """
     if not effects:
         return ()
-    columns, _, owner = stack_columns(comparison, effects)
-    fold = number_folds(comparison)
+    columns, prior, owner = stack_columns(comparison, effects)
+    kept = comparison.rows.sample_signal(lambda run: elapsed_shares(run.time)) >= begin
+    columns *= kept[:, None]
+    target, limits = kept * comparison.target, comparison.limits(len(prior))
+    fold = number_folds(comparison, folds_per_run(len(comparison.runs), count), begin)
     few = [
         e.is_run_specific or _is_seldom(columns[:, owner == k], fold) for k, e in enumerate(effects)
     ]
     folds = {False: fold}
     if any(few):
-        folds[True] = number_folds(comparison, FOLDS_OF_FEW_RUNS)
-    ways = {fine: predict_folds(comparison, effects, own) for fine, own in folds.items()}
+        folds[True] = number_folds(comparison, FOLDS_OF_FEW_RUNS, begin)
+    ways = {
+        fine: FoldPredictions(columns, target, prior, limits, own) for fine, own in folds.items()
+    }
     now = {fine: way.residual() for fine, way in ways.items()}
-    judge = _GainJudge(comparison, fold)
+    judge = _GainJudge(comparison, kept, begin)
     # Free bodies have no tolerance that they could leave.
     nominal = int(np.sum(owner < 0)) if comparison.bodies is None else 0
-    relieved = ways[few[0]].prior_squares(owner >= -1, nominal)
+    relieved = ways[few[0]].prior_squares(nominal)
     return tuple(
         judge.gain(
             columns[:, owner == k],
             now[fine],
             ways[fine].residual(owner != k),
-            ways[fine].prior_squares(owner != k, nominal) - relieved,
+            ways[fine].prior_squares(nominal, owner != k) - relieved,
         )
         for k, fine in enumerate(few)
     )
@@ -108,9 +119,9 @@ def _is_seldom(columns: np.ndarray, fold: np.ndarray) -> bool:
 class _GainJudge:
     """Gains of effects by the residuals of folds left out, with and without them."""
 
-    def __init__(self, comparison: Comparison, fold: np.ndarray) -> None:
-        self._comparison = comparison
-        stretch = number_stretches(comparison)
+    def __init__(self, comparison: Comparison, kept: np.ndarray, begin: float) -> None:
+        self._comparison, self._kept = comparison, kept
+        stretch, fold = number_stretches(comparison, begin), number_folds(comparison, None, begin)
         self._stretch = fold if stretch.max() < fold.max() else stretch
         # Noise above the filter's band may exceed the stated one.
         held = noise_above_cutoff(comparison.nominal_runs) / comparison.noise.stacked
@@ -130,7 +141,7 @@ class _GainJudge:
         square = np.bincount(rows, np.sum(columns**2, axis=1))
         acted = square > MIN_ACTIVE_SHARE * square.max()
         channel = int(np.argmax(np.where(acted, np.bincount(rows, fall), -np.inf)))
-        own, noise = rows == channel, float(comparison.inflation[channel])
+        own, noise = self._kept & (rows == channel), float(comparison.inflation[channel])
         after, before = (noise**2 * float(np.sum(left[own] ** 2)) for left in (now, without))
         falls = np.bincount(self._stretch, fall * acted[rows])
         count = int(own.sum())

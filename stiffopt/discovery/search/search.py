@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -141,11 +141,13 @@ class _Search:
 
     def __post_init__(self) -> None:
         self.tell = throttle_progress(self.say)
+        self.unstated: Sequence[LocatedEffect] = ()
 
     def run(
         self, unstated: Sequence[LocatedEffect], about: Extension | None, *, reidentify: bool
     ) -> None:
         """Run the stages of `search`."""
+        self.unstated = unstated
         self._fit_unstated(unstated)
         if reidentify:
             self.say("re-identify the rigid model")
@@ -212,8 +214,17 @@ class _Search:
 
     def _set_ranked(self, found: tuple[Comparison, list[Selected]]) -> None:
         """Set effects that are ranked among their rivals."""
-        self.current, self.ranked = found
+        self.current, ranked = found
+        self.ranked = [replace(r, located=self._as_unstated(r.located)) for r in ranked]
         self.effects = [each.located for each in self.ranked]
+
+    def _as_unstated(self, located: LocatedEffect) -> LocatedEffect:
+        """Return an effect as the value that the nominal model does not state, if it is one.
+
+        Such a value may leave its bounds beside what is missing, and come again beside that.
+        """
+        unstated = next((e for e in self.unstated if e.same_place(located)), located)
+        return replace(unstated, shapes=located.shapes)
 
     def _fit(self, effects: list[LocatedEffect]) -> None:
         self._set_fitted(fit_jointly(self.start, effects))
@@ -245,7 +256,7 @@ class _Search:
                     break
                 for each in best:
                     self.say(f"found {each.located.label} (log evidence {each.evidence:.0f})")
-                self._fit_and_prune([*effects, *(e.located for e in best)])
+                self._fit_and_prune([*effects, *(self._as_unstated(e.located) for e in best)])
             except KeyboardInterrupt:
                 if not effects:  # there is no result
                     raise

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import special
 
-from stiffopt.closed_loop.polish import DISPLACED_SHARE
 from stiffopt.discovery.comparison.channel_rows import part_numbers
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.design_matrix import MIN_RUNS_AS_BLOCKS
@@ -141,12 +140,18 @@ class Estimate:
             chances.append(min(_jackknife_p_value(values, *way) for way in ways if way[1] > 1))
         return max(chances)
 
-    def amplitude_deviations(self, index: int) -> float:
+    def amplitude_deviations(self, index: int, *, shapes_held: bool = False) -> float:
         """Return the largest ratio of an amplitude to its standard deviation, all else free."""
-        rows = self._parameter_rows(index)[0][: len(self.sizes[index])]
-        known = [self.covariance, self.spread, self._between_runs(index)]
-        sd = np.sqrt(np.max([np.diag(each)[rows] for each in known], axis=0))
-        return float(np.max(np.abs(self.values[rows]) / np.maximum(sd, 1e-300)))
+        rows, _ = self._parameter_rows(index)
+        k = len(self.sizes[index])
+        known = [
+            each[np.ix_(rows, rows)]
+            for each in (self.covariance, self.spread, self._between_runs(index))
+        ]
+        if shapes_held:
+            known = [_conditional_covariance(each, k) for each in known]
+        sd = np.sqrt(np.max([np.diag(each)[:k] for each in known], axis=0))
+        return float(np.max(np.abs(self.values[rows[:k]]) / np.maximum(sd, 1e-300)))
 
     def min_deviations(self, index: int) -> float:
         """Return the least significance of one effect over all covariance estimates [sigma].
@@ -171,32 +176,6 @@ class Estimate:
         """Return the covariance over whole runs; that of the model for effects of single runs."""
         by_run = self.effects[index].located.is_run_specific
         return self.covariance if by_run else self.between
-
-    def displaced(self, indices: Sequence[int]) -> Iterator[tuple[EstimatedEffect, ...]]:
-        """Yield all effects, one of `indices` moved along one axis of its covariance at a time.
-
-        By `DISPLACED_SHARE` of the standard deviation there.
-        """
-        for index in indices:
-            found = self.effects[index]
-            rows, sizes = self._parameter_rows(index)
-            known = (self.covariance, self.spread, self._between_runs(index))
-            widest = max((each[np.ix_(rows, rows)] for each in known), key=np.trace)
-            lengths, ways = np.linalg.eigh(widest)
-            count, located = len(found.amplitudes), found.located
-            lengths = DISPLACED_SHARE * np.sqrt(np.maximum(lengths, 0.0))
-            for step in (lengths * ways).T * sizes:
-                amplitudes = tuple((np.array(found.amplitudes) + step[:count]).tolist())
-                shapes = tuple(
-                    float(np.clip(value + more, shape.lower, shape.upper))
-                    for shape, value, more in zip(
-                        located.effect.shapes, located.shapes, step[count:], strict=True
-                    )
-                )
-                moved = replace(
-                    found, located=replace(located, shapes=shapes), amplitudes=amplitudes
-                )
-                yield (*self.effects[:index], moved, *self.effects[index + 1 :])
 
     def moved(self, steps: np.ndarray) -> Estimate:
         """Return the estimate with first amplitudes moved by steps (e,) over their sizes.
@@ -369,13 +348,14 @@ def _jackknife_covariance(
     return covariance, (len(grams) - 1) / len(grams) * away.T @ away * units
 
 
-def number_stretches(comparison: Comparison) -> np.ndarray:
-    """Return the number of the stretch that every row (m,) belongs to."""
+def number_stretches(comparison: Comparison, begin: float = 0.0) -> np.ndarray:
+    """Return the number of the stretch that every row (m,) belongs to; `begin` as of parts."""
     rows = comparison.rows
 
     def count(run: PreparedRun) -> int:
-        return max(1, round(float(run.time[-1] - run.time[0]) / STRETCH_DURATION))
+        duration = (1.0 - begin) * float(run.time[-1] - run.time[0])
+        return max(1, round(duration / STRETCH_DURATION))
 
     first = np.concatenate([[0], np.cumsum([count(run) for run in comparison.runs])])
-    part = rows.sample_signal(lambda run: part_numbers(run.time, count(run)))
+    part = rows.sample_signal(lambda run: part_numbers(run.time, count(run), begin))
     return np.unique(first[rows.run] + part, return_inverse=True)[1]

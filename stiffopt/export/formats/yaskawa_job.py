@@ -36,11 +36,6 @@ class YaskawaJob(PointFormat):
 
     def with_pulses(self, pulses: Sequence[float]) -> YaskawaJob:
         """Return the format with pulses per degree of each axis."""
-        if len(pulses) != 6 or not all(np.isfinite(pulses)) or not all(pulses):
-            raise InputError(
-                f"--pulses {','.join(f'{each:g}' for each in pulses)}: give 6 numbers that are not "
-                "0, the pulses per degree of axes S, L, U, R, B and T."
-            )
         return YaskawaJob(tuple(pulses))
 
     def check(self, stored: StoredMotion, rate: float) -> None:
@@ -51,6 +46,11 @@ class YaskawaJob(PointFormat):
                 f"--to {self.name}: positions of jobs are in pulses. Give the pulses per degree of "
                 "axes S, L, U, R, B and T as --pulses 1341.4,1907.7,...; the pendant shows pulses "
                 "beside degrees."
+            )
+        if len(self.pulses) != 6 or not all(np.isfinite(self.pulses)) or not all(self.pulses):
+            raise InputError(
+                f"--pulses {','.join(f'{each:g}' for each in self.pulses)}: give 6 numbers that are"
+                " not 0, the pulses per degree of axes S, L, U, R, B and T."
             )
 
     def files(self, motion: SampledMotion, rate: float) -> dict[str, str]:

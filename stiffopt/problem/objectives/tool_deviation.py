@@ -35,7 +35,7 @@ class ToolDeviation(ToolDeflection):
     def __init__(self) -> None:
         super().__init__(
             "dynamic",
-            phrase="deviation of the elastic arm's tool",
+            phrase="deflection that the motors lead",
             description="Deviation of the tool from its static equilibrium at the same motor "
             "position, vibration included: planned for the links, at rest after arrival; "
             "minimised as far as dynamic_deflection.",
@@ -78,7 +78,7 @@ class ShapedDeviation(ToolDeviation):
     def __init__(self) -> None:
         super().__init__()
         self.name = "shaped_deviation"
-        self.phrase = "deviation of the elastic arm's tool, shaped"
+        self.phrase = "deflection that the motors lead, shaped"
         self.description = (
             "As tool_deviation, with the motion averaged over a period of the lowest mode (input "
             "shaping): somewhat more on the nominal arm, least with model errors; fixed duration."

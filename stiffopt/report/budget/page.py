@@ -16,6 +16,9 @@ from stiffopt.report.common.svg import PALETTE, WIDTH, figure_style
 from stiffopt.report.common.terminal import ReportSection, print_lines, print_section
 from stiffopt.report.common.text import MAX_LISTED, percent, scale, si
 
+# Share of the largest bound from which on a known error is told before the measurements.
+_MIN_KNOWN_SHARE = 0.5
+
 
 def write_budget_report(
     title: str,
@@ -32,10 +35,10 @@ def write_budget_report(
     context = {
         "title": f"{title}: error budget of the tool",
         "headline": headline(budget, volume),
-        "advice": advice(measurements),
+        "advice": advice(budget, measurements),
         "shares": share_section(budget),
         "causes": largest_causes(budget),
-        "measurements": measurement_section(measurements),
+        "measurements": measurement_section(budget, measurements),
         "volume": volume,
         "assumptions": assumptions,
     }
@@ -56,8 +59,20 @@ def headline(budget: ErrorBudget, volume: VolumeBudget) -> str:
     return f"{text}."
 
 
-def advice(measurements: Sequence[Measurement]) -> str:
-    """Return the measurement that narrows the bound most, in words."""
+def advice(budget: ErrorBudget, measurements: Sequence[Measurement]) -> str:
+    """Return in words what narrows the bound most: a command, or a measurement."""
+    bound = budget.bound(POSITION)
+    known = float(np.linalg.norm(budget.mean[int(np.argmax(bound)), POSITION]))
+    best = _best_measurement(measurements)
+    if known < _MIN_KNOWN_SHARE * bound.max():
+        return best
+    return (
+        f"{si(known, 'm', 3)} of the bound is a known error, which no measurement narrows: give the"
+        f" folder of a solve with a command, which leads the wind-up. {best}"
+    )
+
+
+def _best_measurement(measurements: Sequence[Measurement]) -> str:
     # Gain below which a measurement is not recommended.
     if not measurements or measurements[0].gain < 0.01:
         return "No measurement narrows the bound by 1 % or more: it is a mean error, or hysteresis."
@@ -81,13 +96,15 @@ def share_section(budget: ErrorBudget) -> ReportSection:
     return ReportSection(head=head, rows=rows, numbers=head[1:])
 
 
-def measurement_section(measurements: Sequence[Measurement]) -> ReportSection:
+def measurement_section(budget: ErrorBudget, measurements: Sequence[Measurement]) -> ReportSection:
     """Return the bound after each measurement, and the sentence on the best one."""
     head = ("measurement", "largest bound after it", "less by")
     rows = [
         (each.name, si(each.bound, "m", 3), f"{100.0 * each.gain:.1f} %") for each in measurements
     ]
-    return ReportSection(head=head, rows=rows, numbers=head[1:], lines=[advice(measurements)])
+    return ReportSection(
+        head=head, rows=rows, numbers=head[1:], lines=[advice(budget, measurements)]
+    )
 
 
 def largest_causes(budget: ErrorBudget) -> ReportSection:
@@ -175,5 +192,5 @@ def print_budget(
     """Print bounds, shares, the best measurements and the path of the report."""
     print_lines([headline(budget, volume)])
     print_section(share_section(budget))
-    print_section(measurement_section(measurements))
+    print_section(measurement_section(budget, measurements))
     print_lines([f"Report: {folder / 'report.html'}"])

@@ -24,6 +24,7 @@ from stiffopt.report.common.text import DASH, capital, percent, scale, si, signi
 from stiffopt.report.solve.wording import objective_amount, objective_phrase
 from stiffopt.result.cycle import CycleSimulation, CycleSolution, LegResult
 from stiffopt.result.duty import JointDuty
+from stiffopt.units import joint_unit
 
 _SECONDS_PER_HOUR = 3600.0
 _MAX_SHOWN_LIFE = 1e6 * _SECONDS_PER_HOUR
@@ -117,22 +118,22 @@ def duty_rows(solution: CycleSolution) -> list[list[str]]:
     return [
         [
             each.name,
-            _share_text(each.rms_torque, each.torque_max),
-            _share_text(each.peak_torque, each.torque_max),
-            si(each.peak_speed, "rad/s", 3),
-            si(each.mean_speed, "rad/s", 3),
+            _share_text(each, each.rms_torque, each.torque_max),
+            _share_text(each, each.peak_torque, each.torque_max),
+            si(each.peak_speed, joint_unit("rad/s", each.prismatic), 3),
+            si(each.mean_speed, joint_unit("rad/s", each.prismatic), 3),
             si(each.peak_power, "W", 3),
             si(each.energy, "J", 3),
             si(each.regenerated, "J", 3),
-            _share_text(each.mean_torque, None if each.life is None else each.rating.torque),
+            _share_text(each, each.mean_torque, None if each.life is None else each.rating.torque),
             _life_text(each),
         ]
         for each in solution.duty.joints
     ]
 
 
-def _share_text(torque: float, whole: float | None) -> str:
-    text = si(torque, "N m", 3)
+def _share_text(joint: JointDuty, torque: float, whole: float | None) -> str:
+    text = si(torque, joint_unit("N m", joint.prismatic), 3)
     return text if whole is None else f"{text} ({percent(torque / whole, 2)})"
 
 

@@ -33,22 +33,29 @@ if TYPE_CHECKING:
 _OPERATOR_DEFINITIONS = {
     "sg": "sg(w) is tanh(w / 0.01) of a speed w in rad/s, in a sample where it reverses its mean"
     " over the sample period",
-    "lag": "lag(x, T) is y with y_k = p * y_(k-1) + (1 - p) * x_k, p = exp(-dt / T), from y_(-1)"
-    " = 0 of a speed, x_0 of a load on: T dy/dt = x - y",
+    "lag": "lag(x, T) is y with y_k = p * y_(k-1) + (1 - p) * x_k, p = exp(-dt / T):"
+    " T dy/dt = x - y",
     "sprung": "sprung(x, f, z) is the acceleration y of a mass on a spring and damper of frequency"
-    " f and damping ratio z whose base accelerates by x: with o = tan(pi * f * dt), and x = y"
-    " before the first sample, zero of speeds and accelerations, x_0 of a load,"
+    " f and damping ratio z whose base accelerates by x: with o = tan(pi * f * dt),"
     " (1 + 2 * z * o + o**2) * y_k + 2 * (o**2 - 1) * y_(k-1) +"
     " (1 - 2 * z * o + o**2) * y_(k-2) = (o**2 + 2 * z * o) * x_k + 2 * o**2 * x_(k-1) +"
     " (o**2 - 2 * z * o) * x_(k-2)",
     "mode": "mode(x, f, z) is the deflection y of a mass on a spring and damper of frequency f and"
-    " damping ratio z, over that under a constant x: with o = tan(pi * f * dt), and x = y before"
-    " the first sample, zero of accelerations, x_0 of a load,"
+    " damping ratio z, over that under a constant x: with o = tan(pi * f * dt),"
     " (1 + 2 * z * o + o**2) * y_k + 2 * (o**2 - 1) * y_(k-1) +"
     " (1 - 2 * z * o + o**2) * y_(k-2) = o**2 * (x_k + 2 * x_(k-1) + x_(k-2))",
     "stop": "stop(x, r) follows x and slides where it would leave -r to r: it is x_k - y_k with"
     " y_0 = x_0 and y_k = min(max(y_(k-1), x_k - r), x_k + r)",
 }
+# What linear operators take their signal for before the recording.
+_HISTORY_DEFINITIONS = {
+    "speed": "before its first sample a joint has started from rest: with its speed w_0 and"
+    " acceleration a_0 there, n = w_0 / (a_0 * dt) rounded, at most the number of samples, none"
+    " where w_0 * a_0 is not positive, its acceleration was a_0 in n samples, its speed"
+    " w_0 * k / n, k = 0 to n - 1, and before them x = y = 0",
+    "load": "before its first sample a load was x = y = x_0",
+}
+_HISTORY_DEFINITIONS["acceleration"] = _HISTORY_DEFINITIONS["speed"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +109,9 @@ def law_definitions(law: Law) -> tuple[str, ...]:
         for name, words in _OPERATOR_DEFINITIONS.items()
         if re.search(rf"\b{name}\(", law.equation)
     ]
-    return (*signals, *used)
+    past = (f.source.kind for f in law.factors if f.own.has_memory)
+    begins = (_HISTORY_DEFINITIONS[kind] for kind in past if kind in _HISTORY_DEFINITIONS)
+    return (*signals, *used, *dict.fromkeys(begins))
 
 
 def _describe_share(diagnosis: Diagnosis, finding: Finding) -> str:

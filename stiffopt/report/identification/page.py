@@ -159,22 +159,24 @@ def print_static(result: StaticStiffness, folder: Path) -> None:
 
 def print_comparison(names: Sequence[str], joints: Sequence[JointComparison]) -> None:
     """Print the joints of several sets side by side, and beside the drivetrains' model."""
-    columns = (*names, "all sets", "model")
-    rows = [
-        (
-            f"J{joint.joint}",
-            *(
-                DASH if value is None or sd is None else f"{decades(value)} ± {decades(sd, 2)}"
-                for value, sd in zip(
-                    (*joint.stiffness, joint.pooled), (*joint.sd, joint.pooled_sd), strict=True
-                )
-            ),
-            decades(joint.model),
+    several = ("all sets",) if len(names) > 1 else ()
+    columns = (*names, *several, "model")
+    rows = []
+    for joint in joints:
+        pooled = [(joint.pooled, joint.pooled_sd)] if several else []
+        values = [*zip(joint.stiffness, joint.sd, strict=True), *pooled]
+        cells = (
+            DASH if value is None or sd is None else f"{decades(value)} ± {decades(sd, 2)}"
+            for value, sd in values
         )
-        for joint in joints
-    ]
+        rows.append((f"J{joint.joint}", *cells, decades(joint.model)))
     rows += [
-        (f"J{joint.joint}, tilt", *map(decades, joint.tilt), DASH, decades(joint.modelled_tilt))
+        (
+            f"J{joint.joint}, tilt",
+            *map(decades, joint.tilt),
+            *(DASH for _ in several),
+            decades(joint.modelled_tilt),
+        )
         for joint in joints
         if any(joint.tilt) or joint.modelled_tilt is not None
     ]

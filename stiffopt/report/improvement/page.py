@@ -69,7 +69,8 @@ def answer(found: Improvement) -> str:
         return f"No motion that keeps every limit was found. {why}"
     how = "The timing is as given"
     if found.retimed:
-        how = "The motion is slowed where it exceeds a limit"
+        how = "The motion is slowed "
+        how += "where it exceeds a limit" if found.given.exceeded else "for the lead of the motors"
         if found.plan.duration < found.given.assessment.duration:
             how = "The motion is timed anew"
     lead = "" if found.compensation is None else "; the motors lead the links by the wind-up"
@@ -105,10 +106,14 @@ def faults(found: Improvement) -> list[str]:
         told.append(f"The tool leaves its path by up to {si(both.peak, 'm', 3)} in flight.")
         if both.peak_after is not None:
             settled = both.settling_time
-            when = "not within a second" if settled is None else f"after {1e3 * settled:.0f} ms"
+            band = si(both.band, "m", 2)
             told.append(
-                f"After arrival it rings by {si(both.peak_after, 'm', 3)} and stays within "
-                f"{si(both.band, 'm', 2)} {when}."
+                f"After arrival it rings by {si(both.peak_after, 'm', 3)} and "
+                + (
+                    f"does not settle to {band} within a second."
+                    if settled is None
+                    else f"stays within {band} after {1e3 * settled:.0f} ms."
+                )
             )
     return told
 

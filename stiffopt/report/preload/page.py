@@ -109,7 +109,7 @@ def write_preload_report(study: PreloadStudy, directory: str | Path) -> Path:
             "units": units,
             "unit": OBJECTIVES[problem.objective],
             "title": problem.title or f"Preloads of {problem.robot.title or problem.robot.name}",
-            "headline": headline(problem, solution),
+            "headline": headline(study),
             "lead": active_limits_sentence(problem, solution),
             "gain": stiffness_sentence(problem, solution, study.front),
             "weakest": weakest_sentence(shares, free),
@@ -151,7 +151,7 @@ def print_study(study: PreloadStudy, folder: Path) -> None:
     if solution.status.usable:
         print_lines(
             (
-                f"{solution.status}: {headline(problem, solution)}.",
+                f"{solution.status}: {headline(study)}.",
                 active_limits_sentence(problem, solution) or None,
                 stiffness_sentence(problem, solution) or None,
             )
@@ -160,7 +160,8 @@ def print_study(study: PreloadStudy, folder: Path) -> None:
             _CONNECTION_COLUMNS, [_connection_row(study, element) for element in problem.elements]
         )
     else:
-        print_lines([f"{solution.status}: {solution.message}"])
+        chosen = f"{headline(study)}. " if study.choice is not None else ""
+        print_lines([f"{solution.status}: {chosen}{solution.message}"])
     print_lines(
         (
             f"Catalogue: {study.choice.message}" if study.choice is not None else None,

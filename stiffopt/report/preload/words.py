@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from stiffopt.preload.problem import FreeElement, PreloadProblem
     from stiffopt.preload.sensitivity import WindupShare
     from stiffopt.preload.solution import PreloadSolution
+    from stiffopt.preload.study import PreloadStudy
 
 # Relative change of stiffness below which stiffness does not determine the preload.
 _SMALL_STIFFNESS_GAIN = 0.02
@@ -123,9 +124,14 @@ def active_limits_text(solution: PreloadSolution, key: str, joint: int) -> str:
     return listed(dict.fromkeys(own)) or "–"
 
 
-def headline(problem: PreloadProblem, solution: PreloadSolution) -> str:
-    """Return the headline: tightening torque or total preload."""
+def headline(study: PreloadStudy) -> str:
+    """Return the headline: tightening torque or total preload, else the design that there is."""
+    problem, solution = study.problem, study.solution
     if not solution.status.usable:
+        if study.choice is not None and study.choice.status.usable:
+            designs = study.choice.designs
+            chosen = listed([f"{designs[key].label} for the {readable(key)}" for key in designs])
+            return f"The present bolts cannot meet all requirements; the catalogue has {chosen}"
         if solution.stoppers:
             return "No preload meets all requirements"
         return f"No usable design: {words(solution.status)}"

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.report.common.terminal import ReportSection
-from stiffopt.report.common.text import listed, scale, si
+from stiffopt.report.common.text import DASH, listed, scale, si, significant
 from stiffopt.report.solve.wording import rival_text
 from stiffopt.result.compensation import (
     COMMAND_FILE,
     CompensatedMotion,
     Compensation,
+    RivalComparison,
     Spread,
     Spreads,
 )
@@ -26,31 +27,52 @@ COMPENSATED = "Peak deviations on uncertain arms, as planned and compensated"
 
 
 def compensation_section(compensation: Compensation) -> ReportSection:
-    """Return the peak deviations, two rows per motion, and notes on uncertainty and command."""
-    head = ["motion", "motors"]
+    """Return the peak deviations, two rows per motion, and notes on uncertainty and command.
+
+    A slower rival that is better in an error is followed by the optimised motion at its duration.
+    """
+    head = ["motion", "duration", "motors"]
     for phase in ("in flight", "after"):
         head += [f"{phase}, nominal", "90 % of draws", "worst"]
-    head += ["worst arm in flight", "motor limits"]
+    head += ["worst arm in flight", "optimised over it", "motor limits"]
+    beside = {each.rival.name: each for each in compensation.beside_rivals}
     rows = []
     for motion in compensation.motions:
-        for how, spreads in (
-            (_PLANNED_LABEL, motion.planned),
-            (_COMPENSATED_LABEL, motion.compensated),
-        ):
-            cells = [
-                motion.name,
-                how,
-                *_spread_cells(spreads.flight),
-                *_spread_cells(spreads.after),
-            ]
-            rows.append([*cells, spreads.flight.worst_case, _limit_cell(motion, how)])
+        found = beside.get(motion.name)
+        rows += _motion_rows(motion, motion.name, found)
+        if found is not None and found.own is not compensation.optimised:
+            rows += _motion_rows(found.own, "optimised, slowed")[1:]
     return ReportSection(
         title="Deviations on uncertain arms, as planned and compensated",
         head=head,
         rows=rows,
         lines=_compensation_notes(compensation),
-        numbers=head[2:-2],
+        numbers=[head[1], *head[3:-3]],
     )
+
+
+def _motion_rows(
+    motion: CompensatedMotion, name: str, beside: RivalComparison | None = None
+) -> list[list[str]]:
+    """Return the rows of a motion as planned and with its command."""
+    ratios = {} if beside is None else beside.ratios
+    over = " / ".join(significant(each, 3) for each in ratios.values()) or DASH
+    return [
+        [
+            name,
+            si(motion.duration, "s", 4),
+            how,
+            *_spread_cells(spreads.flight),
+            *_spread_cells(spreads.after),
+            spreads.flight.worst_case,
+            over if how == _COMPENSATED_LABEL else DASH,
+            _limit_cell(motion, how),
+        ]
+        for how, spreads in (
+            (_PLANNED_LABEL, motion.planned),
+            (_COMPENSATED_LABEL, motion.compensated),
+        )
+    ]
 
 
 def _spread_cells(spread: Spread) -> list[str]:
@@ -59,22 +81,21 @@ def _spread_cells(spread: Spread) -> list[str]:
 
 def _limit_cell(motion: CompensatedMotion, how: str) -> str:
     if how == _PLANNED_LABEL:
-        return "–"
+        return DASH
     return f"exceeds {motion.excess[0].describe()}" if motion.excess else "kept"
 
 
 def compensation_text(compensation: Compensation) -> str:
-    """Return a paragraph on nominal and worst deviations, compared with the best rival."""
+    """Return a sentence on nominal and worst deviations, or why there is no command."""
     if compensation.refusal:
-        return f"{compensation.refusal} {rival_text(compensation)}"
+        return compensation.refusal
     own = compensation.optimised
-    text = (
+    return (
         f"With the command {compensation.file or COMMAND_FILE} the"
         " elastic arm's tool deviates from "
         f"the plan by at most {_format_deviations(own.compensated)} in flight / after arrival, in "
-        f"the worst case {_format_deviations(own.compensated, True)}"
+        f"the worst case {_format_deviations(own.compensated, True)}."
     )
-    return f"{text}. {rival_text(compensation)}"
 
 
 def _format_deviations(spreads: Spreads, worst: bool = False) -> str:
@@ -97,6 +118,9 @@ def _compensation_notes(compensation: Compensation) -> list[str]:
         " case is the worst arm that an exchange of the values at their bounds finds; "
         f"{compensation.draws} arms are drawn uniformly within the bounds. The problem's limits, "
         "settling included, are checked on the nominal arm only.",
+        "Optimised over a rival: worst errors in flight / after arrival / across the path in "
+        "flight, at equal duration: beside a slower rival that is better in one of them the "
+        "optimised motion is slowed.",
         f"{made}; the feedforward lead is {100 * own.share:.0f} % of the nominal wind-up, "
         f"{'as chosen by the solve' if compensation.file else 'chosen for the worst case'}.",
     ]
@@ -104,7 +128,8 @@ def _compensation_notes(compensation: Compensation) -> list[str]:
 
 # Filters of pages that show compensated motions.
 COMPENSATION_FILTERS = {
-    function.__name__: function for function in (compensation_text, compensation_section)
+    function.__name__: function
+    for function in (compensation_text, compensation_section, rival_text)
 }
 
 

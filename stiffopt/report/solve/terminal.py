@@ -49,7 +49,9 @@ def print_solution(problem: TrajectoryProblem, solution: Solution, folder: Path)
     if report.is_file():
         print_lines([f"Report: {report}"])
     elif (folder / ARCHIVE_FILE).is_file():
-        print_lines([f"`stiffopt report {folder}` compares it with rivals and draws the report."])
+        alone = solution.simulation is not None and len(solution.simulation.motions) == 1
+        others = " compares it with baselines and rivals and" if alone else ""
+        print_lines([f"`stiffopt report {folder}`{others} draws the report."])
 
 
 def print_simulation(simulation: Simulation) -> None:

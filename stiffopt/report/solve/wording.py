@@ -14,7 +14,11 @@ from stiffopt.problem.objective import OBJECTIVES, ObjectiveKind
 from stiffopt.report.common.terminal import ReportSection
 from stiffopt.report.common.text import DASH, listed, percent, si, significant, words
 from stiffopt.result.assessment import Violation
-from stiffopt.result.compensation import RIVAL_COMMAND_FILE, RIVAL_TRAJECTORY_FILE
+from stiffopt.result.compensation import (
+    MIN_SLOWDOWN,
+    RIVAL_COMMAND_FILE,
+    RIVAL_TRAJECTORY_FILE,
+)
 from stiffopt.result.simulation import ElasticMotion, Simulation
 from stiffopt.result.solution import ObjectiveValue, Solution
 
@@ -100,7 +104,8 @@ def difference_text(problem: TrajectoryProblem, solution: Solution) -> str:
         else "the quasi-static plan does not include the vibration of the links"
     )
     text = (
-        f"The elastic arm {deviates} up to {si(part.simulated.peak, 'm', 3)} in flight where "
+        f"With motors that follow exactly the elastic arm {deviates} up to "
+        f"{si(part.simulated.peak, 'm', 3)} in flight where "
         f"{si(part.planned.peak, 'm', 3)} was planned ({percent(abs(change), 2)} "
         f"{'more' if change > 0 else 'less'}): {why}."
     )
@@ -112,42 +117,50 @@ def difference_text(problem: TrajectoryProblem, solution: Solution) -> str:
 def comparison(problem: TrajectoryProblem, solution: Solution) -> str:
     """Return sentences on the best rival: on uncertain arms where commands were made for them."""
     led = solution.compensation
-    if led is None or led.best_rival is None:
-        return _certified_comparison(problem, solution)
-    return rival_text(led)
+    if led is not None and led.best_rival is not None:
+        return rival_text(led)
+    if led is not None and not solution.baselines and len(led.motions) == 1:
+        return "It was compared with neither baselines nor rivals."
+    certified = _certified_comparison(problem, solution)
+    return certified if led is None else f"{certified} {rival_text(led)}"
 
 
 def rival_text(compensation: Compensation) -> str:
     """Return sentences on the worst-case tool error beside that of the best rival."""
-    best, own = compensation.best_rival, compensation.optimised
+    beside, own = compensation.beside_best, compensation.optimised
     if len(compensation.motions) == 1:
         return "It was not compared with rivals."
-    if best is None:
+    if beside is None:
         return "No rival's command keeps every limit."
-    name = f"{_motion_phrase(best.name)} of {si(best.simulated.duration, 's', 4)}"
+    best = beside.rival
+    name = f"{_motion_phrase(best.name)} of {si(best.duration, 's', 4)}"
     theirs = _format_phases(best)
     tail = "each with its best command within the limits, on the same uncertain arms"
     if compensation.ratios is None:
         text = f"The best rival, {name}, has a worst-case tool error of {theirs}"
     else:
         flight, after = compensation.ratios
+        slowed = f"; slowed to {si(best.duration, 's', 4)} {_format_phases(beside.own)}"
         text = (
-            f"Worst-case tool error {_format_phases(own)} in flight / after arrival: in flight "
+            f"Worst-case tool error {_format_phases(own)} in flight / after arrival"
+            f"{slowed if beside.own is not own else ''}: in flight "
             f"{amount(flight).lower()} the best rival, {name}, which has {theirs}"
         )
         if not np.isclose(flight, after):
             text += f"; after arrival {amount(after).lower()} it"
-    slower = best.simulated.duration / own.simulated.duration - 1.0
-    if slower > _EQUAL_RATIO_TOLERANCE:
+    slower = best.duration / own.duration - 1.0
+    if slower > MIN_SLOWDOWN:
         tail += f"; the rival was slowed by {percent(slower, 2)} to keep the limits"
     text += f"; {tail}."
-    if compensation.rival_wins:
-        text += (
-            f" The rival is the better motion: run {RIVAL_TRAJECTORY_FILE} with "
-            f"{RIVAL_COMMAND_FILE}."
-            if compensation.rival_command is not None
-            else " The rival is the better motion."
-        )
+    better = compensation.rival_better_in
+    if compensation.rival_wins or better:
+        where = "" if compensation.rival_wins else f" {listed(better)}"
+        claim = f"The rival is the better motion{where}"
+        if own.excess:
+            # Whatever is minimised: the optimised motion has no command to compare.
+            claim = "Of the two only the rival's motors can lead its links"
+        run = f": run {RIVAL_TRAJECTORY_FILE} with {RIVAL_COMMAND_FILE}"
+        text += f" {claim}{run if compensation.rival_command is not None else ''}."
     return text
 
 
@@ -161,6 +174,9 @@ def _certified_comparison(problem: TrajectoryProblem, solution: Solution) -> str
     maximised = is_maximised(problem)
     better = better_baseline(problem, solution.baselines)
     ratio = solution.ratio_to_better_baseline
+    strict = solution.strict_baseline
+    if better is None and strict is not None and strict.feasible:
+        better, ratio = strict, solution.ratio_to_strict_baseline
     if solution.objective is None or solution.assessment is None:
         return "There is no motion to compare with the baselines."
     if not solution.baselines:

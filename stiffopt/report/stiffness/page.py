@@ -42,15 +42,6 @@ class FirstSlip:
     largest: float  # largest torque of the joint [N m]
 
 
-@dataclass(frozen=True)
-class LargestLoss:
-    """Largest loss of stiffness through contacts, relative to the reducer alone."""
-
-    loss: float
-    joint: int
-    ratio: float
-
-
 def write_stiffness_report(
     robot: Robot, rows: Iterable[StiffnessRow], directory: str | Path
 ) -> Path:
@@ -67,7 +58,7 @@ def write_stiffness_report(
     figures.draw("shares", shares_figure(robot, units), "Compliance by element")
     context = {
         "title": f"Joint stiffness of {robot.title or robot.name}",
-        "largest": _largest_loss(curves),
+        "headline": stiffness_headline(curves, [unit.label for unit in units]),
         "where": where_contacts_matter(curves, [unit.label for unit in units]),
         "curves": curves,
         "units": units,
@@ -87,8 +78,8 @@ def where_contacts_matter(
     for joint, (own, *_) in curves.items():
         at = own.ratio_of_largest_loss
         if not np.any(own.loss > 0.0):
-            where = "at no torque"
-        elif at == own.ratio[0]:
+            continue
+        if at == own.ratio[0]:
             where = f"at the least torque shown, {percent(at)} of the largest"
         elif at == own.ratio[-1]:
             where = "at the largest torque"
@@ -96,6 +87,8 @@ def where_contacts_matter(
             where = f"at {percent(at)} of the largest torque"
         ends = " to ".join(percent(float(own.loss[end])) for end in (0, -1))
         groups.setdefault(where, []).append(f"{labels[joint - 1]} ({ends})")
+    if not groups:
+        return "Without contacts both curves are one."
     told = "; ".join(f"{where} in {listed(joints)}" for where, joints in groups.items())
     return (
         f"Contacts reduce the stiffness most {told}. In brackets: the"
@@ -104,12 +97,18 @@ def where_contacts_matter(
     )
 
 
-def _largest_loss(curves: Mapping[int, Sequence[StiffnessCurve]]) -> LargestLoss:
-    every = (
-        LargestLoss(float(own.loss.max()), joint, own.ratio_of_largest_loss)
-        for joint, (own, *_) in curves.items()
+def stiffness_headline(
+    curves: Mapping[int, Sequence[StiffnessCurve]], labels: Sequence[str]
+) -> str:
+    """Return a sentence on the largest relative loss of stiffness through contacts."""
+    joint, (own, *_) = max(curves.items(), key=lambda each: (each[1][0].loss.max(), -each[0]))
+    loss = float(own.loss.max())
+    if loss <= 0.0:
+        return "No joint has contacts: reducers and springs alone yield"
+    return (
+        f"Contacts reduce the stiffness by up to {percent(loss)} ({labels[joint - 1]} at"
+        f" {percent(own.ratio_of_largest_loss)} of its largest torque)"
     )
-    return max(every, key=lambda each: (each.loss, -each.joint))
 
 
 def _contact_loading(robot: Robot) -> str:

@@ -113,7 +113,8 @@ def shared_section(summary: SweepSummary) -> ReportSection:
 
 def _place_words(value: SharedValue) -> str:
     name = words(value.parameter)
-    return name if value.joint is None else f"{name} of joint {value.joint}"
+    name += "" if value.joint is None else f" of joint {value.joint}"
+    return f"{name} ({value.case})" if value.case else name
 
 
 def spread_sentence(summary: SweepSummary) -> str:
