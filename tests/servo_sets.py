@@ -16,6 +16,7 @@ URDF = """<?xml version="1.0"?>
 MASS, LEVER, INERTIA, GRAVITY = 0.75, 0.14, 0.002, 9.81
 KP, VISCOUS, COULOMB, ARMATURE, DELAY = 9.0, 0.25, 0.12, 0.015, 0.012
 STEP, HELD = 0.01, 2
+STRIBECK_SPEED = 0.1  # [rad/s]
 _SUBSTEPS = 20
 
 
@@ -25,6 +26,7 @@ def commanded_motion(
     gravity: float = GRAVITY,
     limit: float = np.inf,
     coulomb: float = COULOMB,
+    stribeck: float = 0.0,
 ) -> tuple[np.ndarray, ...]:
     """Return time, held commands and positions (K,) of one run."""
     rng = np.random.default_rng(seed)
@@ -46,7 +48,7 @@ def commanded_motion(
             drive = np.clip(KP * (u - q), -limit, limit) - MASS * gravity * LEVER * np.sin(q)
             # Semi-implicit, dry friction as an impulse that at most stops the link.
             free = (v + h * drive / about) / (1.0 + h * VISCOUS / about)
-            most = h * coulomb / about
+            most = h * (coulomb + stribeck * np.exp(-((v / STRIBECK_SPEED) ** 2))) / about
             v = 0.0 if abs(free) < most else free - most * np.sign(free)
             q += h * v
     return time, command, position + 2e-5 * rng.normal(size=len(time))

@@ -48,12 +48,14 @@ def spec_of(key: Key, suite: str, index: int, arms: Sequence[str] = tuple(ARMS))
     """Return the case of one of the suites "commanded" and "idle" (nothing missing)."""
     name = "_".join([suite, *(arms if len(arms) < len(ARMS) else ()), f"{index:04d}"])
     missing = suite == "commanded"
+    effect = dealt(key, tuple(COMMANDED_EFFECTS), index, suite, "effect") if missing else ""
     return CommandedSpec(
         name=name,
         arm=dealt(key, arms, index, suite, "arm"),
-        effect=dealt(key, tuple(COMMANDED_EFFECTS), index, suite, "effect") if missing else "",
+        effect=effect,
         size=dealt(key, SIZES, index, suite, "size") if missing else 0.0,
-        gains_stated=dealt(key, GAINS_STATED, index, suite, "gains"),
+        # More of a value that nothing states is that value.
+        gains_stated=effect == "viscous" or dealt(key, GAINS_STATED, index, suite, "gains"),
         seed=int(key.draw(name).integers(2**62)),
     )
 
@@ -128,7 +130,7 @@ def score(store: Store, name: str) -> Scored:
         loop = tomllib.loads((path / "extended.toml").read_text("utf-8")).get("closed_loop", {})
     entry = COMMANDED_EFFECTS.get(truth["effect"])
     # Damping of a servo whose gains nobody states is a value that was missing, no claim.
-    own = () if truth["gains_stated"] or truth["effect"] == "viscous" else ("viscous",)
+    own = () if truth["gains_stated"] else ("viscous",)
     claimed = [f for f in found["findings"] if f["certainty"] in CLAIMED and f["effect"] not in own]
 
     def is_true(finding: dict[str, Any]) -> tuple[bool, bool]:

@@ -15,7 +15,7 @@ from stiffopt.files import load_json
 from stiffopt.folders import check_result
 
 _STIFFNESS_FILE = "stiffness.json"
-_REMEDY = "Run identify-stiffness again."
+_IDENTIFY_AGAIN = "Run identify-stiffness again."
 
 
 def narrow_stiffness(model: ErrorModel, folder: Path) -> Uncertainty:
@@ -29,7 +29,7 @@ def narrow_stiffness(model: ErrorModel, folder: Path) -> Uncertainty:
     document = load_json(path)
     joints = document.get("joints") if isinstance(document, dict) else None
     if not isinstance(joints, list) or not all(isinstance(each, dict) for each in joints):
-        raise InputFileError(path, "joints", f"is not a list of joints. {_REMEDY}")
+        raise InputFileError(path, "joints", f"is not a list of joints. {_IDENTIFY_AGAIN}")
     names = model.robot.joint_names
     known = np.full(len(names), np.nan)
     for number, joint in enumerate(joints):
@@ -55,5 +55,7 @@ def narrow_stiffness(model: ErrorModel, folder: Path) -> Uncertainty:
 def _positive_number(path: Path, key: str, value: Any) -> float:
     number = isinstance(value, int | float) and not isinstance(value, bool)
     if not number or not 0.0 < value < math.inf:
-        raise InputFileError(path, key, f"is {value!r}; allowed: a number above 0. {_REMEDY}")
+        raise InputFileError(
+            path, key, f"is {value!r}; allowed: a number above 0. {_IDENTIFY_AGAIN}"
+        )
     return float(value)

@@ -24,6 +24,8 @@ CERTIFICATE_TOLERANCE = 5e-3
 
 # Share of a limit by which a boundary velocity or acceleration may be missed.
 _BOUNDARY_VALUE_TOLERANCE = 1e-3
+# Weight of a miss beyond a via's tolerance: more than that of all misses within it.
+_EXCESS_WEIGHT = 1e6
 
 
 def find_violations(problem: TrajectoryProblem, motion: Assessment) -> Assessment:
@@ -49,14 +51,30 @@ def _target_violations(problem: TrajectoryProblem, motion: Assessment) -> list[V
     found = []
     last = len(motion.time) - 1
     stops = [("start", problem.start, 0), ("end", problem.end, last)]
-    first = 0
-    for number, via in enumerate(problem.vias, start=1):
-        first += int(np.argmin(_relative_target_miss(problem, via, motion, slice(first, None))))
-        stops.append((f"via_{number}", via, first))
+    for number, (via, k) in enumerate(_pass_vias(problem, motion), start=1):
+        stops.append((f"via_{number}", via, k))
     for name, target, k in stops:
         miss = _relative_target_miss(problem, target, motion, slice(k, k + 1))[0]
         found.append(Violation(float(miss - 1.0), name, None, float(motion.time[k])))
     return found
+
+
+def _pass_vias(problem: TrajectoryProblem, motion: Assessment) -> list[tuple[Target, int]]:
+    """Return each via with the instant at which the motion passes it.
+
+    Of all instants in order, those of the least misses: a motion may pass nearer to a via later on.
+    """
+    cost, costs = np.zeros(len(motion.time)), []
+    for via in problem.vias:
+        miss = _relative_target_miss(problem, via, motion, slice(None))
+        beyond = _EXCESS_WEIGHT * np.maximum(miss - 1.0, 0.0)
+        cost = np.minimum.accumulate(cost) + miss + beyond
+        costs.append(cost)
+    instants, k = [], len(motion.time) - 1
+    for cost in reversed(costs):
+        k = int(np.argmin(cost[: k + 1]))
+        instants.append(k)
+    return list(zip(problem.vias, reversed(instants), strict=True))
 
 
 def _boundary_violations(problem: TrajectoryProblem, motion: Assessment) -> list[Violation]:

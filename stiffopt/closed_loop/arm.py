@@ -144,14 +144,16 @@ class CommandedArm:
 
     @property
     def _parameter_count(self) -> int:
-        return (len(JOINT_PARAMETERS) + len(BODY_PARAMETERS)) * self.n + 1
+        own = (len(JOINT_PARAMETERS) + len(BODY_PARAMETERS)) * self.n
+        return own + self.physics.amplitudes.symbols.numel() + 1
 
     def _split(self, parameters: ca.SX) -> tuple[dict[str, ca.SX], tuple[ca.SX, ...]]:
         """Return the parameters of joints (n,) by name, and the bodies."""
         n, joints = self.n, len(JOINT_PARAMETERS) * self.n
+        bodies = joints + len(BODY_PARAMETERS) * n
         columns = ca.horzsplit(ca.reshape(parameters[:joints], n, -1))
         own = dict(zip(JOINT_PARAMETERS, columns, strict=True))
-        return own, self._bodies(parameters[joints : self._parameter_count - 1])
+        return own, self._bodies(parameters[joints:bodies])
 
     def _symbols(self) -> tuple[ca.SX, ...]:
         """Return one step of ROS2 in symbols, and what it depends on.
@@ -196,7 +198,9 @@ class CommandedArm:
             ca.vertsplit(before + h * (1.5 * one + 0.5 * two), [0, n, n + elastic])
             for before, one, two in zip((place, speed), first, second, strict=True)
         )
-        after = ca.vertcat(q, v, s, w)
+        unknown = self.physics.amplitudes.symbols
+        places = slice(self._parameter_count - 1 - unknown.numel(), self._parameter_count - 1)
+        (after,) = ca.substitute([ca.vertcat(q, v, s, w)], [unknown], [parameters[places]])
         return state, command, parameters, width, h, after
 
     def _bodies(self, changes: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:

@@ -120,6 +120,8 @@ class Balance:
         # An actuator damps by the speed that it reads.
         error = _clip(self.kp * (self.command - q), law.drive_max)
         torque = _clip(error - self.kd * speed[: self.n], law.torque_max)
+        for joint, largest in self.loop.physics.limits.items():
+            torque[joint] = ca.fmax(ca.fmin(torque[joint], largest), -largest)
         direction = ca.tanh(v / self.width)
         dry = own["coulomb"] + own["friction_slope"] * (q - ca.DM(self.loop.middle))
         by_speed = own["viscous"] * v + own["drag"] * v * ca.fabs(v)

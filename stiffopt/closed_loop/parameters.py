@@ -27,7 +27,7 @@ LEADING_PARAMETERS = ("gain", "damping", "armature", "viscous", "coulomb", "offs
 # Of each body, as changes: mass, relative, with its moments in proportion; first moment and inertia
 # about its axis frame besides.
 BODY_PARAMETERS = ("mass", "mcx", "mcy", "mcz", "Ixx", "Iyy", "Izz")
-DELAY = "delay"
+AMPLITUDES, DELAY = "amplitudes", "delay"
 # Not below zero.
 _BOUNDED_PARAMETERS = ("armature", "viscous", "coulomb", "load_friction", "drag", DELAY)
 
@@ -37,8 +37,9 @@ class Parameters:
     """Values of a closed loop's parameters, in the order of `names`."""
 
     joints: tuple[str, ...]  # (n,) in the order of the robot
-    # (p,) by parameter, then by joint; then of the bodies, body by body; the delay last.
+    # (p,) by parameter, then by joint; then of the bodies, body by body; of the physics; the delay.
     values: np.ndarray
+    lower_amplitudes: np.ndarray  # (m,) bounds of the values of the physics
 
     @property
     def n(self) -> int:
@@ -50,12 +51,14 @@ class Parameters:
         """Name and joint of every parameter; "" for all joints together."""
         own = [(name, joint) for name in JOINT_PARAMETERS for joint in self.joints]
         bodies = [(name, joint) for joint in self.joints for name in BODY_PARAMETERS]
-        return (*own, *bodies, (DELAY, ""))
+        return (*own, *bodies, *[(AMPLITUDES, "")] * len(self.lower_amplitudes), (DELAY, ""))
 
     @property
     def lower(self) -> np.ndarray:
         """Lower bounds (p,)."""
-        return np.array([0.0 if name in _BOUNDED_PARAMETERS else -np.inf for name, _ in self.names])
+        found = [0.0 if name in _BOUNDED_PARAMETERS else -np.inf for name, _ in self.names]
+        found[self.amplitudes] = self.lower_amplitudes
+        return np.array(found)
 
     def place(self, name: str) -> slice:
         """Return the places of a joint parameter."""
@@ -68,6 +71,11 @@ class Parameters:
         first = len(JOINT_PARAMETERS) * self.n
         return slice(first, first + len(BODY_PARAMETERS) * self.n)
 
+    @property
+    def amplitudes(self) -> slice:
+        """Places of the values of the physics."""
+        return slice(self.bodies.stop, self.bodies.stop + len(self.lower_amplitudes))
+
     def body_places(self, name: str) -> slice:
         """Return the places (n,) of a body parameter, one a joint."""
         first = self.bodies.start + BODY_PARAMETERS.index(name)
@@ -76,7 +84,8 @@ class Parameters:
     @property
     def leading(self) -> np.ndarray:
         """Return which parameters (p,) a fit begins with; the delay is one of them."""
-        return np.array([name in (*LEADING_PARAMETERS, DELAY) for name, _ in self.names])
+        leading = (*LEADING_PARAMETERS, AMPLITUDES, DELAY)
+        return np.array([name in leading for name, _ in self.names])
 
     def of_bodies(self, name: str) -> np.ndarray:
         """Return the values (n,) of a body parameter."""
@@ -92,7 +101,10 @@ class Parameters:
         return float(self.values[-1])
 
 
-def zero_parameters(joints: tuple[str, ...]) -> Parameters:
-    """Return parameters that are all zero."""
-    count = (len(JOINT_PARAMETERS) + len(BODY_PARAMETERS)) * len(joints) + 1
-    return Parameters(joints, np.zeros(count))
+def zero_parameters(
+    joints: tuple[str, ...], lower_amplitudes: np.ndarray | None = None
+) -> Parameters:
+    """Return parameters that are all zero; of a physics with bounds of its amplitudes."""
+    lower = np.zeros(0) if lower_amplitudes is None else lower_amplitudes
+    count = (len(JOINT_PARAMETERS) + len(BODY_PARAMETERS)) * len(joints) + len(lower) + 1
+    return Parameters(joints, np.zeros(count), lower)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
 
 import casadi as ca
+import numpy as np
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,12 +37,25 @@ class LoopSpring:
     encoder_at_output: bool = False  # the encoder reads the link; otherwise the motor
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Amplitudes:
+    """Unknown values (m,) of a loop's physics, parameters of its fit."""
+
+    names: tuple[tuple[Hashable, int], ...] = ()  # key of the cause, and number
+    symbols: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
+    values: np.ndarray = field(default_factory=lambda: np.zeros(0))  # to begin with
+    deviations: np.ndarray = field(default_factory=lambda: np.zeros(0))  # before the fit
+    lower: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+
 @dataclass(frozen=True, kw_only=True)
 class LoopPhysics:
-    """Physics of a loop beyond rigid bodies, friction and rotors."""
+    """Physics of a loop beyond rigid bodies, friction and rotors; formulas of its amplitudes."""
 
     # Torques (n,) that the drives have to give besides; affine in accelerations.
     torque: Callable[[LoopSignals], ca.SX] | None = None
     # Readings (n,) -> motor less link angles (n,) of rigid joints [rad].
     displacement: Callable[[ca.SX], ca.SX] | None = None
     springs: Mapping[int, LoopSpring] = field(default_factory=dict)  # of elastic joints (from 0)
+    limits: Mapping[int, ca.SX] = field(default_factory=dict)  # largest torques of actuators [N m]
+    amplitudes: Amplitudes = field(default_factory=Amplitudes)

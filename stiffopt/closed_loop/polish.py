@@ -14,7 +14,7 @@ from stiffopt.closed_loop.simulation import CommandedRun, Stretch, simulate_stre
 
 # Duration of a stretch that is judged, and of the motion before it that forgets the state that it
 # began with, several times the settling of a servo [s].
-_STRETCH_SECONDS, _LEAD_SECONDS = 2.0, 0.5
+STRETCH_SECONDS, _LEAD_SECONDS = 2.0, 0.5
 # Iterations, the last but one at most; and the relative decrease below which they end.
 _MAX_ITERATIONS, _MIN_DECREASE = 12, 1e-3
 # Rounds in which noise is estimated anew from the residual.
@@ -23,9 +23,6 @@ _NOISE_ROUNDS = 2
 _LEADING_SECONDS = 40.0
 # Division of steps and of the width of dry friction by which the fit's dependence on them is told.
 _REFINEMENT_RATIO = 2.0
-# Share of a standard deviation by which held physics is moved: what is not linear in it would be
-# taken for a displacement that the positions contradict.
-DISPLACED_SHARE = 1e-3
 # Longest lag over which residuals repeat one another [s].
 _MAX_REPETITION = 1.0
 
@@ -43,6 +40,12 @@ class Polished:
     expected: Parameters  # before the fit
     # (p,) one standard deviation of each; 0 of those that were held.
     expected_deviations: np.ndarray
+
+    def whole_covariance(self) -> np.ndarray:
+        """Return the covariance (p, p) of all parameters, 0 of those that were not fitted."""
+        found = np.zeros((len(self.deviations),) * 2)
+        found[np.ix_(self.places, self.places)] = self.covariance
+        return found
 
     def over_gain(self, name: str, stiffness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return a joint parameter over the fitted gain, and its standard deviations (n,).
@@ -67,7 +70,6 @@ def polish(
     prior: Parameters,
     deviations: np.ndarray,
     say: Callable[[str], object] = lambda _: None,
-    displaced: Sequence[CommandedArm] = (),
 ) -> Polished:
     """Fit the parameters that have a deviation to the positions of some runs.
 
@@ -86,8 +88,6 @@ def polish(
         One standard deviation of each; 0 fixes a parameter.
     say : callable
         Called with a sentence at every iteration.
-    displaced : sequence of CommandedArm
-        With physics that the fit holds moved by `DISPLACED_SHARE` of a standard deviation each.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def polish(
         The simulation diverges with the prior.
     """
     begun = polish_leading(loop, runs, prior, deviations, say)
-    return _Fit(loop, runs, prior, deviations).polish(begun.parameters, say, displaced)
+    return _Fit(loop, runs, prior, deviations).polish(begun.parameters, say)
 
 
 def polish_leading(
@@ -110,10 +110,46 @@ def polish_leading(
     return _Fit(loop, _begin_runs(runs), prior, leading).polish(prior, say)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """Amplitudes that a fit lacks: what they would be, and how sure they are."""
+
+    evidence: float  # log evidence, by the slopes at the fit
+    deviations: float  # largest amplitude over its standard deviation
+    amplitudes: tuple[float, ...]
+    explained: float  # share of the weighted squares that they would remove
+
+
+def score_amplitudes(
+    loop: CommandedArm,
+    runs: Sequence[CommandedRun],
+    fitted: Polished,
+    groups: Sequence[Sequence[int]],
+) -> list[Score | None]:
+    """Score groups of further amplitudes of a loop beside its fit; None without any effect.
+
+    `loop`: with the physics of the fit, then the further ones. `groups`: which of these are of one
+    cause.
+    """
+    own = loop.physics.amplitudes
+    more = len(own.values) - len(fitted.parameters.lower_amplitudes)
+
+    def extended(values: np.ndarray, added: np.ndarray) -> np.ndarray:
+        return np.concatenate([values[:-1], added, values[-1:]])
+
+    def with_none(known: Parameters) -> Parameters:
+        values = extended(known.values, np.zeros(more))
+        return replace(known, values=values, lower_amplitudes=own.lower)
+
+    deviations = extended(fitted.expected_deviations, own.deviations[len(own.values) - more :])
+    fit = _Fit(loop, _begin_runs(runs), with_none(fitted.expected), deviations)
+    return fit.score(with_none(fitted.parameters), groups, more)
+
+
 def _begin_runs(runs: Sequence[CommandedRun]) -> list[CommandedRun]:
     """Return the beginnings of runs that the leading parameters are fitted to."""
     joints = runs[0].position.shape[1]
-    count = max(1, min(len(runs), round(_LEADING_SECONDS / joints / _STRETCH_SECONDS)))
+    count = max(1, min(len(runs), round(_LEADING_SECONDS / joints / STRETCH_SECONDS)))
     span = _LEADING_SECONDS / joints / count
     return [run.until(run.time[0] + span) for run in runs[:count]]
 
@@ -133,7 +169,7 @@ def _divide(
 
     Every row is judged once, but those that lead into a run.
     """
-    lead, rows = (round(seconds / step) for seconds in (_LEAD_SECONDS, _STRETCH_SECONDS))
+    lead, rows = (round(seconds / step) for seconds in (_LEAD_SECONDS, STRETCH_SECONDS))
     stretches, leads, counts = [], [], []
     for run in runs:
         count = len(run.time)
@@ -165,12 +201,7 @@ class _Fit:
         self._step = float(np.median(np.concatenate([np.diff(run.time) for run in runs])))
         self._stretches, self._leads, self._ends = _divide(runs, self._step)
 
-    def polish(
-        self,
-        start: Parameters,
-        say: Callable[[str], object],
-        displaced: Sequence[CommandedArm] = (),
-    ) -> Polished:
+    def polish(self, start: Parameters, say: Callable[[str], object]) -> Polished:
         """Return the fit that begins with some parameters; its noise is estimated in rounds."""
         current, point = start, self.evaluate(start)
         if not np.isfinite(point.slopes).all():
@@ -181,7 +212,7 @@ class _Fit:
             if last < _NOISE_ROUNDS - 1:
                 noise = self.noise(point)
         spread = np.zeros_like(start.values)
-        covariance = self.covariance(current, point, displaced)
+        covariance = self.covariance(current, point)
         if not (np.diag(covariance) > 0.0).all():  # derivatives that grow without bound
             raise FloatingPointError("the simulation diverges")
         current, covariance = self._share_delay(current, covariance)
@@ -199,14 +230,50 @@ class _Fit:
             expected_deviations=expected,
         )
 
+    def score(
+        self, parameters: Parameters, groups: Sequence[Sequence[int]], more: int
+    ) -> list[Score | None]:
+        """Score groups of the last `more` amplitudes, with all other parameters free."""
+        point = self.evaluate(parameters)
+        noise = self.noise(point)
+        hessian, gradient = self._normal_equations(parameters, point, noise)
+        last = len(hessian) - 1
+        new, old = np.arange(last - more, last), np.append(np.arange(last - more), last)
+        across = np.linalg.solve(hessian[np.ix_(old, old)], hessian[np.ix_(old, new)]).T
+        curvature = hessian[np.ix_(new, new)] - across @ hessian[np.ix_(old, new)]
+        slope = gradient[new] - across @ gradient[old]
+        whole = float(np.nansum((point.residual / noise) ** 2))
+        found: list[Score | None] = []
+        for group in groups:
+            square, right = curvature[np.ix_(group, group)], slope[group]
+            if not group or not np.isfinite(square).all():
+                found.append(None)
+                continue
+            inverse = np.linalg.inv(square)
+            moved = -inverse @ right
+            gain = 0.5 * float(-moved @ right)
+            amplitudes = moved * self._size[new[group]]
+            if (amplitudes < parameters.lower_amplitudes[-more:][group]).any():
+                found.append(None)
+                continue
+            found.append(
+                Score(
+                    evidence=gain - 0.5 * float(np.linalg.slogdet(square)[1]),
+                    deviations=float(np.max(np.abs(moved) / np.sqrt(np.diag(inverse)))),
+                    amplitudes=tuple(amplitudes.tolist()),
+                    explained=min(2.0 * gain / whole, 1.0),
+                )
+            )
+        return found
+
     def evaluate(self, parameters: Parameters) -> _Point:
         """Simulate all runs by stretches."""
-        return self._simulate(self._loop, parameters, self._free)
+        return self._simulate(parameters, self._free)
 
     def _simulate(
-        self, loop: CommandedArm, parameters: Parameters, free: np.ndarray, refinement: float = 1.0
+        self, parameters: Parameters, free: np.ndarray, refinement: float = 1.0
     ) -> _Point:
-        found = simulate_stretches(loop, self._stretches, parameters, free, refinement)
+        found = simulate_stretches(self._loop, self._stretches, parameters, free, refinement)
         residual, slopes = [], []
         for each, own, lead in zip(found, self._stretches, self._leads, strict=True):
             measured = own.run.position[own.begin + lead : own.end + 1]
@@ -260,37 +327,21 @@ class _Fit:
                 break
         return parameters, point
 
-    def covariance(
-        self, parameters: Parameters, point: _Point, displaced: Sequence[CommandedArm]
-    ) -> np.ndarray:
+    def covariance(self, parameters: Parameters, point: _Point) -> np.ndarray:
         """Return the covariance (m, m) of the fitted parameters.
 
         How sharply dry friction changes its direction is not known, and steps are finite: where
         the fit would go with both halved, twice as far as it would go with neither, is a deviation.
-        Physics that the fit holds is displaced as far as its own deviation and the positions allow:
-        its displacements, one standard deviation each, are eliminated from the normal equations.
-        One with which no loop is stable is that of no recording.
         """
         noise = self.noise(point)
         hessian, _ = self._normal_equations(parameters, point, noise)
         inverse, weighted = np.linalg.inv(hessian), point.slopes / noise[:, None]
 
-        def away(loop: CommandedArm, refinement: float = 1.0) -> np.ndarray:
-            other = self._simulate(loop, parameters, np.zeros(0, dtype=int), refinement).residual
-            return np.where(np.isfinite(point.residual), (other - point.residual) / noise, 0.0)
-
-        def moved(change: np.ndarray) -> np.ndarray:
-            return np.asarray(inverse @ np.einsum("kjm,kj->m", weighted, change))
-
-        own = _REFINEMENT_RATIO / (_REFINEMENT_RATIO - 1.0)
-        finer = own * moved(away(self._loop, _REFINEMENT_RATIO))
-        whole = inverse + np.outer(finer, finer)
-        changes = [away(each) / DISPLACED_SHARE for each in displaced]
-        if changes := [each for each in changes if np.isfinite(each).all()]:
-            moves = np.column_stack([moved(each) for each in changes])
-            flat = np.column_stack([each.ravel() for each in changes])
-            allowed = np.eye(len(changes)) + flat.T @ flat - moves.T @ hessian @ moves
-            whole += moves @ np.linalg.solve(allowed, moves.T)
+        none = np.zeros(0, dtype=int)
+        finer = self._simulate(parameters, none, _REFINEMENT_RATIO).residual - point.residual
+        moved = inverse @ np.einsum("kjm,kj->m", weighted, np.nan_to_num(finer) / noise)
+        moved *= _REFINEMENT_RATIO / (_REFINEMENT_RATIO - 1.0)
+        whole = inverse + np.outer(moved, moved)
         return np.asarray(self._size[:, None] * whole * self._size)
 
     def _share_delay(

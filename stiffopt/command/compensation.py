@@ -23,7 +23,12 @@ from stiffopt.command.command_search import (
     ExistingCommand,
 )
 from stiffopt.problem.motor_model import MotorLaw
-from stiffopt.result.compensation import COMMAND_FILE, CompensatedMotion, Compensation
+from stiffopt.result.compensation import (
+    COMMAND_FILE,
+    MIN_SLOWDOWN,
+    CompensatedMotion,
+    Compensation,
+)
 from stiffopt.result.store import export_times
 from stiffopt.result.trajectory import JointMotion
 
@@ -91,17 +96,16 @@ def compare_commands(
     """Return a compensation with rivals beside the optimised motion, at equal duration."""
     motions = (*alone.motions, *(each.for_reports() for each in rivals))
     result = replace(alone, motions=motions)
-    slower = [] if own.at is None else result.slower_rivals
-    slowed = rival_commands(
-        problem, arm, [own.slowed_to(problem, each.duration) for each in slower]
-    )
-    result = replace(
-        result,
-        slowed=tuple(
-            replace(each.for_reports(), name=rival.name)
-            for each, rival in zip(slowed, slower, strict=True)
-        ),
-    )
+    # A slower rival that is better in no error would be beaten by more at equal duration.
+    slower = {
+        each.rival.name: own.slowed_to(problem, each.rival.duration)
+        for each in ([] if own.at is None or result.optimised.excess else result.beside_rivals)
+        if each.rival.duration > (1.0 + MIN_SLOWDOWN) * own.duration
+        and max(each.ratios.values(), default=0.0) > 1.0
+    }
+    slowed = rival_commands(problem, arm, list(slower.values()))
+    reports = (each.for_reports() for each in slowed)
+    result = replace(result, slowed=dict(zip(slower, reports, strict=True)))
     best = result.best_rival
     if best is None or not (result.rival_wins or result.rival_better_in):
         return result

@@ -27,6 +27,7 @@ MAX_HEADLINE_FINDINGS = 2
 MIN_LISTED_PROBABILITY = 0.005
 # Probability above which "above 99 %" is written.
 _MAX_SHOWN_PROBABILITY = 0.995
+_UNDETERMINED = "an undetermined amount"
 _VALUE_PLACEHOLDER = re.compile(r"\{([^{}:]+)(:%)?\}")
 
 
@@ -80,6 +81,14 @@ def held_out_share(diagnosis: Diagnosis, finding: Finding) -> float:
         and any(located.key == finding.located.key for located in each.part.effects)
     ]
     return max(own, default=float("inf"))
+
+
+def open_share(diagnosis: Diagnosis) -> float:
+    """Return the share of the mismatch on held-out runs that nothing explains.
+
+    A small finding is news where it explains most of what values leave that every arm has.
+    """
+    return max((each.share for each in diagnosis.shares if each.part is None), default=0.0)
 
 
 def changed_values(diagnosis: Diagnosis) -> list[ChangedValue]:
@@ -231,6 +240,14 @@ def _describe_remedy(
         if located.calibrated:
             value = pm(first.value, first.sd, first.unit)
             return f"Enter {effect.nominal_words} {value} for {where}."
+        # A change between two states adds to what both have.
+        old += sum(
+            each.parameters[0].value
+            for each in diagnosis.findings
+            if each.effect.nominal == effect.nominal
+            and each.located.joint == located.joint
+            and each.located.calibrated
+        )
         words["new"] = f"{significant(old + first.value, 3)} {first.unit}"
     return fill(effect.remedy, named, words)
 
@@ -245,7 +262,7 @@ def fill(
     """Fill the placeholders of a phrase or remedy with values.
 
     `words`: further placeholders. `signed`: where False, single values have no sign: the phrase
-    states it.
+    states it. Clauses on undetermined values are left out after the first.
     """
 
     def value(match: re.Match[str]) -> str:
@@ -257,13 +274,14 @@ def fill(
             return _format_together([named[name] for name in names])
         own = named[key]
         if not own.determined:
-            return "an undetermined amount"
+            return _UNDETERMINED
         size = own.value if signed else abs(own.value)
         if share:
             return f"{pm(100.0 * size, 100.0 * own.sd, '')} %"
         return pm(size, own.sd, own.unit)
 
-    return _VALUE_PLACEHOLDER.sub(value, text)
+    first, *more = _VALUE_PLACEHOLDER.sub(value, text).split(", ")
+    return ", ".join([first, *(each for each in more if _UNDETERMINED not in each)])
 
 
 def _format_together(parameters: list[Parameter]) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import special
 
+from stiffopt.closed_loop.parameters import BODY_PARAMETERS
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.channel import Channel, channel_name
 from stiffopt.discovery.comparison.comparison import Comparison
@@ -24,8 +25,8 @@ from stiffopt.discovery.judging.ensemble import START_CUTS
 from stiffopt.discovery.judging.explained_shares import MismatchShare
 from stiffopt.discovery.judging.unexplained import ChannelVerdict, Unexplained
 from stiffopt.discovery.laws.law import LAW_FAMILY
-from stiffopt.discovery.loop_effects import LOOP_VALUES
-from stiffopt.discovery.loop_fit import DRIVE_PARAMETERS, stated_tolerance
+from stiffopt.discovery.loop_effects import loop_parameter
+from stiffopt.discovery.loop_fit import stated_tolerance
 from stiffopt.discovery.position_fit import ClosedLoopModel
 from stiffopt.discovery.search.left_out_gain import left_out_gains
 from stiffopt.discovery.search.rivals import Selected
@@ -33,6 +34,7 @@ from stiffopt.discovery.search.uncertainty import (
     Estimate,
     null_probability,
 )
+from stiffopt.discovery.settings import DEFAULT_TOLERANCE
 from stiffopt.discovery.thresholds import (
     OPEN_RATIO,
     OPEN_SHARE,
@@ -43,6 +45,7 @@ from stiffopt.recording.recording_set import RecordingSet
 
 if TYPE_CHECKING:
     from stiffopt.discovery.effect import Constants
+    from stiffopt.discovery.signals import RobotConstants
 
 # Share of the amplitudes at which reported values are compared with the fitted ones.
 _SMALL_SHARE = 1e-3
@@ -50,6 +53,9 @@ _SMALL_SHARE = 1e-3
 _ONE_DEVIATION = float(2.0 * special.ndtr(-1.0))
 # Odds that a joint has no friction or no rotor worth measuring, before the recordings.
 _ABSENCE_ODDS = 0.1
+# Folds by which probabilities are judged: of six, gains near the noise change by a factor of two
+# with the limits of the folds.
+_PROBABILITY_FOLDS = 24
 # P-value of an effect without a determined value: as likely as not.
 _UNDETERMINED_P_VALUE = 0.5
 
@@ -71,7 +77,8 @@ def build_findings(
     """
     constants, n = training.constants, training.robot.n
     each = tuple(s.located for s in kept)
-    gains = [left_out_gains(comparison, each, begin) for begin in (0.0, *START_CUTS)]
+    begins = (0.0, *START_CUTS)
+    gains = [left_out_gains(comparison, each, begin, _PROBABILITY_FOLDS) for begin in begins]
     findings = []
     for index, (selected, *own) in enumerate(zip(kept, *gains, strict=True)):
         if selected.located.calibrated and parameters.min_deviations(index) < UNSTATED_DEVIATIONS:
@@ -233,6 +240,7 @@ def describe_next_recording(unexplained: Unexplained) -> str:
 
 def findings_with_loop_values(
     recordings: RecordingSet,
+    constants: RobotConstants,
     model: ClosedLoopModel | None,
     findings: Sequence[Finding],
     before: Sequence[Extension],
@@ -248,42 +256,130 @@ def findings_with_loop_values(
     if model is None:
         return tuple(findings)
     known = [each for extension in before for each in extension.effects]
-    return tuple(_with_loop_value(recordings, model, each, known) for each in findings)
+    return tuple(_with_loop_value(recordings, constants, model, each, known) for each in findings)
 
 
 def _with_loop_value(
     recordings: RecordingSet,
+    constants: RobotConstants,
     model: ClosedLoopModel,
     finding: Finding,
     known: Sequence[EstimatedEffect],
 ) -> Finding:
-    joint, entry = finding.located.joint, finding.effect
-    name = DRIVE_PARAMETERS.get(entry.nominal) or LOOP_VALUES.get(entry.name)
-    if name is None or joint is None or entry.only_in:
+    located, entry = finding.located, finding.effect
+    scaled = model.loop.law.scaled
+    places = slice(None) if located.joint is None else int(recordings.order[located.joint])
+    alike = [each.amplitudes for each in known if each.located.same_place(located)]
+    found = _loop_amplitudes(recordings, model, finding, alike)
+    if entry.only_in or not np.all(scaled[places]):
         return finding
-    place, robot = int(recordings.order[joint]), recordings.robot
-    if not model.loop.law.scaled[place]:
-        return finding
-    nominal, tolerance = 0.0, 0.0
-    if entry.nominal:
-        nominal = float(getattr(robot, entry.nominal)[place])
-        tolerance = nominal * stated_tolerance(recordings, entry.nominal)
-    alike = (e for e in known if e.effect.name == entry.name and e.located.joint == joint)
-    value = float(model.fitted.of(name)[place]) - nominal - sum(e.amplitudes[0] for e in alike)
-    sd = float(np.hypot(model.deviations[model.fitted.place(name)][place], tolerance))
-    own, *others = finding.parameters
-    if sd == 0.0:
-        return finding
-    if not finding.located.calibrated:
-        # What reverses or vanishes where reversals are simulated was an error of filtered torques.
-        chance = (
-            float(special.erfc(abs(value) / sd / np.sqrt(2.0))) if value * own.value > 0.0 else 1.0
+    if found is None:
+        # One with memory, without which the simulation leaves nothing in its joint.
+        spare = located.is_of_one_joint and located.run is None and not model.lacks[places]
+        return refuted(finding, 1.0) if spare and not located.calibrated else finding
+    numbers, values, covariance = found
+    amplitudes = np.array(finding.estimated.amplitudes)
+    if entry.limits_drive:
+        limit, sd = float(values[0]), float(np.sqrt(covariance[0, 0]))
+        own = tuple(
+            replace(each, value=limit, sd=sd) if each.name == "limit" else each
+            for each in finding.parameters
         )
-        misfit = max(finding.misfit, _null_share(chance))
-        share = (1.0 - misfit) / max(1.0 - finding.misfit, 1e-12)
-        rivals = tuple(replace(r, probability=share * r.probability) for r in finding.rivals)
-        probability = share * finding.probability
-        finding = replace(finding, misfit=misfit, probability=probability, rivals=rivals)
-    if value * own.value <= 0.0:
+        return replace(finding, parameters=own)
+    reversed_sign = len(numbers) == 1 and values[0] * amplitudes[numbers[0]] <= 0.0
+    if not located.calibrated:
+        # What reverses or vanishes where reversals are simulated was an error of filtered torques.
+        square = float(values @ np.linalg.lstsq(covariance, values)[0])
+        chance = 1.0 if reversed_sign else float(special.chdtrc(len(values), square))
+        finding = refuted(finding, chance)
+    if reversed_sign:
         return finding
-    return replace(finding, parameters=(replace(own, value=value, sd=sd), *others))
+    amplitudes[numbers] = values
+    steps = np.zeros((len(numbers), len(amplitudes)))
+    steps[range(len(numbers)), numbers] = np.sqrt(np.diag(covariance))
+
+    def report(at: np.ndarray) -> np.ndarray:
+        told = entry.parameters(tuple(at), located.shapes, located.constants(constants))
+        return np.array([told[each.name] for each in finding.parameters])
+
+    slopes = np.array([report(amplitudes + step) - report(amplitudes - step) for step in steps]) / 2
+    deviations = np.diag(steps[:, numbers])
+    correlation = covariance / np.outer(deviations, deviations)
+    spread = np.sqrt(np.einsum("ik,ij,jk->k", slopes, correlation, slopes))
+    each = zip(finding.parameters, report(amplitudes), spread, strict=True)
+    parameters = (
+        replace(own, value=float(value), sd=float(sd)) if sd > 0.0 else own
+        for own, value, sd in each
+    )
+    return replace(finding, parameters=tuple(parameters))
+
+
+def refuted(finding: Finding, chance: float) -> Finding:
+    """Return a finding as likely as the p-value of its simulated values leaves it."""
+    misfit = max(finding.misfit, _null_share(chance))
+    share = (1.0 - misfit) / max(1.0 - finding.misfit, 1e-12)
+    rivals = tuple(replace(r, probability=share * r.probability) for r in finding.rivals)
+    return replace(finding, misfit=misfit, probability=share * finding.probability, rivals=rivals)
+
+
+def _loop_amplitudes(
+    recordings: RecordingSet,
+    model: ClosedLoopModel,
+    finding: Finding,
+    alike: Sequence[Sequence[float]],
+) -> tuple[list[int], np.ndarray, np.ndarray] | None:
+    """Return numbers, values and covariance of a finding's amplitudes that the simulation has.
+
+    None without any. A nominal value is as uncertain as its tolerance. `alike`: amplitudes of the
+    same effect in the starting model.
+    """
+    located, entry, fitted = finding.located, finding.effect, model.fitted
+    assert model.polished is not None
+    robot, values = recordings.robot, fitted.values
+    if located.joint is None and "mass" in entry.tolerances:
+        body = _loop_body(recordings, model, -1 if located.link is None else located.link)
+        return body[0], body[1] - np.sum(alike, axis=0)[body[0]] if alike else body[1], body[2]
+    parameter = loop_parameter(entry)
+    numbers, sign, nominal, tolerance = [0], 1.0, np.zeros(1), np.zeros(1)
+    if parameter is not None and located.joint is not None:
+        name, sign = parameter
+        joint = int(recordings.order[located.joint])
+        rows = np.array([fitted.place(name).start + joint])
+        if entry.nominal:
+            nominal = np.array([getattr(robot, entry.nominal)[joint]])
+            tolerance = nominal * stated_tolerance(recordings, entry.nominal)
+        nominal = nominal + sum(amplitudes[0] for amplitudes in alike)
+    else:
+        keys = model.loop.physics.amplitudes.names
+        # Those of the starting model come before those found.
+        own = {number: k for k, (key, number) in enumerate(keys) if key == located.key}
+        numbers = list(own)
+        rows = np.array([fitted.amplitudes.start + k for k in own.values()], dtype=int)
+        nominal = tolerance = np.zeros(len(own))
+    covariance = model.polished.whole_covariance()[np.ix_(rows, rows)] + np.diag(tolerance**2)
+    if not len(rows) or not (np.diag(covariance) > 0.0).all():
+        return None
+    return numbers, sign * values[rows] - nominal, covariance
+
+
+def _loop_body(
+    recordings: RecordingSet, model: ClosedLoopModel, link: int
+) -> tuple[list[int], np.ndarray, np.ndarray]:
+    """Return the change of a link's inertial parameters that the simulation has, as amplitudes."""
+    place, fitted, tolerance = int(recordings.order[link]), model.fitted, recordings.tolerance
+    nominal, own = (tree.bodies[place] for tree in (recordings.robot.tree, model.loop.tree))
+    count = len(BODY_PARAMETERS)
+    first = fitted.bodies.start + place * count
+    rows = slice(first, first + count)
+    assert model.polished is not None
+    # A mass keeps its moments in proportion; first moments and the diagonal of inertia besides.
+    slopes = np.zeros((len(own.inertial_parameters), count))
+    slopes[:, 0] = own.inertial_parameters
+    slopes[[1, 2, 3, 4, 6, 9], range(1, count)] = 1.0
+    change = own.inertial_parameters - nominal.inertial_parameters + slopes @ fitted.values[rows]
+    covariance = slopes @ model.polished.whole_covariance()[rows, rows] @ slopes.T
+    of_mass = DEFAULT_TOLERANCE.mass if tolerance.mass is None else tolerance.mass
+    stated = (of_mass or 0.0) * nominal.inertial_parameters
+    covariance += np.outer(stated, stated)
+    numbers = np.flatnonzero(np.diag(covariance) > 0.0)
+    return numbers.tolist(), change[numbers], covariance[np.ix_(numbers, numbers)]

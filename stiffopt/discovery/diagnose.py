@@ -18,7 +18,6 @@ from stiffopt.discovery.conclusions import (
     build_findings,
     decide_verdict,
     describe_next_experiment,
-    findings_with_loop_values,
 )
 from stiffopt.discovery.diagnosis import Diagnosis
 from stiffopt.discovery.effect import Effect
@@ -46,8 +45,9 @@ from stiffopt.discovery.judging.run_deviations import find_friction_drift, find_
 from stiffopt.discovery.judging.tool_force import explain_by_tool_force
 from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings, judge_channels
 from stiffopt.discovery.law_search.find import LawSearch, find_laws, located_tables
+from stiffopt.discovery.loop_search import LoopSearch, with_findings
 from stiffopt.discovery.opening import open_set
-from stiffopt.discovery.position_fit import fit_simulation, model_section, simulate_held_out
+from stiffopt.discovery.position_fit import model_section, simulate_held_out
 from stiffopt.discovery.prediction_bands import choose_prediction_bands
 from stiffopt.discovery.progress import Say, repeat_progress
 from stiffopt.discovery.search.candidates import Scorer
@@ -238,9 +238,20 @@ def _run_diagnosis(
     if pair is not None:
         plan = steps.run(EXPERIMENT, lambda: plan_experiment(training, result, pair, say=say))
     if recordings.signals.commanded:
-        simulation = (recordings, training, whole, parameters, opened.recorded, opened.actuator)
-        loop = steps.run(SIMULATION, lambda: fit_simulation(*simulation, say))
-    findings = findings_with_loop_values(recordings, loop, findings, training.before)
+        simulation = LoopSearch(
+            recordings=recordings,
+            training=training,
+            asked=sought,
+            runs=opened.recorded,
+            estimated=opened.actuator,
+            say=say,
+        )
+        before = findings
+        loop, findings = steps.run(SIMULATION, lambda: simulation.run(whole, before)) or (
+            None,
+            before,
+        )
+        found, whole = (with_findings(each, before, findings) for each in (found, whole))
     # The findings are fixed: held-out runs are read only from here on.
     tracks = steps.finish(lambda: training_tracks(result.comparison, result.fit))
     parts = split_extension(found, recordings.unstated)

@@ -189,6 +189,9 @@ class Effect:
     # True where it changes the weight that several joints carry: a single one competes with
     # re-identified masses.
     shifts_weight: bool = False
+    # True where it moves a torque reading in time, or to another joint: a reading of the torque
+    # with all other effects that were found, friction included.
+    reads_torque: bool = False
     # (amplitudes, stated gravity) -> gravity in the axes of the base (3,): bodies of other masses
     # and centres than the nominal ones hang in it too.
     turned_gravity: Callable[[Values, Any], Any] | None = None
@@ -200,6 +203,10 @@ class Effect:
     # True where its wind-up lags the load: the tangent stiffness is then that under a sudden change
     # of load.
     lags: bool = False
+    # True where its parameter "limit" is the largest torque of the joint's drive.
+    limits_drive: bool = False
+    # Nominal value of the joint of which the last amplitude is a share that is lost.
+    loses: str = ""
     # True for free travel of a joint as a function of its spring torque alone, across which links
     # are simulated.
     is_play: bool = False

@@ -13,12 +13,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from stiffopt.closed_loop.physics import LoopPhysics, LoopSignals, LoopSpring
+from stiffopt.closed_loop.physics import Amplitudes, LoopPhysics, LoopSignals, LoopSpring
 from stiffopt.discovery.catalogue.common import motor_inertia
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect
-from stiffopt.discovery.effect import Term
+from stiffopt.discovery.effect import Effect, Term, Values
 from stiffopt.discovery.extended.model import ExtendedModel
 from stiffopt.discovery.extended.planning import joint_constants, planner_model
+from stiffopt.discovery.loop_fit import DRIVE_PARAMETERS
 from stiffopt.discovery.signals import (
     JOINT_SIGNAL_NAMES,
     JointSignals,
@@ -47,16 +48,27 @@ LOOP_VALUES = {
     "quadratic_drag": "drag",
     "command_delay": "lateness",
 }
+# Deviation of a drive's limit before a fit, over the limit: what asks for more is seen at once.
+_LIMIT_DEVIATION = 0.2
 _SIGNAL_NAMES = tuple(each.name for each in fields(LoopSignals))
 
 
+def loop_parameter(entry: Effect) -> tuple[str, float] | None:
+    """Return the parameter of every loop that an effect of a joint changes, and its sign."""
+    if entry.moves_zero:
+        return "zero", -1.0
+    name = DRIVE_PARAMETERS.get(entry.nominal) or LOOP_VALUES.get(entry.name)
+    return None if name is None else (name, 1.0)
+
+
 def robot_in_loop(
-    recordings: RecordingSet, model: ExtendedModel
+    recordings: RecordingSet, model: ExtendedModel, more: Sequence[EstimatedEffect] = ()
 ) -> tuple[Robot, LoopPhysics, dict[tuple[str, int], float]]:
     """Return the robot with findings, the physics that it cannot hold, and values of the loop.
 
     Values are by name of the loop's parameter and joint (from 0) of the robot. Effects with memory,
-    of sensors and of single runs are in none of these.
+    of sensors and of single runs are in none of these. Amplitudes of the physics are named by the
+    key of their finding and their number; those of `more`, which the robot has not, come last.
     """
     planner = planner_model(recordings.robot, model)
     instant = _Instant(recordings, model)
@@ -73,6 +85,12 @@ def robot_in_loop(
             values[LOOP_VALUES[each.effect.name], place] += each.amplitudes[0]
         else:
             instant.add(each)
+            if each.effect.loses:
+                assert joint is not None
+                whole = getattr(planner.robot, each.effect.loses)[place]
+                values[DRIVE_PARAMETERS[each.effect.loses], place] -= each.amplitudes[-1] * whole
+    for each in more:
+        instant.add(each)
     return planner.robot, instant.physics(planner.robot.added_torques), values
 
 
@@ -105,12 +123,32 @@ class _Instant:
         self.displacement = ca.SX.zeros(self.n)
         self.windup: dict[int, ca.SX] = {}
         self.at_output: set[int] = set()
+        self.limits: dict[int, ca.SX] = {}
+        # Name, symbol, value, deviation and lower bound of each unknown.
+        self.unknown: list[tuple[tuple[Any, int], ca.SX, float, float, float]] = []
 
     def add(self, each: EstimatedEffect) -> None:
         """Add a finding, if it is a formula of an instant."""
-        parts, s = self._parts(each), self.symbols
+        key, located = each.located.key, each.located
+        if each.effect.limits_drive:
+            assert located.joint is not None
+            place = int(self.order[located.joint])
+            constants = located.constants(self.constants)
+            value = each.effect.parameters(each.amplitudes, each.shapes, constants)["limit"]
+            self.limits[place] = ca.SX.sym("limit")
+            deviation = _LIMIT_DEVIATION * value
+            self.unknown.append(((key, 0), self.limits[place], value, deviation, 0.0))
+            return
+        amplitudes, s = ca.SX.sym("amplitude", len(each.amplitudes)), self.symbols
+        parts = self._parts(each, amplitudes)
         if parts is None:
             return
+        sizes, bounds = located.sizes(self.constants), located.bounds(self.constants)
+        for k, value in enumerate(each.amplitudes):
+            if ca.depends_on(ca.vertcat(parts.torque, parts.deflection), amplitudes[k]):
+                size, lower = float(sizes[k]), float(bounds[k, 0] * sizes[k])
+                own = (key, k), amplitudes[k], value, max(size, abs(value)), lower
+                self.unknown.append(own)
         turns_other_side = each.effect.at_motor is not None
         torque = parts.torque
         if ca.depends_on(parts.deflection, s.position):
@@ -164,7 +202,17 @@ class _Instant:
             (found,) = ca.substitute([self.displacement], [s.position], [position])
             return found
 
+        names, symbols, *numbers = zip(*self.unknown, strict=True) if self.unknown else [()] * 5
+        begun, deviations, lower = (np.array(own, dtype=float) for own in numbers)
         return LoopPhysics(
+            limits=self.limits,
+            amplitudes=Amplitudes(
+                names=names,
+                symbols=ca.vertcat(ca.SX(0, 1), *symbols),
+                values=begun,
+                deviations=deviations,
+                lower=np.minimum(lower, begun),
+            ),
             torque=added if _is_given(self.torque) else None,
             displacement=displaced if _is_given(self.displacement) else None,
             springs={place: self._spring(place, wound) for place, wound in self.windup.items()},
@@ -186,19 +234,31 @@ class _Instant:
 
         return LoopSpring(windup=windup, damping=damping, encoder_at_output=place in self.at_output)
 
-    def _parts(self, each: EstimatedEffect) -> _Parts | None:
+    def _parts(self, each: EstimatedEffect, amplitudes: ca.SX) -> _Parts | None:
         """Return what an effect adds; None where its term is no formula of an instant."""
         s = self.symbols
         split = [
             ca.vertsplit(getattr(s, name)[[int(k) for k in self.order]]) for name in _SIGNAL_NAMES
         ]
         try:
-            found = self._evaluate(each, [np.array([own], dtype=object) for own in split], 0.0)
+            inside = [np.array([own], dtype=object) for own in split]
+            units = np.eye(len(each.amplitudes)).tolist()
+            found = [self._evaluate(each, unit, inside, 0.0) for unit in units]
         except (TypeError, RuntimeError, ValueError, AttributeError, LookupError):
             return None  # written for arrays of samples alone
         inputs = [getattr(s, name) for name in _SIGNAL_NAMES]
-        parts = _Parts(*(ca.SX(ca.vertcat(*[ca.SX(x) for x in own[0]])) for own in found))
-        function = ca.Function("parts", inputs, [parts.torque, parts.deflection])
+        # Terms are linear in their amplitudes.
+        parts = _Parts(
+            *(
+                ca.mtimes(
+                    ca.horzcat(*[ca.vertcat(*map(ca.SX, own[0])) for own in columns]), amplitudes
+                )
+                for columns in zip(*found, strict=True)
+            )
+        )
+        sizes = each.located.sizes(self.constants).tolist()
+        fitted = ca.substitute([parts.torque, parts.deflection], [amplitudes], [ca.DM(sizes)])
+        function = ca.Function("parts", inputs, fitted)
         rng = np.random.default_rng(0)
         limits = np.array([joint.torque_max for joint in self.joints])
         largest = dict.fromkeys(("torque", "spring", "drive"), limits)
@@ -211,7 +271,7 @@ class _Instant:
         samples = list(given.values())
         # What a formula does not know takes any values: terms that depend on it differ.
         other = np.cumsum(rng.uniform(0.5, 1.5, _SAMPLE_COUNT))
-        along = self._evaluate(each, samples, other)
+        along = self._evaluate(each, sizes, samples, other)
         in_robot = [x[:, np.argsort(self.order)].T for x in samples]
         both = function.map(_SAMPLE_COUNT)(*in_robot)
         for one, two in zip(along, both, strict=True):
@@ -221,7 +281,7 @@ class _Instant:
         return parts if any(_is_given(own) for own in (parts.torque, parts.deflection)) else None
 
     def _evaluate(
-        self, each: EstimatedEffect, given: Sequence[np.ndarray], other: Any
+        self, each: EstimatedEffect, amplitudes: Values, given: Sequence[np.ndarray], other: Any
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return torques and deflections (K, n) by signals (K, n) in the order of the set."""
         q, v, a, direction, torque, spring, drive = given
@@ -247,7 +307,7 @@ class _Instant:
             assert located.joint is not None
             columns = [located.joint] if located.joint == 0 else [located.joint, located.joint - 1]
             own = self._of_joint(values, torque, located.joint, rest)
-            term = each.effect.at_instant(own, [float(x) for x in each.amplitudes], each.shapes)
+            term = each.effect.at_instant(own, amplitudes, each.shapes)
             parts = (term.drive_torque + term.link_torque, term.previous_torque)
             for column, part in zip(columns, parts, strict=False):
                 found[0][:, column] = part
@@ -265,7 +325,7 @@ class _Instant:
             asked_torque=torque,
             **values,
         )
-        term = each.effect.at_instant(seen, [float(x) for x in each.amplitudes], each.shapes)
+        term = each.effect.at_instant(seen, amplitudes, each.shapes)
         torques = np.broadcast_to(term.drive_torque + term.link_torque, q.shape)
         return torques, np.broadcast_to(term.deflection, q.shape)
 

@@ -87,10 +87,14 @@ def commanded_run(recordings: RecordingSet, run: RecordedRun) -> CommandedRun:
     )
 
 
-def nominal_parameters(recordings: RecordingSet, robot: Robot) -> Parameters:
-    """Return friction, rotor inertia and delay of a robot as parameters of its closed loop."""
-    found = zero_parameters(robot.joint_names)
+def nominal_parameters(
+    recordings: RecordingSet, robot: Robot, physics: LoopPhysics | None = None
+) -> Parameters:
+    """Return friction, rotor inertia, delay and further physics as parameters of a closed loop."""
+    amplitudes = (physics or LoopPhysics()).amplitudes
+    found = zero_parameters(robot.joint_names, amplitudes.lower)
     values = found.values
+    values[found.amplitudes] = amplitudes.values
     for key, name in DRIVE_PARAMETERS.items():
         values[found.place(name)] = getattr(robot, key)
     law = recordings.actuator
@@ -99,13 +103,16 @@ def nominal_parameters(recordings: RecordingSet, robot: Robot) -> Parameters:
     return found
 
 
-def expected_deviations(
-    recordings: RecordingSet, runs: Sequence[CommandedRun], loop: CommandedArm, prior: Parameters
-) -> np.ndarray:
-    """Return one standard deviation of every parameter, by the torques and speeds of the runs.
+def expect_parameters(
+    recordings: RecordingSet, runs: Sequence[CommandedRun], loop: CommandedArm, begun: Parameters
+) -> tuple[Parameters, np.ndarray]:
+    """Return the parameters before the fit, and one standard deviation of each, by the runs.
 
-    Friction and rotors that are stated, and that `prior` leaves as they are, keep their tolerance.
+    Friction and rotors that are stated, and that `begun` leaves as they are, are expected there
+    within their tolerance: what a regression made of them is of the same recordings. Bodies that
+    findings changed are as uncertain as the change.
     """
+    prior = replace(begun, values=begun.values.copy())
     robot, law, tolerance = recordings.robot, loop.law, recordings.tolerance
     error = np.vstack([run.command - run.position for run in runs])
     velocity = np.vstack([run.velocity for run in runs])
@@ -115,8 +122,9 @@ def expected_deviations(
     position = np.vstack([run.position for run in runs])
     stroke = np.maximum(np.nanmax(position, axis=0) - np.nanmin(position, axis=0), 1e-6)
     inertia = _joint_inertias(robot, loop.middle)
-    found = zero_parameters(robot.joint_names)
+    found = zero_parameters(robot.joint_names, prior.lower_amplitudes)
     size = found.values
+    size[found.amplitudes] = loop.physics.amplitudes.deviations
     for name, value in {
         "gain": law.stated_tolerance,
         "damping": np.where(law.damping > 0.0, law.tolerance, 0.0),
@@ -137,19 +145,24 @@ def expected_deviations(
             nominal, place = getattr(robot, key), found.place(name)
             kept = np.abs(prior.of(name) - nominal) <= _KEPT_DEVIATIONS * relative * nominal
             size[place] = np.where(kept, relative * nominal, size[place])
+            prior.values[place] = np.where(kept, nominal, prior.of(name))
     of_mass = DEFAULT_TOLERANCE.mass if tolerance.mass is None else tolerance.mass
     of_centre = DEFAULT_TOLERANCE.com if tolerance.com is None else tolerance.com
     assert of_mass is not None
     assert of_centre is not None
-    for i, body in enumerate(robot.tree.bodies):
+    for i, (body, own) in enumerate(zip(robot.tree.bodies, loop.tree.bodies, strict=True)):
         about = _INERTIA_DEVIATION * float(np.trace(body.inertia)) / 3.0
-        each = [of_mass, *[body.mass * of_centre] * 3, *[about] * 3]
+        change = np.abs(own.inertial_parameters - body.inertial_parameters)
+        each = np.hypot(
+            [of_mass, *[body.mass * of_centre] * 3, *[about] * 3],
+            [change[0] / own.mass, *[change[1:4].max()] * 3, *[change[4:].max()] * 3],
+        )
         first = found.bodies.start + i * len(BODY_PARAMETERS)
         size[first : first + len(BODY_PARAMETERS)] = each
     # Without stated viscous friction nothing told the delay apart from it.
     told = "viscous" not in recordings.unstated
     size[-1] = law.delay_deviation if told and law.delay_deviation else _DELAY_DEVIATION
-    return size
+    return prior, size
 
 
 def stated_tolerance(recordings: RecordingSet, key: str) -> float:
@@ -175,11 +188,8 @@ def fit_loop(
     leading: bool = False,
     tree: BodyTree | None = None,
     physics: LoopPhysics | None = None,
-    displaced: Sequence[tuple[BodyTree, LoopPhysics]] = (),
 ) -> tuple[CommandedArm, Polished] | None:
     """Fit a closed loop to training runs, beginning with a prior; or the leading parameters alone.
-
-    `displaced`: bodies and physics moved by a share of a standard deviation each.
 
     None where a joint has no gain, which would not be held, or no command, and where the simulation
     diverges with the prior.
@@ -191,14 +201,13 @@ def fit_loop(
     if not commanded:
         return None
     loop = build_loop(recordings, commanded, tree or recordings.robot.tree, physics)
-    deviations = expected_deviations(recordings, commanded, loop, prior)
-    moved = [CommandedArm(own, loop.law, loop.middle, other) for own, other in displaced]
-    limited = _limit_motion(commanded)
+    prior, deviations = expect_parameters(recordings, commanded, loop, prior)
+    limited = limit_motion(commanded)
     try:
         if leading:
             found = polish_leading(loop, limited, prior, deviations, say)
         else:
-            found = polish(loop, limited, prior, deviations, say, moved)
+            found = polish(loop, limited, prior, deviations, say)
     except FloatingPointError:
         return None
     if recordings.tolerance.mass is None and not leading:
@@ -221,7 +230,7 @@ def _add_mass_scale(found: Polished, estimated: np.ndarray | None) -> Polished:
     return replace(found, deviations=spread)
 
 
-def _limit_motion(runs: Sequence[CommandedRun]) -> list[CommandedRun]:
+def limit_motion(runs: Sequence[CommandedRun]) -> list[CommandedRun]:
     """Return the beginnings of runs, together of the duration that a fit needs at most."""
     each = _MAX_FIT_SECONDS / (len(runs) * runs[0].position.shape[1])
     return [run.until(run.time[0] + each) for run in runs]

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from stiffopt.actuator.law import ActuatorLaw
 from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.parameters import (
+    AMPLITUDES,
     BODY_PARAMETERS,
     DELAY,
     JOINT_PARAMETERS,
@@ -22,11 +23,10 @@ from stiffopt.closed_loop.physics import LoopPhysics
 from stiffopt.closed_loop.polish import Polished
 from stiffopt.closed_loop.simulation import simulate
 from stiffopt.discovery.comparison.located_effect import Extension
-from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.extended.model import ExtendedModel
 from stiffopt.discovery.extended.schema import ClosedLoopSection
 from stiffopt.discovery.extended.value_changes import extended_model
-from stiffopt.discovery.loop_effects import LOOP_VALUES, robot_in_loop
+from stiffopt.discovery.loop_effects import robot_in_loop
 from stiffopt.discovery.loop_fit import (
     DRIVE_PARAMETERS,
     commanded_run,
@@ -41,12 +41,12 @@ from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
 from stiffopt.recording.state_pair import StatePair
 from stiffopt.robot.batched_kinematics import frame_positions
-from stiffopt.robot.body_tree import BodyTree
 from stiffopt.robot.robot import Robot
 from stiffopt.units import joint_unit
 
-if TYPE_CHECKING:
-    from stiffopt.discovery.search.uncertainty import Estimate
+# Residual over the encoders' noise from which something is missing: fits of arms that lack nothing
+# leave up to 1.2.
+_OPEN_NOISE_RATIO = 1.3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,11 +59,26 @@ class ClosedLoopModel:
     nominal: Parameters
     fitted: Parameters
     deviations: np.ndarray  # (p,) one standard deviation of each fitted parameter
+    # The fit, and its residual (n,) over the noise of the encoders; None of a model that was read.
+    polished: Polished | None = None
+    noise_ratio: np.ndarray | None = None
     # expected, expected_deviations: the same before the fit; None of a model that was read.
     expected: Parameters | None = None
     expected_deviations: np.ndarray | None = None
     # (n,) parameters over the gain with standard deviations, where torque has no scale; else nan.
     ratios: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+
+    @property
+    def misfit(self) -> float:
+        """Sum of the logarithms of the residuals over the encoders' noise."""
+        assert self.noise_ratio is not None
+        return float(np.log(self.noise_ratio).sum())
+
+    @property
+    def lacks(self) -> np.ndarray:
+        """Return the joints (n,) in which the simulation leaves more than noise."""
+        assert self.noise_ratio is not None
+        return np.asarray(self.noise_ratio > _OPEN_NOISE_RATIO)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,57 +105,60 @@ def fit_positions(
     model: ExtendedModel | None = None,
     estimated: Parameters | None = None,
     say: Say = lambda _: None,
-    displaced: Sequence[ExtendedModel] = (),
 ) -> ClosedLoopModel | None:
     """Fit a simulation from commands to training runs, beginning with the findings of a model.
 
-    Joints whose gain gives torque no scale begin with the drives of `estimated`.
-
-    Findings with which the loop is unstable, or fits the training runs worse than without them,
-    are left out of it. `displaced`: models whose findings are off by a share of a deviation.
+    Joints whose gain gives torque no scale begin with the drives of `estimated`. Amplitudes of the
+    findings are fitted with all else; where they begin so that the loop is unstable, it has none.
 
     None where a joint has no gain, which would not be held, or no command.
     """
-    robots: list[tuple[Robot, LoopPhysics | None, dict[tuple[str, int], float]]] = [
-        (recordings.robot, None, {})
-    ]
+    robot, physics = recordings.robot, LoopPhysics()
+    values: Mapping[tuple[str, int], float] = {}
     if model is not None:
-        robots.append(robot_in_loop(recordings, model))
-    moved = (robot_in_loop(recordings, each)[:2] for each in displaced)
-    others = [(robot.tree, physics) for robot, physics in moved]
-    tried = [
-        _fit_robot(recordings, runs, estimated, say, *each, others if each[1] else ())
-        for each in robots
-    ]
-    fits = [each for each in tried if each is not None]
-    if not fits:
-        return None
-    loop, fitted = min(fits, key=lambda each: float(np.log(each[1].residual).sum()))
+        robot, physics, values = robot_in_loop(recordings, model)
+    found = _fit_robot(recordings, runs, estimated, say, robot, physics, values)
+    if found is None:
+        return None if model is None else fit_positions(recordings, runs, None, estimated, say)
+    loop, fitted = found
     return ClosedLoopModel(
         nominal_loop=CommandedArm(recordings.robot.tree, loop.law, loop.middle),
         loop=loop,
         nominal=nominal_parameters(recordings, recordings.robot),
         fitted=fitted.parameters,
         deviations=fitted.deviations,
+        polished=fitted,
+        noise_ratio=fitted.residual / _encoder_noise(recordings, runs),
         expected=fitted.expected,
         expected_deviations=fitted.expected_deviations,
         ratios=_ratios_to_gain(loop.law, fitted),
     )
 
 
+def _encoder_noise(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> np.ndarray:
+    """Return the standard deviation (n,) of readings that change independently [rad].
+
+    The third difference of a slow motion vanishes, that of white noise has 20 times its variance.
+    """
+    each = [
+        np.nanstd(np.diff(commanded_run(recordings, run).position, n=3, axis=0), axis=0)
+        for run in runs
+        if is_commanded(run)
+    ]
+    return np.asarray(np.maximum(np.median(each, axis=0) / np.sqrt(20.0), 1e-12))
+
+
 def fit_simulation(
     recordings: RecordingSet,
     training: Training,
     found: Extension,
-    estimate: Estimate,
     runs: Sequence[RecordedRun],
     estimated: Parameters | None,
     say: Say,
 ) -> ClosedLoopModel | None:
-    """Fit the simulation from commands, beginning with friction and rotors as found.
+    """Fit the simulation from commands, beginning with friction, rotors and effects as found.
 
-    Joints without a scale of torque, of which nothing is found, begin as `estimated`. The last
-    findings are those of `estimate`, whose deviations are those of the simulation's too.
+    Joints without a scale of torque, of which nothing is found, begin as `estimated`.
 
     None where no training run holds commands of joints with known gains, and for two states of a
     robot, of which one simulation is none.
@@ -148,23 +166,8 @@ def fit_simulation(
     if isinstance(recordings, StatePair):
         return None
     say("simulate the training runs from their commands")
-    # What the fit refines has deviations of its own.
-    held = [k for k, each in enumerate(estimate.effects) if not _is_refined(each.effect)]
-    first = len(found.effects) - len(estimate.effects)
-    displaced = [
-        replace(found, effects=(*found.effects[:first], *moved))
-        for moved in estimate.displaced(held)
-    ]
-    model, *others = (
-        extended_model(recordings, training.constants, each) for each in (found, *displaced)
-    )
-    return fit_positions(recordings, runs, model, estimated, say, others)
-
-
-def _is_refined(effect: Effect) -> bool:
-    """Return True where what an effect changes is a parameter of every loop."""
-    known = effect.nominal in DRIVE_PARAMETERS or effect.name in LOOP_VALUES
-    return known or effect.moves_zero
+    model = extended_model(recordings, training.constants, found)
+    return fit_positions(recordings, runs, model, estimated, say)
 
 
 def _fit_robot(
@@ -173,22 +176,20 @@ def _fit_robot(
     estimated: Parameters | None,
     say: Say,
     robot: Robot,
-    physics: LoopPhysics | None,
+    physics: LoopPhysics,
     values: Mapping[tuple[str, int], float],
-    displaced: Sequence[tuple[BodyTree, LoopPhysics]],
 ) -> tuple[CommandedArm, Polished] | None:
     """Fit the closed loop of a robot with further physics, beginning with some values."""
-    prior, law = nominal_parameters(recordings, robot), recordings.actuator
+    prior, law = nominal_parameters(recordings, robot, physics), recordings.actuator
     for (name, joint), value in values.items():
-        prior.values[prior.place(name)][joint] = value
+        prior.values[prior.place(name)][joint] += value
     if estimated is not None and law is not None:
         unscaled = ~law.scaled[np.argsort(recordings.order)]
         for name in DRIVE_PARAMETERS.values():
             place = prior.place(name)
             prior.values[place] = np.where(unscaled, estimated.of(name), prior.of(name))
-    return fit_loop(
-        recordings, runs, prior, say, tree=robot.tree, physics=physics, displaced=displaced
-    )
+    prior.values[:] = np.maximum(prior.values, prior.lower)
+    return fit_loop(recordings, runs, prior, say, tree=robot.tree, physics=physics)
 
 
 def _ratios_to_gain(law: ActuatorLaw, fitted: Polished) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -250,6 +251,7 @@ def model_section(
             return {}
         found = {name: tuple(own.of(name)[order]) for name in JOINT_PARAMETERS}
         found |= {name: tuple(own.of_bodies(name)[order]) for name in BODY_PARAMETERS}
+        found[AMPLITUDES] = tuple(own.values[own.amplitudes])
         return found | {DELAY: (own.delay,)}
 
     def spread(deviations: np.ndarray | None) -> Parameters | None:
@@ -283,7 +285,7 @@ def loop_values(
     whole = {"gain": section.stiffness, "damping": section.damping}
     units = {"gain": "N m/rad", "damping": "N m s/rad"}
     for name, values in section.values.items():
-        if name in BODY_PARAMETERS:
+        if name in (*BODY_PARAMETERS, AMPLITUDES):
             continue
         tables = (section.deviations, section.expected, section.expected_deviations)
         for j, four in enumerate(zip(values, *(table[name] for table in tables), strict=True)):
@@ -316,7 +318,9 @@ def read_model(recordings: RecordingSet, model: ExtendedModel) -> ClosedLoopMode
     section = model.closed_loop
     assert section is not None
     n, back = recordings.n, np.argsort(recordings.order)
+    robot, physics, _ = robot_in_loop(recordings, model)
     names = {**dict.fromkeys((*JOINT_PARAMETERS, *BODY_PARAMETERS), n), DELAY: 1}
+    names[AMPLITUDES] = len(physics.amplitudes.values)
     for key in ("values", "deviations"):
         table = getattr(section, key)
         if {name: len(own) for name, own in table.items()} != names:
@@ -338,18 +342,19 @@ def read_model(recordings: RecordingSet, model: ExtendedModel) -> ClosedLoopMode
         delay=section.delay,
         tolerance=tolerance,
     )
-    robot, physics, _ = robot_in_loop(recordings, model)
     inside = law.reordered(back)
     loop = CommandedArm(robot.tree, inside, middle[back], physics)
     known = recordings.with_actuator(law)
-    fitted, spread = zero_parameters(recordings.robot.joint_names), None
+    lower = physics.amplitudes.lower
+    fitted, spread = zero_parameters(recordings.robot.joint_names, lower), None
     for table in (section.deviations, section.values):
         spread = fitted
-        fitted = zero_parameters(recordings.robot.joint_names)
+        fitted = zero_parameters(recordings.robot.joint_names, lower)
         for name in JOINT_PARAMETERS:
             fitted.values[fitted.place(name)] = np.array(table[name])[back]
         for name in BODY_PARAMETERS:
             fitted.values[fitted.body_places(name)] = np.array(table[name])[back]
+        fitted.values[fitted.amplitudes] = table[AMPLITUDES]
         fitted.values[-1] = table[DELAY][0]
     assert spread is not None
     return ClosedLoopModel(

@@ -20,7 +20,7 @@ from stiffopt.discovery.training import Training
 
 # Share of the least mean square that a wider band may cost: encoder noise is visible in the
 # training runs, the needs of a faster motion are not.
-_MAX_WIDER_BAND_COST = 0.1
+_MAX_WIDER_BAND_COST = 0.05
 
 
 def choose_prediction_bands(training: Training, found: Extension) -> tuple[float, ...]:

@@ -45,7 +45,7 @@ def bearing_deflection(
     rest = joint_wrenches(robot.tree, q, still, still)
     moving = joint_wrenches(robot.tree, q, v, a) - rest
 
-    def whole(wrenches: Quantity) -> Quantity:
+    def whole(wrenches: ca.SX) -> Quantity:
         return sum(_displacements(robot, q, wrenches).values(), ca.SX.zeros(3))
 
     return Deflection(
@@ -55,7 +55,7 @@ def bearing_deflection(
     )
 
 
-def _force_wrenches(robot: Robot, q: Quantity, force: np.ndarray) -> Quantity:
+def _force_wrenches(robot: Robot, q: Quantity, force: np.ndarray) -> ca.SX:
     """Return the wrenches (6, n) of the joints that hold a force (3,) ON the tool [N]."""
     tree, tool = robot.tree, robot.tool
     place = point_position(tree, tool.joint, tool.offset, q)
@@ -68,7 +68,7 @@ def _force_wrenches(robot: Robot, q: Quantity, force: np.ndarray) -> Quantity:
     return found
 
 
-def _displacements(robot: Robot, q: Quantity, wrenches: Quantity) -> dict[int, Quantity]:
+def _displacements(robot: Robot, q: Quantity, wrenches: ca.SX) -> dict[int, Quantity]:
     """Return the displacement of the tool (3,) [m] by joint index under wrenches (6, n)."""
     tree, tool = robot.tree, robot.tool
     place = point_position(tree, tool.joint, tool.offset, q)

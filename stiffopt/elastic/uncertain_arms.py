@@ -338,22 +338,20 @@ class UncertainArms:
     def _behind_servos(self, command: MotorMotion) -> np.ndarray:
         """Motion (K, 4, n) of one command, as of `motors`."""
         if command not in self._followed:
-            motor, worst = (self._follow(servo, command) for servo in (self._servo, self._worst))
-            own = [motor(self.time), motor(self.time, 1)]
-            if self._worst == self._servo:
-                added = [np.zeros_like(own[0])] * 2
-            else:
-                added = [worst(self.time, k) - own[k] for k in (0, 1)]
-            moved = [own[0] - self._q, own[1] - self._v, *added]
-            self._followed[command] = np.stack(moved, axis=1)
+            own = self._response(self._servo, command)
+            same = self._worst == self._servo
+            added = np.zeros_like(own) if same else self._response(self._worst, command) - own
+            plan = np.stack([self._q, self._v], axis=1)
+            self._followed[command] = np.concatenate([own - plan, added], axis=1)
         return self._followed[command]
 
-    def _follow(self, servo: Follower, command: MotorMotion) -> MotorMotion:
+    def _response(self, servo: Follower, command: MotorMotion) -> np.ndarray:
+        """Positions and velocities (K, 2, n) of the motors behind a servo."""
         if self._bearings is not None:
             command = self._bearings.motion(command)
-        if servo.follows_exactly:
-            return command
-        return servo.follow(command, self.time[-1], self._servo.dead_time)
+        if not servo.follows_exactly:
+            command = servo.follow(command, self.time[-1], self._servo.dead_time)
+        return np.stack([command(self.time), command(self.time, 1)], axis=1)
 
     def initial_equilibrium(self, arms: _DepartureArrays, turn: np.ndarray) -> np.ndarray:
         """Static equilibrium (B, n) with the motors `turn` ahead of the start of the plan."""

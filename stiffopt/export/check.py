@@ -54,8 +54,8 @@ def check_file(file: Path, result: Path, problem: Path | None = None) -> Checked
         )  # fmt: skip
     if kind not in FORMATS or which not in ("motor", "link") or rate is None:
         raise InputFileError(
-            file, "", "has no header of `stiffopt export`, so it cannot be checked. Export the "
-            "motion again."
+            file, "", "has no header of `stiffopt export`, as exported motions have. Export the "
+            "motion again; `stiffopt solve` checks a problem file."
         )  # fmt: skip
     if not is_whole(entries, body):
         raise InputFileError(

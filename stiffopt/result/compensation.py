@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -91,7 +91,7 @@ class CompensatedMotion:
 class RivalComparison:
     """Worst-case errors beside those of one rival, at equal duration."""
 
-    # Optimised motion; slowed to the duration of a slower rival, unless that is better in no phase.
+    # Optimised motion; slowed to the duration of a slower rival, unless that is better in no error.
     own: CompensatedMotion
     rival: CompensatedMotion
 
@@ -102,22 +102,21 @@ class RivalComparison:
         return self.own.compensated.worst_case / worst if worst > 0.0 else 0.0
 
     @property
-    def ratios(self) -> tuple[float, float] | None:
-        """Errors over the rival's, in flight and after arrival; None where one of its is zero."""
-        mine, theirs = self.own.compensated, self.rival.compensated
-        if not (theirs.flight.worst > 0.0 and theirs.after.worst > 0.0):
-            return None
-        return mine.flight.worst / theirs.flight.worst, mine.after.worst / theirs.after.worst
-
-    @property
-    def across(self) -> float | None:
-        """Largest error across the path in flight over the rival's; None without one of its."""
+    def ratios(self) -> dict[str, float]:
+        """Errors over the rival's by name, without those of which it has none."""
         mine, theirs = (
-            each.compensated.flight.parts.get("across") for each in (self.own, self.rival)
+            {
+                "in flight": spreads.flight,
+                "after arrival": spreads.after,
+                "across the path": spreads.flight.parts.get("across"),
+            }
+            for spreads in (self.own.compensated, self.rival.compensated)
         )
-        if mine is None or theirs is None or not theirs.worst > 0.0:
-            return None
-        return mine.worst / theirs.worst
+        return {
+            name: own.worst / other.worst
+            for name, own in mine.items()
+            if own is not None and (other := theirs[name]) is not None and other.worst > 0.0
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,9 +124,9 @@ class Compensation:
     """Compensation of the optimised motion and the baselines, with the command."""
 
     motions: tuple[CompensatedMotion, ...]  # the optimised motion first
-    # Optimised motion slowed to the durations of slower rivals that are better in a phase, by the
-    # rivals' names.
-    slowed: tuple[CompensatedMotion, ...] = ()
+    # Optimised motion slowed to the durations of slower rivals that are better in any error, by
+    # the rivals' names.
+    slowed: dict[str, CompensatedMotion] = field(default_factory=dict)
     command: Assessment | None  # motor motion every 2 ms; None where it exceeds a limit
     refusal: str  # reason for a missing command; else ""
     uncertainty: tuple[str, ...]  # description of the uncertain quantities
@@ -148,23 +147,11 @@ class Compensation:
     @property
     def beside_rivals(self) -> tuple[RivalComparison, ...]:
         """Comparisons with the rivals whose commands keep every limit."""
-        slowed = {each.name: each for each in self.slowed}
         return tuple(
-            RivalComparison(own=slowed.get(each.name, self.optimised), rival=each)
+            RivalComparison(own=self.slowed.get(each.name, self.optimised), rival=each)
             for each in self.motions[1:]
             if not each.excess
         )
-
-    @property
-    def slower_rivals(self) -> list[CompensatedMotion]:
-        """Slower rivals that are better in a phase than the optimised motion."""
-        own, found = self.optimised, [each.rival for each in self.beside_rivals]
-        return [
-            each
-            for each in ([] if own.excess else found)
-            if each.duration > (1.0 + MIN_SLOWDOWN) * own.duration
-            and max(RivalComparison(own=own, rival=each).ratios or (0.0,)) > 1.0
-        ]
 
     @property
     def beside_best(self) -> RivalComparison | None:
@@ -196,18 +183,19 @@ class Compensation:
 
         None where one is missing or an error of the rival is zero.
         """
-        best = self.beside_best
-        return None if best is None or self.optimised.excess else best.ratios
+        found = self._ratios
+        both = {"in flight", "after arrival"} <= found.keys()
+        return (found["in flight"], found["after arrival"]) if both else None
 
     @property
     def rival_better_in(self) -> tuple[str, ...]:
-        """What the best rival has less worst-case error in."""
+        """Phases and directions in which the best rival has less worst-case error."""
+        return tuple(name for name, ratio in self._ratios.items() if ratio > MAX_RIVAL_RATIO)
+
+    @property
+    def _ratios(self) -> dict[str, float]:
         best = self.beside_best
-        if best is None or self.optimised.excess:
-            return ()
-        flight, after = best.ratios or (0.0, 0.0)
-        errors = {"in flight": flight, "after arrival": after, "across the path": best.across}
-        return tuple(name for name, ratio in errors.items() if (ratio or 0.0) > MAX_RIVAL_RATIO)
+        return {} if best is None or self.optimised.excess else best.ratios
 
 
 COMMAND_FILE = "command.csv"
@@ -264,7 +252,7 @@ def compensation_document(compensation: Compensation | None) -> dict[str, Any] |
         "uncertainty": compensation.uncertainty,
         **_rival_document(compensation),
         "motions": {motion.name: _motion_document(motion) for motion in compensation.motions},
-        "slowed_to": {motion.name: _motion_document(motion) for motion in compensation.slowed},
+        "slowed_to": {name: _motion_document(each) for name, each in compensation.slowed.items()},
     }
 
 

@@ -94,9 +94,10 @@ def frame_names(model: pin.Model) -> list[str]:
 
 
 def named_frame(model: pin.Model, name: str | None = None) -> LinkFrame:
-    """Frame of a pinocchio model by name; default the last one."""
-    index = model.nframes - 1 if name is None else model.getFrameId(name)
-    frame = model.frames[index]
+    """Frame of a pinocchio model by name, that of a link before a joint's; default the last."""
+    named = [each for each in model.frames if name in (None, each.name)]
+    links = [each for each in named if each.type != pin.FrameType.JOINT]
+    frame = (links or named)[-1]
     return _build_frame(frame.parentJoint, frame.placement, str(frame.name))
 
 

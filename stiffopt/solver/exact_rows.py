@@ -79,7 +79,7 @@ class ExactRows(OutcomeOracle):
         if not last.raw.converged or not (excess or gap > MAX_OBJECTIVE_GAP or rough):
             return None
         smoothing, worst = last.smoothing, max(excess.values(), default=0.0)
-        if worst > (KINK_EXCESS if number else _SPIKE_EXCESS):
+        if self.run.problem.plans_links and worst > (KINK_EXCESS if number else _SPIKE_EXCESS):
             smoothing = replace(smoothing, lead=_widen_motor_smoothing(self.run, last))
         share = _CHECK_SMOOTHING_SHARE if gap > MAX_OBJECTIVE_GAP else 1.0
         known = path_row_excess(

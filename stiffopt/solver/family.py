@@ -266,7 +266,7 @@ class ProblemFamily:
             first = made.transcription
             if (
                 made.solver.options != options
-                or not _equal_meshes(first.mesh, warm.mesh)
+                or not np.array_equal(np.concatenate(first.mesh), np.concatenate(warm.mesh))
                 or BlockScales.of(first.nlp).tobytes() != wanted
             ):
                 continue
@@ -340,7 +340,3 @@ def _nlp_scales(nlp: Nlp) -> tuple[np.ndarray, np.ndarray]:
 def _method_key(problem: TrajectoryProblem) -> str:
     method = problem.method
     return f"{method.transcription} {method.intervals} {len(problem.vias)} {problem.is_shaped}"
-
-
-def _equal_meshes(one: Mesh, other: Mesh) -> bool:
-    return len(one) == len(other) and all(map(np.array_equal, one, other))

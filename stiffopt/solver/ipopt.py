@@ -163,30 +163,13 @@ class IpoptSolver:
     ) -> RawSolution:
         """Solve from a guess; Ctrl-C ends it at the next iteration with the best iterate kept.
 
-        Parameters
-        ----------
-        x0 : array
-            Scaled variables, see `Transcription.pack`.
-        parameters : array (np,), optional
-            Zeros when absent.
-        warm : Multipliers, optional
-            Initial multipliers, such as the solution of the same NLP with other parameters.
-        barrier : "monotone" or "adaptive"
-            Strategy of a warm start: adaptive takes half the iterations to the optimum of a similar
-            problem, monotone is safer where the problem changes more (a step of the smoothing).
-        mu_init : float
-            Barrier parameter of a warm start.
-        push : float
-            Least distance of a warm start from bounds: 1e-3 halves the iterations where bounds have
-            been backed off beyond the start.
-        tolerance : float, optional
-            Overrides the option.
-        report : callable, optional
-            Called with a `Progress` in each iteration.
-        max_seconds : float, optional
-            Overrides the option.
-        max_iterations : int, optional
-            Below that of the options.
+        `x0`: scaled variables, see `Transcription.pack`. `parameters` (np,): zeros when absent.
+        `warm`: initial multipliers, such as of the same NLP with other parameters. From there
+        `mu_init` is the initial barrier, `barrier` its strategy (adaptive takes half the iterations
+        to the optimum of a similar problem, monotone is safer where the problem changes more, as by
+        a step of the smoothing) and `push` the least distance from bounds (1e-3 halves the
+        iterations where they have been backed off beyond the start). `report` is called in each
+        iteration. `tolerance` and `max_seconds` override the options, `max_iterations` only lowers.
         """
         nlp = self.nlp
         p = nlp.parameters(parameters)

@@ -41,11 +41,8 @@ class Iterate:
         """Return True where this one has less violation or, both feasible, a lower objective."""
         if other is None:
             return True
-        mine, theirs = (
-            max(self.violation, FEASIBLE_VIOLATION),
-            max(other.violation, FEASIBLE_VIOLATION),
-        )
-        return mine < theirs or (mine == theirs and self.objective < other.objective)
+        mine, theirs = (max(each.violation, FEASIBLE_VIOLATION) for each in (self, other))
+        return (mine, self.objective) < (theirs, other.objective)
 
 
 # Consecutive iterations within the tolerance that make an iterate stationary.
@@ -157,11 +154,8 @@ class Monitor(ca.Callback):
         made = len(self.history)
         if self.max_iterations is not None and made > self.max_iterations:
             return True
-        return bool(self.patience) and made > self.patience and not self._is_nearly_feasible()
-
-    def _is_nearly_feasible(self) -> bool:
-        """Return True where some iterate so far is nearly feasible."""
-        return self.best is not None and self.best.violation <= _NEARLY_FEASIBLE_VIOLATION
+        near = self.best is not None and self.best.violation <= _NEARLY_FEASIBLE_VIOLATION
+        return bool(self.patience) and made > self.patience and not near
 
     def _record_iterate(self, arg: Sequence[memoryview]) -> None:
         nlp = self.nlp
@@ -174,11 +168,7 @@ class Monitor(ca.Callback):
         if self.last is not None:
             self.steps.append(float(np.abs(x - self.last.x).max(initial=0.0)))
         self.last = Iterate(number, x, g, objective, violation)
-        if (
-            np.isfinite(objective)
-            and np.isfinite(violation)
-            and self.last.is_better_than(self.best)
-        ):
+        if np.isfinite([objective, violation]).all() and self.last.is_better_than(self.best):
             self.best = self.last
         elapsed = time.perf_counter() - self.started
         progress = Progress(number, objective, violation, row, elapsed)

@@ -44,10 +44,11 @@ _MIN_CORRECTION_ITERATIONS = 150
 # Objective of a correction over the one that the multipliers predict, up to which a stalled one is
 # acceptable.
 _MAX_STALLED_RISE = 1e-2
-# Least distance from backed-off bounds of a correction's start, and with many phases, with the
-# initial barrier: most of them keep their motion, which a barrier that adapts would leave first.
-_CORRECTION_BOUND_PUSH = 1e-3
-_MANY_PHASES_BOUND_PUSH, _MANY_PHASES_BARRIER = 1e-4, 1e-7
+# Least distance from backed-off bounds of a correction's start, and with many phases. There most
+# phases keep their motion, which an adaptive barrier would leave first: initial barrier after a
+# rough solve, and after another one over the tolerance, at which it stays.
+_CORRECTION_BOUND_PUSH, _MANY_PHASES_BOUND_PUSH = 1e-3, 1e-4
+_ROUGH_BARRIER, _SOLVED_BARRIER_SHARE = 1e-7, 0.5
 
 
 @dataclass(frozen=True)
@@ -153,6 +154,7 @@ def solve_again(
     many = made.transcription.ocp.phases >= MANY_PHASES and not run.problem.plans_links
     # A rough solve has its last digits before it.
     most = None if raw.rough else max(raw.iterations, _MIN_CORRECTION_ITERATIONS)
+    last = _ROUGH_BARRIER if raw.rough else _SOLVED_BARRIER_SHARE * made.solver.options.tol
     again = solve_stage(
         run,
         made,
@@ -164,7 +166,7 @@ def solve_again(
         _MANY_PHASES_BOUND_PUSH if many else _CORRECTION_BOUND_PUSH,
         max_iterations or most,
         raw.objective + predict_rise(before, nlp) + _MAX_STALLED_RISE * abs(raw.objective),
-        _MANY_PHASES_BARRIER if many else WARM_BARRIER,
+        last if many else WARM_BARRIER,
     )
     return certify_outcome(run, made, again, smoothing)
 

@@ -21,8 +21,8 @@ _MAX_COARSE_INTERVALS, _MAX_MIDDLE_INTERVALS = 60, 100
 # And the intervals of a phase below which neither mesh goes: with fewer a phase has hardly a motion
 # that keeps its limits.
 _COARSE_PHASE_INTERVALS, _MIDDLE_PHASE_INTERVALS = 6, 10
-# Phases from which on a smooth problem starts on a coarse mesh, and its intervals a phase: there an
-# iteration of 31 phases takes a fifth of the time, and the fine mesh follows the motion.
+# Phases from which on a coarse mesh or a correction replaces work on a fine mesh, and intervals a
+# phase of a smooth problem's coarse mesh: an iteration of 31 phases takes a fifth there.
 MANY_PHASES, _COARSE_START_PHASE_INTERVALS = 8, 5
 # Factors on the smoothing width of dry friction before the last stage: from a wide one, most joints
 # reverse where the exact law is best, in a third of the iterations.

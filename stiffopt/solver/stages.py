@@ -124,11 +124,9 @@ def _analyse_failed_stage(
         raise KeyboardInterrupt
     if found.status == "time_limit":
         return replace(raw, status=found.status), True
-    if found.converged and found.excess > (
-        _MIN_CONFLICT_EXCESS if last else _HOPELESS_COARSE_EXCESS
-    ):
-        conflicts = found.conflicts
-        return replace(raw, x=found.x, status="infeasible", conflicts=conflicts), True
+    hopeless = _MIN_CONFLICT_EXCESS if last else _HOPELESS_COARSE_EXCESS
+    if found.converged and found.excess > hopeless:
+        return replace(raw, x=found.x, status="infeasible", conflicts=found.conflicts), True
     if found.converged and found.excess <= _MIN_CONFLICT_EXCESS:
         # Feasible motions exist: continue from the one found.
         again = solve_stage(run, made, stage, found.x, None, "from a feasible motion")
@@ -144,10 +142,7 @@ def _widen_until_no_spike(
     Passed fast, a kink with a narrow smoothing needs many times a motor's jerk limit, from which no
     solve converges.
     """
-    smoothing = stage.smoothing
-    widest = before.smoothing.law
-    while (
-        smoothing.law < widest and largest_excess(transcription, guess, smoothing) > _SPIKE_EXCESS
-    ):
-        smoothing = replace(smoothing, lead=2.0 * smoothing.lead)
-    return replace(stage, smoothing=smoothing)
+    own, widest = stage.smoothing, before.smoothing.law
+    while own.law < widest and largest_excess(transcription, guess, own) > _SPIKE_EXCESS:
+        own = replace(own, lead=2.0 * own.lead)
+    return replace(stage, smoothing=own)

@@ -19,6 +19,7 @@ from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.solver.exchange import OutcomeOracle, Proposal
 from stiffopt.solver.programme import Outcome, solve_again
 from stiffopt.solver.solve_run import SolveRun
+from stiffopt.solver.stage_plan import MANY_PHASES
 from stiffopt.transcription.transcription import Transcription
 
 # Speed below which a joint creeps, as a share of the friction's smoothing width.
@@ -27,9 +28,8 @@ _CREEP_SPEED_SHARE = 0.5
 _MIN_CREEP_NODES, _MIN_CREEP_SHARE = 3, 0.02
 # Intervals that a motion from rest to rest takes at least: in fewer it has no freedom left.
 _MIN_MOVING_INTERVALS = 3
-# Solves with creeping joints fixed, iterations of the one before them that finds these, and phases
-# up to which they are tried: with more, some of the many fixed joints are in conflict.
-_MAX_STATIONARY_SOLVES, _MAX_CREEPING_ITERATIONS, _MAX_STATIONARY_PHASES = 2, 60, 7
+# Solves with creeping joints fixed, and iterations of the one before them that finds these.
+_MAX_STATIONARY_SOLVES, _MAX_CREEPING_ITERATIONS = 2, 60
 
 
 class StationaryJoints(OutcomeOracle):
@@ -40,7 +40,8 @@ class StationaryJoints(OutcomeOracle):
     def __init__(self, run: SolveRun, start: Outcome) -> None:
         super().__init__(run)
         self._free = start.transcription
-        few = self._free.ocp.phases <= _MAX_STATIONARY_PHASES
+        # With many phases, some of the many fixed joints are in conflict.
+        few = self._free.ocp.phases < MANY_PHASES
         self.rounds = 1 + _MAX_STATIONARY_SOLVES if run.problem.charges_dry_friction and few else 0
 
     def propose(self, last: Outcome, number: int) -> Proposal[Outcome] | None:

@@ -180,9 +180,10 @@ def feasible_duration_advice(run: SolveRun, outcome: Outcome) -> str:
     shortest, longest = run.problem.duration
     if run.lag is None or shortest < longest:
         return ""
+    slowed = slowed_quintic(run.problem, run.motion)
     tried = {
         "the same": _feasible_duration_of_links(run, outcome),
-        "the quintic": _feasible_duration_of_quintic(run),
+        "the quintic": None if slowed is None else slowed.duration,
     }
     known = {name: each for name, each in tried.items() if each is not None}
     if not known:
@@ -204,8 +205,3 @@ def _feasible_duration_of_links(run: SolveRun, outcome: Outcome) -> float | None
     """Return a duration [s] in which an outcome's links, with new motors, keep every limit."""
     slower = (slow_down(run, outcome, times) for times in _DURATION_FACTORS)
     return next((each.trajectory.duration for each in slower if each and each.clear), None)
-
-
-def _feasible_duration_of_quintic(run: SolveRun) -> float | None:
-    slowed = slowed_quintic(run.problem, run.motion)
-    return None if slowed is None else slowed.duration

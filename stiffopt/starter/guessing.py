@@ -233,6 +233,16 @@ def with_time(table: Mapping[str, np.ndarray], rate: float) -> dict[str, np.ndar
     return {COUNTED_TIME: np.arange(rows) / rate, **table}
 
 
+def are_poses(table: Mapping[str, np.ndarray], robot: Robot) -> bool:
+    """Return True for a table without a time whose positions do not follow one another."""
+    try:
+        find_time_column(table)
+    except InputError:
+        found = columns_of_kind(list(table), "position", robot.joint_names)
+        return bool(found) and are_unordered(np.column_stack([table[name] for name in found[0]]))
+    return False
+
+
 def find_time_column(table: Mapping[str, np.ndarray]) -> str:
     """Return the name of the column of times.
 

@@ -18,6 +18,7 @@ import numpy as np
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.recording.readers.columns import Table
 from stiffopt.recording.readers.read import RUN_ENDINGS, is_messages, read_tables
+from stiffopt.recording.rest_poses import MIN_POSES
 from stiffopt.recording.run import counted
 from stiffopt.robot.joint_tree import JointTree
 from stiffopt.robot.robot import Robot
@@ -26,6 +27,7 @@ from stiffopt.starter.garbled_rows import drop_garbled_rows
 from stiffopt.starter.guessing import (
     GuessedColumns,
     UnrecognisedError,
+    are_poses,
     guess_columns,
     request_factor,
     with_time,
@@ -93,6 +95,9 @@ def _write_set(
     files = _find_files(data)
     tables, layout, garbled = _read_runs(files, robot)
     files = list(tables)
+    if rate is None and are_poses(tables[files[0]], robot):
+        # One pose a row: the rows are numbered.
+        rate = 1.0
     if rate is not None:
         if not 0.0 < rate < 1e6:
             raise InputError(f"--rate {rate:g} must be above 0 and below 1e6 rows a second.")
@@ -116,20 +121,25 @@ def _write_set(
     notes += begun
     if len(parts) == 1:
         _, stem, table = parts[0]
-        cut = int(_TRAINING_SHARE * len(table[first.time]))
-        if cut < _MIN_TRAINING_ROWS:
+        rows = len(table[first.time])
+        cut = int(_TRAINING_SHARE * rows)
+        needed = math.ceil(
+            MIN_POSES / (1.0 - _TRAINING_SHARE)
+            if first.at_rest
+            else _MIN_TRAINING_ROWS / _TRAINING_SHARE
+        )
+        if rows < needed:
             raise InputFileError(
                 files[0],
                 "",
-                f"has {len(table[first.time])} rows; a single recording is cut in two and needs"
-                f" {math.ceil(_MIN_TRAINING_ROWS / _TRAINING_SHARE)}. Record more, or a second"
-                " one.",
+                f"has {rows} rows; a single recording is cut in two and needs {needed}. Record"
+                " more, or a second one.",
             )
         runs.append((f"{stem}_train", "train", {k: v[:cut] for k, v in table.items()}))
         runs.append((f"{stem}_test", "test", {k: v[cut:] for k, v in table.items()}))
         notes.append(
-            "One recording: its first 70 % are for training, the rest is held out. Record a second"
-            " motion for a stronger validation."
+            "One recording: its first 70 % are for training, the rest is held out. Record"
+            f" {'more poses' if first.at_rest else 'a second motion'} for a stronger validation."
         )
     else:
         labels = _label_files(files)

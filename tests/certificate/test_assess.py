@@ -291,3 +291,28 @@ def test_missed_targets(tmp_path):
     worst = assess(moved, motion).worst_violation
     assert worst.limit == "end"
     assert worst.value == pytest.approx(1e-3 / 1e-4 - 1, rel=1e-6)
+
+
+def test_vias_are_passed_in_order_where_a_motion_passes_one_nearer_later(tmp_path):
+    from dataclasses import replace
+
+    from stiffopt import Target
+
+    problem = load(tmp_path, "planar")
+    there, back = (Target(joints=np.array([a, 0.0]), tolerance=0.05) for a in (0.1, 0.5))
+    times = np.linspace(0.0, 1.0, 11)
+    # To `there` within half of its tolerance, to `back`, and over `there` exactly.
+    angles = np.interp(times, [0.0, 0.2, 0.6, 1.0], [-0.5, 0.125, 0.5, 0.1])
+
+    def motion(at, order=0):
+        turned = np.interp(at, times, angles) if order == 0 else np.zeros(len(at))
+        return np.stack([turned, np.zeros(len(at))], axis=1)
+
+    def misses(*vias):
+        result = assess(replace(problem, vias=vias), motion, times=times)
+        return [v.value for n in (1, 2) for v in result.violations if v.limit == f"via_{n}"]
+
+    assert misses(there, back) == pytest.approx([-0.5, -1.0])
+    assert misses(back, there) == pytest.approx([-1.0, -1.0])
+    far = replace(back, joints=np.array([0.6, 0.0]))
+    assert misses(there, far) == pytest.approx([-0.5, 1.0])

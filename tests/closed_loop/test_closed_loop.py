@@ -25,8 +25,8 @@ from servo_sets import (
 from stiffopt.actuator.law import ActuatorLaw
 from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.parameters import Parameters, zero_parameters
-from stiffopt.closed_loop.physics import LoopPhysics, LoopSpring
-from stiffopt.closed_loop.polish import DISPLACED_SHARE, polish
+from stiffopt.closed_loop.physics import Amplitudes, LoopPhysics, LoopSpring
+from stiffopt.closed_loop.polish import polish
 from stiffopt.closed_loop.simulation import (
     CommandedRun,
     Stretch,
@@ -128,34 +128,39 @@ def test_polish_finds_friction_armature_and_delay_from_none(loop: CommandedArm) 
     assert (found.deviations[deviations == 0.0] == 0.0).all()
 
 
-def test_deviations_hold_those_of_physics_that_is_held(loop: CommandedArm) -> None:
-    prior, held = true_parameters(), 0.03
-    deviations = np.zeros_like(prior.values)
-    deviations[prior.place("viscous")] = 0.5
-    damped = LoopPhysics(torque=lambda signals: DISPLACED_SHARE * held * signals.velocity)
-    other = CommandedArm(loop.tree, loop.law, np.zeros(1), damped)
-    place = prior.place("viscous")
-    alone, both = (
-        polish(loop, [recorded(7, 4.0)], prior, deviations, displaced=each).deviations[place]
-        for each in ((), (other,))
-    )
-    assert alone < 0.5 * held
-    np.testing.assert_allclose(both, np.hypot(alone, held), rtol=0.1)
+def test_amplitudes_of_physics_are_fitted_as_parameters_are(loop: CommandedArm) -> None:
+    """Viscous friction as a finding has the value and the deviation of the parameter."""
+    unknown = ca.SX.sym("Fv")
+    sizes = {"deviations": np.array([0.5]), "lower": np.array([0.0])}
+    amplitudes = Amplitudes(names=(("Fv", 0),), symbols=unknown, values=np.zeros(1), **sizes)
+    physics = LoopPhysics(torque=lambda own: unknown * own.velocity, amplitudes=amplitudes)
+    damped = CommandedArm(loop.tree, loop.law, np.zeros(1), physics)
+    values, spreads = [], []
+    for own, lower in ((loop, np.zeros(0)), (damped, amplitudes.lower)):
+        prior = zero_parameters(("servo",), lower)
+        prior.values[:] = np.insert(true_parameters().values, -1, lower)
+        prior.values[prior.place("viscous")] = 0.0
+        place = prior.amplitudes if len(lower) else prior.place("viscous")
+        deviations = np.zeros_like(prior.values)
+        deviations[place] = 0.5
+        found = polish(own, [recorded(7, 4.0)], prior, deviations)
+        values.append(found.parameters.values[place][0])
+        spreads.append(found.deviations[place][0])
+    np.testing.assert_allclose(values, VISCOUS, rtol=0.05)
+    np.testing.assert_allclose(*values, rtol=1e-3)
+    np.testing.assert_allclose(*spreads, rtol=1e-2)
 
 
-def test_held_physics_is_displaced_no_further_than_positions_allow(loop: CommandedArm) -> None:
-    prior = true_parameters()
-    deviations = np.zeros_like(prior.values)
-    deviations[prior.place("viscous")] = 0.5
-    # A spring that the positions tell ten times better than its deviation says.
-    spring = LoopPhysics(torque=lambda signals: DISPLACED_SHARE * 2.0 * signals.position)
-    other = CommandedArm(loop.tree, loop.law, np.zeros(1), spring)
-    run = recorded(7, 4.0)
-    alone, both = (
-        polish(loop, [run], prior, deviations, displaced=each).deviations[prior.place("viscous")]
-        for each in ((), (other,))
-    )
-    np.testing.assert_allclose(both, alone, rtol=0.3)
+def test_a_limit_of_the_physics_bounds_the_torque(loop: CommandedArm) -> None:
+    physics = LoopPhysics(limits={0: ca.SX(0.5)})
+    own = CommandedArm(loop.tree, loop.law, np.zeros(1), physics)
+    run = recorded(6, 3.0)
+    run = replace(run, command=np.full_like(run.command, 0.8))
+    free = true_parameters()
+    free.values[free.place("coulomb")] = 0.0
+    end = float(simulate(own, run, free)[-1, 0])
+    assert KP * (0.8 - end) > 0.5
+    np.testing.assert_allclose(MASS * GRAVITY * LEVER * np.sin(end), 0.5, rtol=0.05)
 
 
 def test_delays_of_single_joints_are_told_from_that_of_all(tmp_path: Path) -> None:

@@ -83,7 +83,7 @@ def test_bands_with_little_motion_keep_defaults() -> None:
 
 def test_prediction_band_moves_steadily_with_the_errors() -> None:
     """The error of the next band falls from far above the adequate one to it."""
-    tried, adequate = (20.0, 35.0, 60.0), 1.1
+    tried, adequate = (20.0, 35.0, 60.0), 1.0 + prediction_bands._MAX_WIDER_BAND_COST
     found = [
         _select_widest_adequate(tried, np.array([1.0, adequate - 0.02, error]))
         for error in adequate + np.geomspace(1.0, 1e-6, 60)

@@ -57,7 +57,7 @@ def test_probability_is_the_product_of_its_shares(
 def test_gains_of_cut_runs_count_alike(training: Training, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is gained once the first 5 % of the runs are left out."""
 
-    def gains(_: object, __: object, begin: float) -> tuple[LeftOutGain]:
+    def gains(_: object, __: object, begin: float, ___: int) -> tuple[LeftOutGain]:
         left_open = 0.0 if begin < 0.05 else 1e6
         gain = LeftOutGain(
             removed=10.0, left_open=left_open, share=0.5, explained=0.5, channel=1, support=1.0

@@ -6,12 +6,18 @@ import pytest
 from simulated_sets import short_case, simulated
 
 from benchmarks.simulator import write_case
+from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.catalogue.base_tilt import BASE_TILT, tilt_axes, tilted_gravity
 from stiffopt.discovery.catalogue.joint_zero import JOINT_ZERO
+from stiffopt.discovery.comparison.extension_change import extension_change
+from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
 from stiffopt.discovery.comparison.nominal_robot import LazyArmSignals, RobotModel
+from stiffopt.discovery.comparison.prepared_run import prepare_run
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.sanity.doubt import DoubtfulRecordings
+from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.signals import RobotConstants
+from stiffopt.discovery.training import open_training_runs
 from stiffopt.recording.recording_set import load_recordings
 
 
@@ -153,3 +159,22 @@ def test_opposite_axis_with_a_quarter_turn_is_told(folder, tmp_path):
     assert "offset = [0.0, 1.5708, 0.0]" in lines
     assert "position = [1.0, -1.0, 1.0]" in lines
     assert "torque = [1.0, -1.0, 1.0]" in lines
+
+
+def test_torque_of_another_joint_in_a_reading_has_its_friction(folder):
+    """What leaks is the torque that the other joint has, not the one that its model predicts."""
+    recordings = load_recordings(folder)
+    robot = RobotModel(recordings)
+    (recorded, *_) = open_training_runs(recordings, lambda text: None)
+    run = prepare_run(robot, recorded, 0, None, Settings())
+    leak = EstimatedEffect(
+        located=LocatedEffect(effect=effect("crosstalk"), joint=2, shapes=(2.0,)), amplitudes=(0.1,)
+    )
+    friction = EstimatedEffect(
+        located=LocatedEffect(effect=effect("coulomb"), joint=1), amplitudes=(5.0,)
+    )
+    alone = extension_change(run, Extension(effects=(leak,))).torque
+    both = extension_change(run, Extension(effects=(leak, friction))).torque
+    own = extension_change(run, Extension(effects=(friction,))).torque
+    np.testing.assert_allclose(both[:, 2] - alone[:, 2], 0.1 * own[:, 1], atol=1e-9)
+    assert np.abs(own[:, 1]).max() == pytest.approx(5.0, rel=0.1)

@@ -12,6 +12,7 @@ import pytest
 from servo_sets import ARMATURE, COULOMB, DELAY, KP, VISCOUS, write_servo_set
 
 from stiffopt.closed_loop.arm import CommandedArm
+from stiffopt.closed_loop.polish import Polished
 from stiffopt.closed_loop.simulation import simulate
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.located_effect import (
@@ -30,6 +31,7 @@ from stiffopt.discovery.loop_fit import build_loop, commanded_run, nominal_param
 from stiffopt.discovery.position_fit import ClosedLoopModel
 from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
 from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.signals import RobotConstants
 from stiffopt.discovery.training import open_training_runs, prepare_training
 from stiffopt.recording.recording_set import RecordingSet, load_recordings
 
@@ -53,11 +55,11 @@ def simulated(recordings: RecordingSet, *found: EstimatedEffect) -> np.ndarray:
     robot, physics, own_values = robot_in_loop(own.recordings, model)
     run = commanded_run(own.recordings, own.runs[0])
     loop = build_loop(own.recordings, [run], robot.tree, physics)
-    values = nominal_parameters(own.recordings, robot)
+    values = nominal_parameters(own.recordings, robot, physics)
     for name, value in (("armature", ARMATURE), ("viscous", VISCOUS), ("coulomb", COULOMB)):
         values.values[values.place(name)] = value
     for (name, place), value in own_values.items():
-        values.values[values.place(name)][place] = value
+        values.values[values.place(name)][place] += value
     quiet = replace(run, command=np.full_like(run.command, 0.8))
     return simulate(loop, quiet, values)[:, 0]
 
@@ -127,7 +129,11 @@ def test_backlash_before_the_encoder_lets_the_motor_travel_unseen(servo: Recordi
     assert spring.encoder_at_output
     assert physics.torque is None
     load = training.constants.joints[0].torque_rated
-    both = [float(spring.windup(ca.SX(sign * load))) for sign in (1.0, -1.0)]
+    unknown = physics.amplitudes
+    both = [
+        float(ca.substitute(spring.windup(ca.SX(sign * load)), unknown.symbols, unknown.values))
+        for sign in (1.0, -1.0)
+    ]
     # The flanks yield besides.
     assert width < both[0] - both[1] < width + 0.02
 
@@ -192,13 +198,31 @@ def fitted_loop(servo: RecordingSet, more: float) -> ClosedLoopModel:
     law = resolve_actuator(servo, open_training_runs(servo)).recordings.actuator
     assert law is not None
     loop = CommandedArm(servo.robot.tree, law, np.zeros(1))
+    count = len(fitted.values)
+    spread = np.full(count, 0.005)
+    polished = Polished(
+        parameters=fitted,
+        deviations=spread,
+        residual=np.ones(1),
+        places=np.arange(count),
+        covariance=np.diag(spread**2),
+        expected=fitted,
+        expected_deviations=spread,
+    )
     return ClosedLoopModel(
         nominal_loop=loop,
         loop=loop,
         nominal=nominal_parameters(servo, servo.robot),
         fitted=fitted,
-        deviations=np.full(len(fitted.values), 0.005),
+        deviations=spread,
+        polished=polished,
     )
+
+
+def constants(servo: RecordingSet) -> RobotConstants:
+    """Return the constants of the training runs."""
+    runs = open_training_runs(servo)
+    return prepare_training(servo, Settings(), None, lambda _: None, runs).constants
 
 
 def claimed_friction(rivals: tuple[Rival, ...] = ()) -> Finding:
@@ -225,7 +249,9 @@ def test_a_value_that_the_simulation_refutes_is_not_claimed(
     drag = LocatedEffect(effect=effect("quadratic_drag"), joint=0)
     rivals = (Rival(located=drag, probability=rival_share),) if rival_share else ()
     model = fitted_loop(servo, simulated_more)
-    (judged,) = findings_with_loop_values(servo, model, [claimed_friction(rivals)], ())
+    (judged,) = findings_with_loop_values(
+        servo, constants(servo), model, [claimed_friction(rivals)], ()
+    )
     assert judged.certainty == certainty
     assert judged.misfit + judged.group_probability == pytest.approx(1.0)
 
@@ -233,5 +259,7 @@ def test_a_value_that_the_simulation_refutes_is_not_claimed(
 def test_a_finding_has_no_part_in_what_the_starting_model_holds(servo: RecordingSet) -> None:
     earlier = Extension(effects=(found("coulomb", (0.2,), ()), found("viscous", (0.1,), ())))
     model = fitted_loop(servo, 0.26)
-    (judged,) = findings_with_loop_values(servo, model, [claimed_friction()], (earlier,))
+    (judged,) = findings_with_loop_values(
+        servo, constants(servo), model, [claimed_friction()], (earlier,)
+    )
     assert judged.parameters[0].value == pytest.approx(0.06)

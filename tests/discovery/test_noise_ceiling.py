@@ -191,3 +191,20 @@ def test_channel_without_mismatch_has_no_share() -> None:
 def test_harmful_model_explains_nothing() -> None:
     found = NoiseCeiling(explained=-0.4, channels={"torque_1": (2.0, 1.0)}, depends=())
     assert "Noise ceiling: 0 % of" in noise_ceiling_sentence(_answer(found))
+
+
+def test_joint_that_no_training_run_assesses_does_not_lower_the_ceiling() -> None:
+    """A joint that a training run moves too slowly has no model that could be judged."""
+    training = _training()
+    unseen = [run.torque_used.copy() for run in training.runs]
+    for used in unseen:
+        used[:, 0] = False
+    runs = tuple(
+        replace(run, torque_used=used) for run, used in zip(training.runs, unseen, strict=True)
+    )
+    box = BlackBox(replace(training, runs=runs), Extension())
+    predictor = Predictor(training, _left_out())
+    box.add(predictor, predictor.predict(), predictor.predict())
+    rod = box.found()
+    assert rod is not None
+    assert list(rod.channels) == ["torque_2"]

@@ -12,12 +12,18 @@ from stiffopt.command.compensation import _explain_refusal
 from stiffopt.elastic.uncertainty import AssumedUncertainty, Uncertainty
 from stiffopt.report.solve.wording import rival_text
 from stiffopt.result.assessment import Violation
-from stiffopt.result.compensation import CompensatedMotion, Compensation, Spread, Spreads
+from stiffopt.result.compensation import (
+    CompensatedMotion,
+    Compensation,
+    PartPeaks,
+    Spread,
+    Spreads,
+)
 
 BEYOND = Violation(limit="jerk", value=1.0, joint=1, time=0.1)
 
 
-def motion(name, flight, after, duration=0.5):
+def motion(name, flight, after, duration=0.5, across=0.0):
     spreads = Spreads(
         **{
             phase: Spread(
@@ -26,7 +32,7 @@ def motion(name, flight, after, duration=0.5):
                 worst_case="",
                 worst_arm={},
                 draws=np.array([peak]),
-                parts={},
+                parts={"across": PartPeaks(nominal=across, worst=across)},
             )
             for phase, peak in (("flight", flight), ("after", after))
         }
@@ -86,18 +92,26 @@ def test_rival_that_is_better_in_one_phase_is_handed_over_for_it():
     assert "The rival is the better motion after arrival: run rival" in rival_text(found)
 
 
+def test_error_across_the_path_is_compared_at_equal_duration_too():
+    own, slow = motion("optimised", 1.0, 1.0, across=0.5), motion("quintic", 2.0, 2.0, 0.7, 0.3)
+    found = compensation(own, slow)
+    assert found.rival_better_in == ("across the path",)
+    equal = replace(found, slowed={"quintic": motion("optimised", 0.5, 0.5, 0.7, 0.25)})
+    assert equal.rival_better_in == ()
+    assert equal.ratios == (0.25, 0.25)
+
+
 def test_best_rival_is_the_one_that_is_nearest_at_equal_duration():
     """A slow rival of less error is no better than the motion slowed to its duration."""
     found = compensation(
         motion("optimised", 2.0, 2.0),
         motion("quintic", 3.0, 3.0),
         motion("toppra", 1.5, 1.5, duration=0.7),
-        slowed=(motion("toppra", 0.5, 0.5, duration=0.7),),
+        slowed={"toppra": motion("optimised", 0.5, 0.5, duration=0.7)},
     )
-    assert [each.name for each in found.slower_rivals] == ["toppra"]
     assert found.best_rival.name == "quintic"
     assert not found.rival_wins
-    slower = replace(found, slowed=(motion("toppra", 1.8, 1.8, duration=0.7),))
+    slower = replace(found, slowed={"toppra": motion("optimised", 1.8, 1.8, duration=0.7)})
     assert slower.best_rival.name == "toppra"
     assert slower.rival_wins
     assert slower.ratios == (pytest.approx(1.2), pytest.approx(1.2))

@@ -1,5 +1,6 @@
 """Pages of diagnoses with every verdict, compared with the diagnosis."""
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -338,8 +339,13 @@ def test_headline_of_values_without_nominal_value(friction):
     assert "Enter" not in answer.action(replace(silent, unexplained=left))
 
 
-@pytest.mark.parametrize(("share", "leads"), [(0.005, False), (0.05, True)])
-def test_finding_that_explains_next_to_nothing_leads_no_headline(friction, share, leads):
+@pytest.mark.parametrize(
+    ("share", "unexplained", "leads"),
+    [(0.005, 0.2, False), (0.05, 0.2, True), (0.005, 0.001, True)],
+)
+def test_finding_that_explains_next_to_nothing_leads_no_headline(
+    friction, share, unexplained, leads
+):
     """Beside values that the nominal model does not state."""
     (finding,) = friction.findings
     calibrated = replace(finding.located, calibrated=True)
@@ -350,10 +356,25 @@ def test_finding_that_explains_next_to_nothing_leads_no_headline(friction, share
         MismatchShare(
             part=ExtensionPart(kind="finding", effects=(there,)), measured="torque", share=share
         ),
+        MismatchShare(part=None, measured="torque", share=unexplained),
     )
     text = headline(replace(friction, findings=(small, value), shares=shares))
     assert text.startswith("Joint 1") == leads
     assert "small beside them: joint 1" in text or leads
+
+
+def test_value_to_enter_includes_what_the_joint_has_beside_the_change(friction):
+    """Friction that no nominal model states was found in both states, and more in one."""
+    (change,) = friction.findings
+    calibrated = replace(change.located, calibrated=True)
+    value = replace(change, estimated=replace(change.estimated, located=calibrated))
+    alone = answer.action(friction)
+    together = answer.action(replace(friction, findings=(change, value)))
+    (one,), (both,) = (
+        re.findall(r"Enter Coulomb friction ([\d.]+) N m", text) for text in (alone, together)
+    )
+    added = change.parameters[0].value
+    assert float(both) - float(one) == pytest.approx(added, abs=0.01)
 
 
 def test_possible_finding_does_not_lead_beside_an_open_residual(friction):

@@ -115,7 +115,7 @@ def test_table_text_and_document_have_every_motion(smooth):
     assert "toppra's motion" not in text
     flight, after, across = map(float, rows[3][-2].split(" / "))
     assert (flight, after) == pytest.approx(found.ratios, rel=5e-3)
-    assert across == pytest.approx(found.beside_best.across, rel=5e-3)
+    assert across == pytest.approx(found.beside_best.ratios["across the path"], rel=5e-3)
     assert "50 arms" in section.lines[0]
     document = compensation_document(found)
     assert document["command"] == "command.csv"
@@ -224,7 +224,7 @@ def test_slower_rival_is_compared_with_the_motion_slowed_to_its_duration(tmp_pat
     own, slow = (each.compensated.worst_case for each in found.motions)
     assert slow < 0.6 * own
     assert found.ratios == pytest.approx((1.0, 1.0), rel=1e-6)
-    assert found.beside_best.across == pytest.approx(1.0, rel=1e-6)
+    assert found.beside_best.ratios["across the path"] == pytest.approx(1.0, rel=1e-6)
     assert not found.rival_wins
     assert found.rival_command is None
     rows = compensation_section(found).rows

@@ -38,7 +38,7 @@ def creeping(tmp_path, monkeypatch):
 
 def test_creeping_joints_are_fixed(creeping, monkeypatch):
     found = solve(creeping, throw=False)
-    monkeypatch.setattr(stationary_joints, "_MAX_STATIONARY_PHASES", 0)
+    monkeypatch.setattr(stationary_joints, "MANY_PHASES", 0)
     before = solve(creeping, throw=False)
     rests = [np.mean(np.abs(s.assessment.velocity) < 1e-9, axis=0) for s in (before, found)]
     # By the sharp law of the certificate; more on finer meshes, which are not allowed here.
@@ -57,7 +57,7 @@ def test_smooth_friction_does_not_hide_torque(creeping, monkeypatch):
     # With a third of the weight beyond the friction, no joint gains by creeping: the optimiser's
     # value is the certified one on the first mesh. At other ends (0.1 rad) rounding decides between
     # this optimum and one that a mesh of 20 intervals shows 5 % too good.
-    monkeypatch.setattr(stationary_joints, "_MAX_STATIONARY_PHASES", 0)
+    monkeypatch.setattr(stationary_joints, "MANY_PHASES", 0)
     heavy = replace(creeping, start=Target(joints=[0.3, 0.4]), end=Target(joints=[0.9, 0.14]))
     found = solve(heavy, throw=False)
     believed = found.solver.homotopy[-1]["objective"]

@@ -89,7 +89,8 @@ def test_a_set_names_an_mjcf_itself(tmp_path):
     assert robot.coulomb == pytest.approx([1.5, 0.4, 1.5, 1.5])
     assert list(robot.torque_max) == [60.0, 40.0, np.inf, np.inf]
     assert (robot.velocity_max == np.inf).all()
-    assert robot.tool.link == "tcp"
+    # As the set's tool_frame says.
+    assert robot.tool.link == "hand"
 
 
 def test_log_of_one_leg_asks_for_its_tip(tmp_path, capsys):

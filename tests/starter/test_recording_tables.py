@@ -676,3 +676,23 @@ def test_last_link_is_the_hand_of_a_new_set(tmp_path):
     log = str(tmp_path / "log.csv")
     assert run(["init", "recording", log, "--urdf", str(URDF), "--out", str(out)]) == 0
     assert load_recordings(out).tool_frame == load_robot(URDF).tool.link
+
+
+def test_poses_without_a_time_need_no_rate_and_few_rows(tmp_path, capsys):
+    rng = np.random.default_rng(3)
+    poses = [*rng.uniform(-1.0, 1.0, (2, 30)), *rng.uniform(-20.0, 20.0, (2, 30))]
+    body = [
+        "q1,q2,tau1,tau2",
+        *(",".join(f"{x:.6g}" for x in row) for row in zip(*poses, strict=True)),
+    ]
+    log, out = tmp_path / "poses.csv", tmp_path / "set"
+    log.write_text("\n".join(body))
+    assert run(["init", "recording", str(log), "--urdf", str(URDF), "--out", str(out)]) == 0
+    assert "poses at rest" in capsys.readouterr().out
+    assert load_recordings(out).signals.at_rest
+    log.write_text("\n".join(body[:12]))
+    assert (
+        run(["init", "recording", str(log), "--urdf", str(URDF), "--out", str(tmp_path / "few")])
+        == 2
+    )
+    assert "needs 20" in capsys.readouterr().err

@@ -47,6 +47,7 @@ CROSSTALK = Effect(
     " included",
     phrase="torque of another joint in the reading",
     needs=("torque", "torque_sensor", "moves"),
+    reads_torque=True,
     confused_with=("wrist_coupling", "coupled_drive"),
     term=crosstalk_term,
     amplitudes=(Amplitude("c", "", _TYPICAL_SHARE, -20.0, 20.0),),

@@ -143,10 +143,11 @@ OUTPUT_BACKLASH = Effect(
     remedy="Check gear mesh, key and coupling of {where} for play, and adjust or replace the"
     " worn part.",
     needs=("commanded", "moves", "load_changes_sign"),
-    confused_with=("rotor_inertia", "stribeck"),
+    confused_with=("coulomb", "rotor_inertia", "stribeck"),
     reference="NordinGutman2002",
     term=output_backlash_term,
     at_motor=BACKLASH,
+    loses="coulomb",
     amplitudes=(
         Amplitude("width", "rad", _TYPICAL_WIDTH, 0.0, 20.0, own=True),
         Amplitude("lost", "", 1.0, 0.0, 1.0),

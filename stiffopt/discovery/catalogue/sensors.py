@@ -146,6 +146,7 @@ SATURATION = Effect(
     remedy="Keep the torque of {where} below {limit}: slower motion or less payload; check"
     " the drive's current limit.",
     needs=("torque", "moves"),
+    limits_drive=True,
     term=saturation_term,
     # -1 is a clipped reading; a saturated drive demands many times the torque beyond the limit.
     amplitudes=(Amplitude("steepness", "", 10.0, -0.15, 20.0),),

@@ -92,6 +92,7 @@ TIME_DELAY = Effect(
     remedy="Shift the torque channels by {d}, use one clock for all signals, and record the"
     " measured torque where it is ahead of the motion.",
     needs=("torque", "torque_sensor", "moves"),
+    reads_torque=True,
     term=delay_term,
     amplitudes=(Amplitude("d", "s", 5e-3, -10.0, 10.0),),
     shapes=(
@@ -137,9 +138,14 @@ CLOCK_DRIFT = Effect(
     signature="motor torques of all joints late or early by a time that grows in proportion to the"
     " time of the run",
     title="clock drift between torque and position",
-    phrase="torque and position recorded on clocks of different rate: use one clock for both",
+    phrase=(
+        "torques recorded ever later than positions, by {e:%} of the time of a run",
+        "torques recorded ever earlier than positions, by {e:%} of the time of a run",
+    ),
+    remedy="Record torques and positions with one clock: those of the recordings differ by {e:%}.",
     needs=("torque", "torque_sensor", "moves"),
     confused_with=("time_delay",),
+    reads_torque=True,
     term=clock_drift_term,
     amplitudes=(
         Amplitude("e", "", 1e-3, -10.0, 10.0, own=True),
@@ -169,11 +175,13 @@ RUN_CLOCK = Effect(
     signature="motor torques of all joints late or early by the same time, in one run alone",
     title="torque of one run on another clock",
     phrase=(
-        "torque of one run recorded late: shift its torque columns or leave the run out",
-        "torque of one run recorded early: shift its torque columns or leave the run out",
+        "torque of one run recorded {d} late",
+        "torque of one run recorded {d} early",
     ),
+    remedy="Shift the torque columns of that run by {d}, or leave it out.",
     needs=("torque", "torque_sensor", "moves", "runs"),
     confused_with=("time_delay",),
+    reads_torque=True,
     term=delay_term,
     amplitudes=(Amplitude("d", "s", 0.02, -10.0, 10.0),),
     shapes=(

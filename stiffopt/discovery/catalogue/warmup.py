@@ -40,9 +40,10 @@ FRICTION_WARMUP = Effect(
     " of each run to its end",
     title="friction that changes within a run",
     phrase=(
-        "friction that grows within each run",
-        "friction that falls within each run: warm the arm up before recording",
+        "friction that grows within each run, by {dFc} and {dFv}",
+        "friction that falls within each run, by {dFc} and {dFv}",
     ),
+    remedy="Warm {where} up before recording, and record its temperature.",
     needs=("torque", "moves", "reverses"),
     confused_with=("thermal_friction", "friction_drift"),
     term=friction_warmup_term,
@@ -65,8 +66,11 @@ GAIN_WARMUP = Effect(
     signature="motor torque off in proportion to itself by a factor that changes from the begin of"
     " each run to its end",
     title="torque constant that changes within a run",
-    phrase="a torque constant that changes within each run, as with warming: record the motor's"
-    " temperature",
+    phrase=(
+        "torque readings that grow by {eps:%} within each run, as with warming",
+        "torque readings that fall by {eps:%} within each run, as with warming",
+    ),
+    remedy="Warm {where} up before recording, and record its motor's temperature.",
     needs=("torque", "torque_sensor", "moves"),
     confused_with=("friction_warmup", "gain_drift", "common_gain_drift"),
     term=lambda signals, a, s: Term(

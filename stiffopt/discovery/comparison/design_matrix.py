@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import islice
 
@@ -12,7 +12,11 @@ import numpy as np
 
 from stiffopt.discovery.comparison.channel_rows import ChannelNoise, ChannelRows
 from stiffopt.discovery.comparison.extended_run import linearise_run
-from stiffopt.discovery.comparison.extension_change import moves_links
+from stiffopt.discovery.comparison.extension_change import (
+    extension_change,
+    moves_links,
+    with_drive_torque,
+)
 from stiffopt.discovery.comparison.filtering import fill_missing
 from stiffopt.discovery.comparison.located_effect import (
     Extension,
@@ -96,6 +100,9 @@ class DesignMatrix:
         self._nominal_by_freedom: dict[bool, _NominalColumns] = {}
         self._earlier = [self]
         self.bodies: np.ndarray | None = None
+        # Runs as the torque is read, with all effects found; keys of the effects that read it.
+        self._read_runs = self.runs
+        self._reading_keys: set[tuple[object, ...]] = set()
 
     def _blocks_per_run(self) -> int:
         if len(self.runs) >= MIN_RUNS_AS_BLOCKS:
@@ -109,14 +116,55 @@ class DesignMatrix:
         inflation: np.ndarray | None = None,
         near: float = MAX_LINEARISATION_ERROR,
     ) -> DesignMatrix:
-        """Return the design matrix about another extension, or an earlier one near it.
-
-        Returns itself where masses are not positive definite, whose vibration would grow without
-        bound.
+        """Return the design matrix about another extension: its link motion, and torque readings.
 
         `inflation` (2 n,): residual noise of every channel over the stated one; default as stated.
-        With vibrating links the residual may stem from the linearisation: the stated one counts.
-        `near`: largest linearisation error of the links, rms over that noise.
+        `near`: largest linearisation error, rms over that noise.
+        """
+        links = self._linearise_links(found, inflation, near)
+        return links._linearise_readings(found, inflation, near)
+
+    def _linearise_readings(
+        self, found: Extension, inflation: np.ndarray | None, near: float
+    ) -> DesignMatrix:
+        """Return the matrix with readings of the torque that an extension adds to."""
+        read = []
+        for run, (known, _) in zip(self.runs, self._own_share, strict=True):
+            change = extension_change(run, found.acting)
+            # Vibrating links were simulated with their part of the change.
+            link = change.link_torque - known if run.vibration is None else 0.0
+            read.append(with_drive_torque(run, change.torque + link))
+        moved = [
+            new.signals.drive_torque - old.signals.drive_torque
+            for new, old in zip(read, self._read_runs, strict=True)
+        ]
+        rows = self.rows.flatten(moved, [np.zeros_like(each) for each in moved])
+        if inflation is not None:
+            rows = rows / inflation[self.rows.channel]
+        if np.sqrt(np.mean(rows**2)) < near:
+            return self
+        new = copy(self)
+        new._read_runs = tuple(read)
+        keys = self._reading_keys
+        new._start_cache, new._recent_cache = (
+            {key: own for key, own in cache.items() if key not in keys}
+            for cache in (self._start_cache, self._recent_cache)
+        )
+        new._nominal_by_freedom = {
+            free: replace(own, products={k: v for k, v in own.products.items() if k not in keys})
+            for free, own in self._nominal_by_freedom.items()
+        }
+        self._earlier[:] = [new if each is self else each for each in self._earlier]
+        return new
+
+    def _linearise_links(
+        self, found: Extension, inflation: np.ndarray | None, near: float
+    ) -> DesignMatrix:
+        """Return the matrix about a link motion, or an earlier one near it.
+
+        Returns itself where masses are not positive definite, whose vibration would grow without
+        bound. With vibrating links the residual may stem from the linearisation: the stated noise
+        counts.
         """
         found = self._link_moving_part(found)
         if any(run.vibration is not None for run in self.runs):
@@ -336,6 +384,8 @@ class DesignMatrix:
     def _cache_columns(self, located: LocatedEffect, columns: PieceColumns) -> PieceColumns:
         """Store columns in the cache of initial shapes or of recent ones."""
         key = located.key
+        if located.effect.reads_torque:
+            self._reading_keys.add(key)
         self._cached_bytes += columns.nbytes
         place = located.key[:-1]
         if place not in self._shape_starts:
@@ -352,7 +402,8 @@ class DesignMatrix:
 
     def _robot_effect_pieces(self, located: LocatedEffect) -> PieceColumns:
         """Return the columns of an effect of the robot or a link."""
-        per_run = [located.columns(run) for run in self.runs]
+        runs = self._read_runs if located.effect.reads_torque else self.runs
+        per_run = [located.columns(run) for run in runs]
         rows = [
             self.rows.flatten([c[0] for c in each], [c[1] for c in each])
             for each in zip(*per_run, strict=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from stiffopt.discovery.comparison.filtering import derivative
 from stiffopt.discovery.comparison.located_effect import Contribution, EstimatedEffect, Extension
 from stiffopt.discovery.comparison.nuisance import (
     BODY_VALUES,
@@ -67,9 +68,22 @@ def extension_change(run: PreparedRun, extension: Extension) -> Change:
         change.torque[:] += values[COMMAND_DELAY] * run.signals.command_rate
     for own in joint_columns(run, _ALL_TOLERANCES, others.__contains__) if others else ():
         getattr(change, own.field)[:, own.name.place] += values[own.name] * own.values
-    for each in extension.effects:
+    # Readings show the torque with the other effects.
+    for each in extension.acting.effects:
         change.add(each.located.contribution(run, each.amplitudes))
+    read = [each for each in extension.effects if each.effect.reads_torque]
+    seen = with_drive_torque(run, change.torque) if read else run
+    for each in read:
+        change.add(each.located.contribution(seen, each.amplitudes))
     return change
+
+
+def with_drive_torque(run: PreparedRun, added: np.ndarray) -> PreparedRun:
+    """Return the run with added drive torques (K, n)."""
+    signals = run.signals
+    drive = signals.drive_torque + added
+    rate = derivative(run.low_pass(drive), signals.dt)
+    return replace(run, signals=replace(signals, drive_torque=drive, drive_torque_rate=rate))
 
 
 def with_turned_gravity(run: PreparedRun, extension: Extension) -> PreparedRun:

@@ -361,6 +361,12 @@ class Extension:
         return replace(self, effects=tuple(each.fitted for each in self.effects))
 
     @property
+    def acting(self) -> Extension:
+        """Extension without effects that change no more than how torques are read."""
+        own = tuple(each for each in self.effects if not each.effect.reads_torque)
+        return replace(self, effects=own)
+
+    @property
     def empty(self) -> bool:
         """True without any change."""
         return not self.effects and not any(self.calibration.values())

@@ -131,6 +131,8 @@ class BlackBox:
 
     def __init__(self, training: Training, found: Extension, say: Say = lambda _: None) -> None:
         n = training.robot.n
+        # No training run shows what drives the other joints: a model of them says nothing.
+        self._assessed = np.isin(np.arange(n), training.comparison().rows.channels)
         samples = _ResidualSamples(n)
         tell = throttle_progress(say)
         for number, run in enumerate(training.recorded):
@@ -151,7 +153,7 @@ class BlackBox:
         signals = _motion_signals(predictor)
         compared = residuals(predictor.run, predictor.velocity, before, after)
         for kind, joint, used, (first, left) in compared:
-            if kind != "torque":
+            if kind != "torque" or not self._assessed[joint]:
                 continue
             box = self._boxes[joint]
             beside = left if box is None else left - box(_input_columns(signals[used]))

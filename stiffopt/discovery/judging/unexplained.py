@@ -116,7 +116,7 @@ def _is_open(result: SearchResult, channel: int) -> bool:
     before, after = float(result.calibrated[channel]), float(result.after[channel])
     if not after > UNEXPLAINED_RATIO * least:
         return False
-    explained = 1.0 - (after**2 - least**2) / max(before**2 - least**2, 1e-9)
+    explained = _explained_share(before, after, least)
     return explained < EXPLAINED_SHARE or after > PASSED_OVER_RATIO * least
 
 
@@ -153,8 +153,12 @@ def assess_findings(result: SearchResult) -> tuple[tuple[Selected, ...], Unexpla
     # Calibrated values exist in any case, even beside a large residual.
     kept = tuple(s for s in result.selected if s.channel not in poor or s.located.calibrated)
     if not poor and kept and after[remaining].max() < PASSED_OVER_RATIO:
-        # Error of inexact formulas, small against the part that they explain.
-        return kept, None
+        valued = _residual_beside_values(result)
+        if all(
+            _explained_share(valued[c], after[c], least[c]) > EXPLAINED_SHARE for c in remaining
+        ):
+            # Error of inexact formulas, small against the part that they explain.
+            return kept, None
     found = None
     # The worst first that findings leave open. A mode in one channel hides no other channel.
     ordered = [int(c) for c in remaining]
@@ -167,10 +171,27 @@ def assess_findings(result: SearchResult) -> tuple[tuple[Selected, ...], Unexpla
     if found is None:
         return kept, None
     small = found.ratio < REMAINDER_RATIO * _noise_excess(result)
-    if not kept and small and found.gain < REMAINDER_SHARE:
+    told = [s for s in kept if not s.located.calibrated]
+    if not told and small and found.gain < REMAINDER_SHARE:
         # Neither large nor predictable: the noise exceeds the stated one.
         return result.selected, None
     return kept, found
+
+
+def _explained_share(before: float, after: float, least: float) -> float:
+    """Return the share of a channel's excess over its noise that a model removes."""
+    return 1.0 - (after**2 - least**2) / max(before**2 - least**2, 1e-9)
+
+
+def _residual_beside_values(result: SearchResult) -> np.ndarray:
+    """Return the normalised residual (2 n,) with values that the nominal model does not state.
+
+    Friction that every joint has explains much of a torque, but nothing of what is left beside it.
+    """
+    values = [each.located for each in result.selected if each.located.calibrated]
+    if not values:
+        return np.asarray(result.calibrated)
+    return result.comparison.channel_ratio(result.comparison.fit(values).residual)
 
 
 def _find_faint_remainder(

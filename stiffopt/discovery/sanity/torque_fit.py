@@ -29,6 +29,8 @@ MIN_MOVING_INSTANTS = 60
 # A usual gain is preferred if its residual share is at most this above 1.5 times the best; and the
 # gains that are tried, with either sign.
 _EQUIVALENT_SHARE = 0.02
+# Residual share over the least one up to which gains fit alike: a bound of an offset is felt.
+_EQUAL_RATIO = 1.1
 _GAIN_GRID = np.logspace(-4.5, 4.5, 61)
 
 
@@ -106,7 +108,9 @@ class TorqueFit:
             if (share := reduced.share(g)) < 1.5 * found.fun + _EQUIVALENT_SHARE
         }
         if good:
-            return min(good.items(), key=lambda one: one[1])
+            # A joint without weight fits any size of a gain: the first one, a sign alone, will do.
+            least = min(good.values())
+            return next(one for one in good.items() if one[1] <= _EQUAL_RATIO * least)
         return gain, float(found.fun)
 
     def _reduce_table(

@@ -15,9 +15,8 @@ from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.design_matrix import MIN_RUNS_AS_BLOCKS
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 
-# Number of folds, over all runs, where runs are few; and where the gain of an effect is judged. Of
-# six, gains near the noise changed by a factor of two with the limits of the folds.
-FOLDS_OF_FEW_RUNS, FOLDS_OF_GAINS = 6, 24
+# Number of folds, over all runs, where runs are few: a fit has to carry over to a sixth of them.
+FOLDS_OF_FEW_RUNS = 6
 
 
 def stack_columns(

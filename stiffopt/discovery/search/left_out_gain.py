@@ -18,7 +18,6 @@ from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.search.cross_validation import (
     FOLDS_OF_FEW_RUNS,
-    FOLDS_OF_GAINS,
     FoldPredictions,
     folds_per_run,
     number_folds,
@@ -67,11 +66,14 @@ class LeftOutGain:
 
 
 def left_out_gains(
-    comparison: Comparison, effects: Sequence[LocatedEffect], begin: float = 0.0
+    comparison: Comparison,
+    effects: Sequence[LocatedEffect],
+    begin: float = 0.0,
+    count: int = FOLDS_OF_FEW_RUNS,
 ) -> tuple[LeftOutGain, ...]:
     """Return the gain of every effect in folds left out.
 
-    `begin`: share of each run's start that is in no fold.
+    `begin`: share of each run's start that is in no fold. `count`: folds of few runs.
 
     Folds are parts of every run for an effect that acts in few of them: if each joint moves in a
     run of its own, the other runs say nothing of it.
@@ -82,7 +84,7 @@ def left_out_gains(
     kept = comparison.rows.sample_signal(lambda run: elapsed_shares(run.time)) >= begin
     columns *= kept[:, None]
     target, limits = kept * comparison.target, comparison.limits(len(prior))
-    fold = number_folds(comparison, folds_per_run(len(comparison.runs), FOLDS_OF_GAINS), begin)
+    fold = number_folds(comparison, folds_per_run(len(comparison.runs), count), begin)
     few = [
         e.is_run_specific or _is_seldom(columns[:, owner == k], fold) for k, e in enumerate(effects)
     ]

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import special
 
-from stiffopt.closed_loop.polish import DISPLACED_SHARE
 from stiffopt.discovery.comparison.channel_rows import part_numbers
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.design_matrix import MIN_RUNS_AS_BLOCKS
@@ -177,32 +176,6 @@ class Estimate:
         """Return the covariance over whole runs; that of the model for effects of single runs."""
         by_run = self.effects[index].located.is_run_specific
         return self.covariance if by_run else self.between
-
-    def displaced(self, indices: Sequence[int]) -> Iterator[tuple[EstimatedEffect, ...]]:
-        """Yield all effects, one of `indices` moved along one axis of its covariance at a time.
-
-        By `DISPLACED_SHARE` of the standard deviation there.
-        """
-        for index in indices:
-            found = self.effects[index]
-            rows, sizes = self._parameter_rows(index)
-            known = (self.covariance, self.spread, self._between_runs(index))
-            widest = max((each[np.ix_(rows, rows)] for each in known), key=np.trace)
-            lengths, ways = np.linalg.eigh(widest)
-            count, located = len(found.amplitudes), found.located
-            lengths = DISPLACED_SHARE * np.sqrt(np.maximum(lengths, 0.0))
-            for step in (lengths * ways).T * sizes:
-                amplitudes = tuple((np.array(found.amplitudes) + step[:count]).tolist())
-                shapes = tuple(
-                    float(np.clip(value + more, shape.lower, shape.upper))
-                    for shape, value, more in zip(
-                        located.effect.shapes, located.shapes, step[count:], strict=True
-                    )
-                )
-                moved = replace(
-                    found, located=replace(located, shapes=shapes), amplitudes=amplitudes
-                )
-                yield (*self.effects[:index], moved, *self.effects[index + 1 :])
 
     def moved(self, steps: np.ndarray) -> Estimate:
         """Return the estimate with first amplitudes moved by steps (e,) over their sizes.

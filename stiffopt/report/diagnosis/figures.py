@@ -227,7 +227,9 @@ def trace(diagnosis: Diagnosis, proof: RunProof, name: str) -> Trace | None:
         measured, unit = run.position[:, j] - run.link_position[:, j], joint_unit("rad", slides)
         predictions = [run.position[:, j] - p for p in predictions]
         used = np.isfinite(measured)
-    return Trace(run.time, measured, predictions[0], predictions[1], used, speed, error, unit)
+    # Stamps may count from 1970.
+    time = run.time - run.time[0]
+    return Trace(time, measured, predictions[0], predictions[1], used, speed, error, unit)
 
 
 def proof_figure(shown: Trace) -> Figure:
@@ -247,7 +249,7 @@ def proof_figure(shown: Trace) -> Figure:
             left = np.where(shown.used, factor * (shown.measured - predicted), np.nan)
             _draw_curve(axes, shown.time, left, colour, label, 0.9)
         axes.set_xlim(shown.time[0], shown.time[-1])
-        axes.set_xlabel("time [s]")
+        axes.set_xlabel("time from the start of the run [s]")
         axes.set_ylabel(f"measured less predicted [{unit}]")
         low, high = axes.get_ylim()
         axes.set_ylim(low, high + 0.35 * (high - low))
@@ -281,7 +283,7 @@ def overlay_figure(shown: Trace) -> Figure:
         kind = "torque" if shown.error.kind == "torque" else "wind-up"
         top.set_ylabel(f"{kind} [{unit}]")
         below.set_ylabel(f"residual [{small}]")
-        below.set_xlabel("time [s]")
+        below.set_xlabel("time from the start of the run [s]")
         for axes, columns in ((top, 3), (below, 2)):
             low, high = axes.get_ylim()
             axes.set_ylim(low, high + 0.22 * (high - low))
@@ -372,7 +374,7 @@ def state_figure(diagnosis: Diagnosis) -> Figure:
 
 def position_figure(run: PositionRun, joints: Sequence[str], prismatic: np.ndarray) -> Figure:
     """Plot command, measured and simulated position of each joint over time, and the errors."""
-    n = len(joints)
+    n, time = len(joints), run.time - run.time[0]
     with figure_style():
         figure = Figure(figsize=(WIDTH, 0.7 + 1.45 * n))
         grid = figure.subplots(n, 2, squeeze=False, sharex=True)
@@ -383,17 +385,17 @@ def position_figure(run: PositionRun, joints: Sequence[str], prismatic: np.ndarr
                 (run.before, VERMILLION, "before", 1.1),
                 (run.after, BLUE, "after", 1.1),
             ):
-                shown = decimate_curve(run.time, np.nan_to_num(values[:, j]))
+                shown = decimate_curve(time, np.nan_to_num(values[:, j]))
                 left.plot(*shown, color=colour, label=label, linewidth=width)
             for values, colour in ((run.before, VERMILLION), (run.after, BLUE)):
                 error = 1e3 * np.nan_to_num(values[:, j] - run.measured[:, j])
-                right.plot(*decimate_curve(run.time, error), color=colour, linewidth=1.1)
+                right.plot(*decimate_curve(time, error), color=colour, linewidth=1.1)
             left.set_title(f"J{j + 1} {joints[j]}")
             left.set_ylabel("m" if prismatic[j] else "rad")
             right.set_title("simulated less measured")
             right.set_ylabel("mm" if prismatic[j] else "mrad")
         for axes in grid[-1]:
-            axes.set_xlabel("time [s]")
+            axes.set_xlabel("time from the start of the run [s]")
         handles, labels = grid[0][0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="upper right", ncols=4, bbox_to_anchor=(0.99, 1.0))
         height = figure.get_figheight()

@@ -181,10 +181,11 @@ def transfer_sentences(diagnosis: Diagnosis) -> list[str]:
         slides = diagnosis.training.constants.joints[channel.joint - 1].prismatic
         unit = "rad" if channel.kind == "link_position" else "N m"
         unit = f"{unit} s/rad" if each.kind == "viscous friction" else unit
-        value = f"{significant(each.value, 2)} {joint_unit(unit, slides)}"
+        value = f"{significant(abs(each.value), 2)} {joint_unit(unit, slides)}"
+        than = "more" if each.value > 0.0 else "less"
         kind = "A constant" if each.kind == "constant" else each.kind.capitalize()
         found.append(
-            f"{kind} does not carry over: {each.run} has {value} more than the training runs in"
+            f"{kind} does not carry over: {each.run} has {value} {than} than the training runs in"
             f" {channel_words(each.channel)} ({100 * each.share:.0f} % of the residual there)."
         )
     return found

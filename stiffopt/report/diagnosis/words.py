@@ -13,6 +13,7 @@ from stiffopt.discovery.answer import (
     Statement,
     action,
     held_out_share,
+    open_share,
     statement_headline,
     statements,
 )
@@ -79,8 +80,9 @@ def headline(diagnosis: Diagnosis) -> str:
         return f"An effect outside the catalogue acts on {where}"
     new, unstated = new_and_unstated(diagnosis)
     text = statement_headline(diagnosis, new)
-    # Share of the mismatch on held-out runs from which findings lead a headline.
-    if all(held_out_share(diagnosis, each) < 0.01 for each in new) and unstated:
+    # Share of the mismatch on held-out runs from which findings lead a headline in any case.
+    least = min(0.01, open_share(diagnosis))
+    if unstated and all(held_out_share(diagnosis, each) < least for each in new):
         values = f"identified values without nominal value: {_unstated_phrase(unstated)}"
         text = f"{values}; small beside them: {text}" if new else values
     left = diagnosis.unexplained
@@ -151,7 +153,10 @@ def verdict_words(diagnosis: Diagnosis) -> str:
     """Return the verdict in words that fit the probability of the leading finding."""
     if diagnosis.verdict == "nothing_missing":
         return "nothing missing"
-    first = next(iter(statements(diagnosis)), None)
+    own = statements(diagnosis)
+    # As in the headline, effects come before values that every arm has.
+    new = [s for s in own if not s.finding.located.calibrated and s.certainty != "possible"]
+    first = next(iter(new or own), None)
     if first is None or first.certainty == "possible":
         return "outside the catalogue"
     if diagnosis.verdict == "law_found" and first.certainty == "found":

@@ -29,7 +29,7 @@ COMPENSATED = "Peak deviations on uncertain arms, as planned and compensated"
 def compensation_section(compensation: Compensation) -> ReportSection:
     """Return the peak deviations, two rows per motion, and notes on uncertainty and command.
 
-    A slower rival that is better in a phase is followed by the optimised motion at its duration.
+    A slower rival that is better in an error is followed by the optimised motion at its duration.
     """
     head = ["motion", "duration", "motors"]
     for phase in ("in flight", "after"):
@@ -55,8 +55,8 @@ def _motion_rows(
     motion: CompensatedMotion, name: str, beside: RivalComparison | None = None
 ) -> list[list[str]]:
     """Return the rows of a motion as planned and with its command."""
-    ratios = [] if beside is None or beside.ratios is None else [*beside.ratios, beside.across]
-    over = " / ".join(significant(each, 3) for each in ratios) or DASH
+    ratios = {} if beside is None else beside.ratios
+    over = " / ".join(significant(each, 3) for each in ratios.values()) or DASH
     return [
         [
             name,
@@ -119,8 +119,8 @@ def _compensation_notes(compensation: Compensation) -> list[str]:
         f"{compensation.draws} arms are drawn uniformly within the bounds. The problem's limits, "
         "settling included, are checked on the nominal arm only.",
         "Optimised over a rival: worst errors in flight / after arrival / across the path in "
-        "flight, at equal duration: beside a slower rival that is better in a phase the optimised "
-        "motion is slowed.",
+        "flight, at equal duration: beside a slower rival that is better in one of them the "
+        "optimised motion is slowed.",
         f"{made}; the feedforward lead is {100 * own.share:.0f} % of the nominal wind-up, "
         f"{'as chosen by the solve' if compensation.file else 'chosen for the worst case'}.",
     ]

@@ -1,0 +1,296 @@
+"""Search in the simulation from commands, for effects that filtered torques do not show."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import expit, softmax
+
+from stiffopt.closed_loop.arm import CommandedArm
+from stiffopt.closed_loop.parameters import Parameters
+from stiffopt.closed_loop.polish import STRETCH_SECONDS, Score, score_amplitudes
+from stiffopt.discovery.comparison.located_effect import (
+    EstimatedEffect,
+    Extension,
+    LocatedEffect,
+    effect_places,
+)
+from stiffopt.discovery.conclusions import findings_with_loop_values, refuted
+from stiffopt.discovery.diagnosis import Finding, Parameter, Rival
+from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.extended.value_changes import extended_model
+from stiffopt.discovery.loop_effects import loop_parameter, robot_in_loop
+from stiffopt.discovery.loop_fit import commanded_run, is_commanded, limit_motion
+from stiffopt.discovery.position_fit import ClosedLoopModel, fit_simulation
+from stiffopt.discovery.progress import Say
+from stiffopt.discovery.search.rivals import tempering_width
+from stiffopt.discovery.thresholds import (
+    MAX_EFFECTS,
+    NAMED_DEVIATIONS,
+    NAMED_EVIDENCE,
+    PARAMETER_LOG_PRICE,
+    RIVAL_LOG_ODDS,
+)
+from stiffopt.discovery.training import Training
+from stiffopt.recording.recording_set import RecordingSet
+from stiffopt.recording.run import RecordedRun
+
+# Difference of the sum of log residuals over noise between fits that are equally good.
+_EQUAL_MISFIT = 0.05
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LoopSearch:
+    """Fits of the simulation, with one more effect at a time."""
+
+    recordings: RecordingSet
+    training: Training
+    asked: Sequence[Effect]  # effects that the recordings can identify
+    runs: Sequence[RecordedRun]
+    estimated: Parameters | None  # drives of joints whose gain gives torque no scale
+    say: Say
+
+    def run(
+        self, found: Extension, findings: Sequence[Finding]
+    ) -> tuple[ClosedLoopModel | None, tuple[Finding, ...]]:
+        """Return the fit beginning with some findings, and these with what it needs besides.
+
+        Findings whose values it takes to be zero may only stand in for simpler ones: it is tried
+        without them. Findings that another one brings about are left out.
+        """
+        model, added = self._fit(found), list[Finding]()
+        limits = [each for each in found.effects if each.effect.limits_drive]
+        if model is not None and model.lacks.any() and limits:
+            # One too low lets the joint drift: no slope leads back from there.
+            rest = replace(found, effects=tuple(e for e in found.effects if e not in limits))
+            free = self._fit(rest)
+            if free is not None and free.misfit < model.misfit:
+                model, found = free, rest
+                findings = [refuted(f, 1.0) if f.estimated in limits else f for f in findings]
+        judged = self._judge(model, findings)
+        zero = {each.estimated for each in judged if each.certainty == "possible"}
+        if model is not None and any(each in zero for each in found.effects):
+            rest = replace(found, effects=tuple(e for e in found.effects if e not in zero))
+            simpler = self._fit(rest)
+            if simpler is not None and simpler.misfit < model.misfit + _EQUAL_MISFIT:
+                model, found = simpler, rest
+        if model is not None:
+            model, found, findings = self._replace_losses(model, found, findings)
+        while model is not None and len(added) < MAX_EFFECTS:
+            self.say("search the simulation's residual")
+            taken = [each.located for each in (*found.effects, *(own.estimated for own in added))]
+            new = self._best(model, self._model(found, added), taken, added)
+            better = None if new is None else self._fit(found, [*added, new])
+            if new is None or better is None or better.misfit >= model.misfit:
+                break
+            self.say(f"found {new.located.label} in the simulation")
+            model, added = better, [*added, new]
+        judged = self._judge(model, (*findings, *added))
+        if model is None:
+            return None, judged
+        claimed = [each.located for each in judged if each.certainty != "possible"]
+        return model, (*judged, *self._judge(model, tuple(self._own_values(model, claimed))))
+
+    def _judge(
+        self, model: ClosedLoopModel | None, findings: Sequence[Finding]
+    ) -> tuple[Finding, ...]:
+        constants, before = self.training.constants, self.training.before
+        return findings_with_loop_values(self.recordings, constants, model, findings, before)
+
+    def _own_values(
+        self, model: ClosedLoopModel, taken: Sequence[LocatedEffect]
+    ) -> Iterator[Finding]:
+        """Yield values of the fit that no nominal model has, that are not zero, beside findings."""
+        constants, fitted = self.training.constants, model.fitted
+        assert model.expected_deviations is not None
+        for entry in self.asked:
+            parameter = loop_parameter(entry)
+            if parameter is None or entry.nominal or entry.scope != "joint" or entry.only_in:
+                continue
+            name, sign = parameter
+            shifted = entry.shifts_weight and any(each.effect.shifts_weight for each in taken)
+            for located in effect_places(entry, constants, ()):
+                assert located.joint is not None
+                place = fitted.place(name).start + int(self.recordings.order[located.joint])
+                sd, prior = model.deviations[place], model.expected_deviations[place]
+                if shifted or sd <= 0.0 or any(located.same_place(other) for other in taken):
+                    continue
+                taken = [*taken, located]
+                known = (e for own in self.training.before for e in own.effects)
+                alike = [e.amplitudes[0] for e in known if e.located.same_place(located)]
+                value = float(fitted.values[place]) - sign * sum(alike)
+                evidence = 0.5 * (value / sd) ** 2 - float(np.log(prior / sd))
+                if evidence > NAMED_EVIDENCE and abs(value) > NAMED_DEVIATIONS * sd:
+                    estimated = EstimatedEffect(located=located, amplitudes=(sign * value,))
+                    yield self._finding(estimated, 1.0)
+
+    def _finding(
+        self,
+        estimated: EstimatedEffect,
+        explained: float,
+        probability: float = 1.0,
+        rivals: tuple[Rival, ...] = (),
+    ) -> Finding:
+        constants, located = self.training.constants, estimated.located
+        own = located.constants(constants)
+        told = located.effect.parameters(estimated.amplitudes, located.shapes, own)
+        return Finding(
+            estimated=estimated,
+            link=None,
+            probability=probability,
+            misfit=0.0,
+            rivals=rivals,
+            parameters=tuple(
+                Parameter(
+                    name=name,
+                    value=value,
+                    sd=0.0,
+                    unit=located.unit_of(name, constants),
+                    prior_sd=np.inf,
+                )
+                for name, value in told.items()
+            ),
+            where=located.effect.signature,
+            channel=f"torque_{(located.joint or 0) + 1}",
+            variance_explained=explained,
+        )
+
+    def _model(self, found: Extension, added: Sequence[Finding]) -> Extension:
+        return found.plus(Extension(effects=tuple(each.estimated for each in added)))
+
+    def _fit(self, found: Extension, added: Sequence[Finding] = ()) -> ClosedLoopModel | None:
+        whole = self._model(found, added)
+        return fit_simulation(
+            self.recordings, self.training, whole, self.runs, self.estimated, self.say
+        )
+
+    def _best(
+        self,
+        model: ClosedLoopModel,
+        whole: Extension,
+        taken: Sequence[LocatedEffect],
+        added: Sequence[Finding],
+    ) -> Finding | None:
+        """Return the likeliest effect that the simulation lacks, with its rivals."""
+        constants, order = self.training.constants, self.recordings.order
+        busy = {each.located.joint for each in added}
+        # What the initial shapes of an effect leave is no second effect.
+        joints = [j for j in range(len(order)) if model.lacks[order[j]] and j not in busy]
+        if not joints:
+            return None
+        assert model.noise_ratio is not None
+        ratio = model.noise_ratio[order]
+        worst = max(joints, key=lambda j: float(ratio[j]))
+        candidates = list(self._candidates(worst, taken))
+        scores = self._scores(model, whole, candidates)
+        best: dict[tuple[object, ...], tuple[float, LocatedEffect, Score]] = {}
+        for located, score in zip(candidates, scores, strict=True):
+            if score is None:
+                continue
+            price = PARAMETER_LOG_PRICE * (len(score.amplitudes) + len(located.shapes))
+            usual = located.effect.log_prior
+            prior = usual(located.constants(constants)) if usual else 0.0
+            key = located.key[:-1]
+            if key not in best or score.evidence > best[key][2].evidence:
+                best[key] = (score.evidence + prior - price, located, score)
+        ranked = sorted(best.values(), key=lambda each: -each[0])
+        if not ranked or ranked[0][2].evidence < NAMED_EVIDENCE:
+            return None
+        if ranked[0][2].deviations < NAMED_DEVIATIONS:
+            return None
+        width = tempering_width(ranked[0][2].evidence)
+        near = [each for each in ranked if (each[0] - ranked[0][0]) / width > -RIVAL_LOG_ODDS]
+        near = near[:4]
+        shares = softmax([each[0] / width for each in near])
+        _, located, score = near[0]
+        rivals = tuple(
+            Rival(located=each[1], probability=float(share))
+            for each, share in zip(near[1:], shares[1:], strict=True)
+        )
+        estimated = EstimatedEffect(located=located, amplitudes=score.amplitudes)
+        return self._finding(estimated, score.explained, float(shares[0]), rivals)
+
+    def _stretches(self) -> float:
+        """Return the number of stretches of a fit: within one, residuals repeat one another."""
+        runs = [commanded_run(self.recordings, run) for run in self.runs if is_commanded(run)]
+        return sum(float(np.ptp(run.time)) for run in limit_motion(runs)) / STRETCH_SECONDS
+
+    def _candidates(self, joint: int, taken: Sequence[LocatedEffect]) -> Iterator[LocatedEffect]:
+        """Yield effects at a joint whose torque a formula of an instant gives."""
+        constants = self.training.constants
+        for entry in self.asked:
+            # Every fit has values that no nominal one bounds.
+            fitted = loop_parameter(entry) is not None and not entry.nominal
+            if fitted or entry.limits_drive or entry.at_motor or entry.of_runs:
+                continue
+            if entry.scope != "joint":
+                continue
+            for located in effect_places(entry, constants, ()):
+                known = any(located.same_place(other) for other in taken)
+                if located.joint == joint and not known and located.possible(constants):
+                    yield located
+
+    def _scores(
+        self, model: ClosedLoopModel, whole: Extension, candidates: Sequence[LocatedEffect]
+    ) -> list[Score | None]:
+        """Return the log evidence of each candidate beside all that is fitted; None without one."""
+        recordings, constants = self.recordings, self.training.constants
+        none = [
+            EstimatedEffect(located=each, amplitudes=(0.0,) * len(each.effect.amplitudes))
+            for each in candidates
+        ]
+        known = extended_model(recordings, constants, whole)
+        robot, physics, _ = robot_in_loop(recordings, known, none)
+        loop = CommandedArm(robot.tree, model.loop.law, model.loop.middle, physics)
+        count = len(model.loop.physics.amplitudes.names)
+        keys = [key for key, _ in physics.amplitudes.names[count:]]
+        groups = [[k for k, key in enumerate(keys) if key == each.key] for each in candidates]
+        runs = [commanded_run(recordings, run) for run in self.runs if is_commanded(run)]
+        assert model.polished is not None
+        return score_amplitudes(loop, limit_motion(runs), model.polished, groups)
+
+    def _causes(self, model: ClosedLoopModel, finding: Finding) -> Iterator[LocatedEffect]:
+        """Yield effects that bring about a friction that vanishes in the simulation."""
+        located, constants = finding.located, self.training.constants
+        parameter = loop_parameter(finding.effect)
+        if parameter is None or located.joint is None or not finding.effect.nominal:
+            return
+        joint = int(self.recordings.order[located.joint])
+        place = model.fitted.place(parameter[0]).start + joint
+        if model.lacks[joint] and model.fitted.values[place] <= model.deviations[place]:
+            for entry in self.asked:
+                if entry.loses == finding.effect.nominal:
+                    every = effect_places(entry, constants, ())
+                    yield from [each for each in every if each.joint == located.joint][:1]
+
+    def _replace_losses(
+        self, model: ClosedLoopModel, found: Extension, findings: Sequence[Finding]
+    ) -> tuple[ClosedLoopModel, Extension, tuple[Finding, ...]]:
+        """Replace friction that vanishes by its cause where the simulation fits better with it."""
+        constants, kept = self.training.constants, list(findings)
+        for finding in findings:
+            for cause in self._causes(model, finding):
+                size = float(cause.sizes(constants)[0])
+                estimated = EstimatedEffect(located=cause, amplitudes=(size, 1.0))
+                new = with_findings(found, [finding], [])
+                new = new.plus(Extension(effects=(estimated,)))
+                better = self._fit(new)
+                if better is None or better.misfit >= model.misfit:
+                    continue
+                share = float(expit(self._stretches() * (model.misfit - better.misfit)))
+                rival = Rival(located=finding.located, probability=1.0 - share)
+                own = self._finding(estimated, finding.variance_explained, share, (rival,))
+                kept[kept.index(finding)] = own
+                model, found = better, new
+        return model, found, tuple(kept)
+
+
+def with_findings(
+    extension: Extension, before: Sequence[Finding], after: Sequence[Finding]
+) -> Extension:
+    """Return an extension with findings that have come, and without those that have gone."""
+    old, new = ([each.estimated for each in some] for some in (before, after))
+    kept = [each for each in extension.effects if each in new or each not in old]
+    return replace(extension, effects=(*kept, *(each for each in new if each not in old)))
