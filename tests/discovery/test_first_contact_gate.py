@@ -85,7 +85,7 @@ def test_one_joint_that_is_still_a_current_is_named(tmp_path, capsys):
     file.write_text(file.read_text() + '\n[signals.scale]\ntorque = [1.0, "A"]\n')
     assert run(["recording", "check", str(folder)]) == 0
     told = capsys.readouterr().out
-    assert "The torque of joint 2 is stated as a current in A" in told
+    assert "The torque of joint 2 is stated in A, and the weight does not tell" in told
     assert "left out of a diagnosis" in told
 
 
