@@ -20,7 +20,7 @@ from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.led_error import _ideal_command, _ServoChange, led_error
 from stiffopt.elastic.servo import Servo
 from stiffopt.elastic.uncertain_arms import Member, UncertainArms
-from stiffopt.elastic.uncertainty import ParameterBox, Uncertainty
+from stiffopt.elastic.uncertainty import AssumedUncertainty, ParameterBox, Uncertainty
 from stiffopt.errors import ProblemError
 from stiffopt.problem.limits.travel import with_bounded_travel
 from stiffopt.problem.motor_model import MotorModel
@@ -29,6 +29,7 @@ from stiffopt.problem.resolve import resolve
 from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.provenance import inputs_hash
+from stiffopt.result.solution import Baseline
 from stiffopt.result.status import SolveStatus
 from stiffopt.result.tool_error import LedError
 from stiffopt.result.trajectory import Trajectory
@@ -320,22 +321,52 @@ def test_soft_arm_is_no_worse_than_its_best_rival_in_either_phase(problem):
 
 
 @pytest.mark.parametrize(
-    ("goal", "status"), [("tool_error", "optimal"), ("tool_deviation", "acceptable")]
+    ("goal", "solved", "status", "told"),
+    [
+        ("tool_error", "optimal", "optimal", ""),
+        ("tool_error", "iteration_limit", "iteration_limit", ""),
+        (
+            "tool_deviation",
+            "optimal",
+            "acceptable",
+            "a better objective and keeps all limits as well: raise method",
+        ),
+        (
+            "torque_squared",
+            "time_limit",
+            "time_limit",
+            "a better objective and keeps all limits as well: run that one, or raise method",
+        ),
+    ],
 )
-def test_a_baseline_of_less_summed_error_is_judged_with_its_command(
-    problem, solution, monkeypatch, goal, status
+def test_a_baseline_is_judged_with_its_command_where_there_is_one(
+    problem, solution, monkeypatch, goal, solved, status, told
 ):
     """The motion was chosen phase by phase: its sum may exceed that of a baseline."""
-    own = verdict.Verdict(SolveStatus.OPTIMAL, "")
+    own = verdict.Verdict(SolveStatus(solved), "")
     monkeypatch.setattr(verdict, "_solve_status", lambda _: own.status)
     monkeypatch.setattr(verdict, "_status_message", lambda *_: own.message)
     monkeypatch.setattr(verdict, "_judge_model_agreement", lambda *_: own)
     baseline = SimpleNamespace(name="quintic")
     monkeypatch.setattr(verdict, "find_better_baseline", lambda *_: baseline)
-    stated = replace(problem, objectives=(Objective(name=goal),))
+    stated = replace(problem, objectives=(Objective(name=goal),), uncertainty=AssumedUncertainty())
     outcome = SimpleNamespace(assessment=solution.assessment)
     found = verdict.judge_outcome(stated, outcome, solution.assessment, {})
     assert found.status.value == status
+    assert told in found.message
+    assert bool(told) == bool(found.message)
+
+
+def test_optimum_of_the_tool_error_claims_nothing_of_the_objectives_of_baselines(problem, solution):
+    rival = Baseline(
+        name="quintic",
+        assessment=solution.assessment,
+        objective=0.0,
+        feasible=True,
+        reason="",
+    )
+    said = verdict.describe_optimality(problem, {"quintic": rival}, 1)
+    assert said == "It is a local optimum, from one start. More method.starts look further."
 
 
 @pytest.mark.parametrize(("wins", "status"), [(True, "acceptable"), (False, "optimal")])
