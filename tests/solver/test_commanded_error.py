@@ -22,6 +22,7 @@ from stiffopt.elastic.servo import Servo
 from stiffopt.elastic.uncertain_arms import Member, UncertainArms
 from stiffopt.elastic.uncertainty import AssumedUncertainty, ParameterBox, Uncertainty
 from stiffopt.errors import ProblemError
+from stiffopt.problem.formulation import Scales
 from stiffopt.problem.limits.travel import with_bounded_travel
 from stiffopt.problem.motor_model import MotorModel
 from stiffopt.problem.objective import OBJECTIVES, Objective
@@ -34,7 +35,7 @@ from stiffopt.result.status import SolveStatus
 from stiffopt.result.tool_error import LedError
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.robot.tolerances import Tolerances
-from stiffopt.solver import between_rivals, verdict
+from stiffopt.solver import between_rivals, ringing, verdict
 from stiffopt.solver.between_rivals import BetweenRivals
 from stiffopt.solver.ipopt import RawSolution
 from stiffopt.solver.programme import solve_stage
@@ -42,6 +43,7 @@ from stiffopt.solver.ringing import RingingBesideRivals
 from stiffopt.solver.rival_errors import RivalErrors
 from stiffopt.solver.simulated_solution import _judge_beside_rivals, with_simulation
 from stiffopt.solver.solve import solve
+from stiffopt.solver.solve_run import SolveRun
 from stiffopt.solver.stage_plan import SolveStage
 
 
@@ -239,6 +241,18 @@ def test_weight_of_the_ringing_follows_the_phase_that_is_worse_than_the_rival(
     )
     proposal = oracle.propose(last, 0)
     assert (None if proposal is None else proposal.solve()) == (weight and pytest.approx(weight))
+
+
+@pytest.mark.parametrize(("converged", "sought"), [(True, 1), (False, 0)])
+def test_rivals_are_sought_for_an_optimum_only(problem, solution, monkeypatch, converged, sought):
+    calls = []
+    monkeypatch.setattr(ringing, "rival_motions", lambda *_: calls.append(1) or [])
+    outcome = SimpleNamespace(
+        assessment=solution.assessment, raw=SimpleNamespace(converged=converged)
+    )
+    run = SolveRun(problem, resolve(problem), Scales(), None)
+    RingingBesideRivals(run, outcome)
+    assert len(calls) == sought
 
 
 def straight(slope):
