@@ -221,18 +221,22 @@ def _contact_laws(problem: TrajectoryProblem) -> set[object]:
 def find_better_baseline(
     problem: TrajectoryProblem, outcome: Outcome, compared: dict[str, Baseline]
 ) -> Baseline | None:
-    """Return a baseline that keeps every limit and is better, or is the only motion to do so."""
-    certified = outcome.assessment.feasible(CERTIFICATE_TOLERANCE)
-    value = objective_value(problem, outcome.assessment).value
+    """Return the best baseline that keeps every limit, None where the motion is as good."""
     sign = -1.0 if is_maximised(problem) else 1.0
-    for baseline in compared.values():
-        motion, rival = baseline.assessment, baseline.objective
-        if not baseline.feasible or motion is None or rival is None:
-            continue
-        better = sign * (value - rival) > _MIN_BASELINE_GAIN * max(abs(value), abs(rival))
-        if motion.feasible(CERTIFICATE_TOLERANCE) and (better or not certified):
-            return baseline
-    return None
+    kept = [
+        (sign * each.objective, each)
+        for each in compared.values()
+        if each.feasible
+        and each.objective is not None
+        and each.assessment is not None
+        and each.assessment.feasible(CERTIFICATE_TOLERANCE)
+    ]
+    rival, best = min(kept, key=lambda x: x[0], default=(math.inf, None))
+    if not outcome.assessment.feasible(CERTIFICATE_TOLERANCE):
+        return best
+    own = sign * objective_value(problem, outcome.assessment).value
+    better = best is not None and own - rival > _MIN_BASELINE_GAIN * max(abs(own), abs(rival))
+    return best if better else None
 
 
 def describe_optimality(

@@ -371,6 +371,27 @@ def test_a_baseline_is_judged_with_its_command_where_there_is_one(
     assert bool(told) == bool(found.message)
 
 
+@pytest.mark.parametrize(("own", "name"), [(2.0, "S-curve"), (0.5, None), (1.0, None)])
+def test_the_better_baseline_is_the_best_one(problem, solution, monkeypatch, own, name):
+    monkeypatch.setattr(verdict, "objective_value", lambda *_: SimpleNamespace(value=own))
+    compared = {
+        each: Baseline(
+            name=each,
+            assessment=solution.assessment,
+            objective=value,
+            feasible=feasible,
+            reason="",
+        )
+        for each, value, feasible in (
+            ("quintic", 1.5, True),
+            ("S-curve", 0.999, True),
+            ("toppra", 0.1, False),
+        )
+    }
+    found = verdict.find_better_baseline(problem, solution, compared)
+    assert (None if found is None else found.name) == name
+
+
 def test_optimum_of_the_tool_error_claims_nothing_of_the_objectives_of_baselines(problem, solution):
     rival = Baseline(
         name="quintic",
