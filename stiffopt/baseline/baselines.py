@@ -91,12 +91,7 @@ def strict_baseline(
     Where none does, the best fair rival, slowed until it does, which may take longer than the
     problem allows (`feasible` is False then); None where even that exceeds a limit.
     """
-    kept = {
-        name: b
-        for name, b in compared.items()
-        if b.feasible and b.assessment is not None and b.assessment.feasible(CERTIFICATE_TOLERANCE)
-    }
-    best = better_baseline(problem, kept)
+    best = better_baseline(problem, compared)
     if best is not None or (
         problem.boundary_velocity is not None and np.any(problem.boundary_velocity)
     ):

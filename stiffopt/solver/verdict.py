@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stiffopt.baseline.baselines import better_baseline
 from stiffopt.certificate.agreement import Disagreement, find_disagreements
 from stiffopt.certificate.assess import assess
 from stiffopt.certificate.collisions import COLLISION_LIMIT, describe_collision_scope
@@ -222,34 +223,21 @@ def find_better_baseline(
     problem: TrajectoryProblem, outcome: Outcome, compared: dict[str, Baseline]
 ) -> Baseline | None:
     """Return the best baseline that keeps every limit, None where the motion is as good."""
-    sign = -1.0 if is_maximised(problem) else 1.0
-    kept = [
-        (sign * each.objective, each)
-        for each in compared.values()
-        if each.feasible
-        and each.objective is not None
-        and each.assessment is not None
-        and each.assessment.feasible(CERTIFICATE_TOLERANCE)
-    ]
-    rival, best = min(kept, key=lambda x: x[0], default=(math.inf, None))
+    best = better_baseline(problem, compared)
+    if best is None or best.objective is None:
+        return None
     if not outcome.assessment.feasible(CERTIFICATE_TOLERANCE):
         return best
-    own = sign * objective_value(problem, outcome.assessment).value
-    better = best is not None and own - rival > _MIN_BASELINE_GAIN * max(abs(own), abs(rival))
-    return best if better else None
+    own, rival = objective_value(problem, outcome.assessment).value, best.objective
+    gain = rival - own if is_maximised(problem) else own - rival
+    return best if gain > _MIN_BASELINE_GAIN * max(abs(own), abs(rival)) else None
 
 
 def describe_optimality(
     problem: TrajectoryProblem, compared: dict[str, Baseline], starts_made: int
 ) -> str:
     """Return a sentence on an optimum: local or global, number of starts, better baselines."""
-    kept = [
-        each.name
-        for each in compared.values()
-        if each.feasible
-        and each.assessment is not None
-        and each.assessment.feasible(CERTIFICATE_TOLERANCE)
-    ]
+    kept = [each.name for each in compared.values() if each.feasible]
     tried = "one start" if starts_made == 1 else f"the best of {starts_made} starts"
     rivals = ""
     if compared and not kept:
