@@ -92,9 +92,7 @@ def strict_baseline(
     problem allows (`feasible` is False then); None where even that exceeds a limit.
     """
     best = better_baseline(problem, compared)
-    if best is not None or (
-        problem.boundary_velocity is not None and np.any(problem.boundary_velocity)
-    ):
+    if best is not None or not problem.rests_at_both_ends:
         return best
     shortest, longest = problem.duration
     slowed, durations = {}, {}
@@ -132,14 +130,13 @@ def _assess_baseline(problem: TrajectoryProblem, baseline: BaselineMotion) -> Ba
     assessment = with_collisions(problem, assess(problem, baseline.motion))
     exceeded = [v for v in assessment.violations if v.value > CERTIFICATE_TOLERANCE]
     reason = f"Exceeds {exceeded[0].describe()}." if exceeded else ""
-    moving = problem.boundary_velocity is not None and np.any(problem.boundary_velocity)
-    if moving:
+    if not problem.rests_at_both_ends:
         reason = "It goes from rest to rest, not between the given boundary velocities."
     return Baseline(
         name=baseline.name,
         assessment=assessment,
         objective=objective_value(problem, assessment).value,
-        feasible=not exceeded and not moving,
+        feasible=not exceeded and problem.rests_at_both_ends,
         reason=reason,
         trajectory=baseline.motion,
     )

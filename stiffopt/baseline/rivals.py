@@ -113,7 +113,7 @@ def _search_rivals(
     problem: TrajectoryProblem, motion: ResolvedMotion, shortest: float
 ) -> Iterator[tuple[FairRival, Assessment]]:
     """Yield the rivals of `fair_rivals`."""
-    if problem.boundary_velocity is not None and np.any(problem.boundary_velocity):
+    if not problem.rests_at_both_ends:
         return
     # The search for the fastest one begins where a motion may exist.
     shortest = max(shortest, shortest_duration(problem, motion)[0])

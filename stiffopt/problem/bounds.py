@@ -50,7 +50,7 @@ def shortest_duration(problem: TrajectoryProblem, motion: ResolvedMotion) -> tup
     at vias, within velocity, acceleration and jerk limits; and the tool's straight travel at its
     speed limit.
     """
-    if not (motion.start_fixed and motion.end_fixed) or problem.boundary_velocity is not None:
+    if not (motion.start_fixed and motion.end_fixed) or not problem.rests_at_both_ends:
         return 0.0, ""
     limits = problem.active_limits
     # The jerk bound needs zero acceleration at both ends.

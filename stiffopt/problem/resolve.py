@@ -209,7 +209,7 @@ def stopping_distance(
 
 def _check_rest(problem: TrajectoryProblem, where: str, angles: np.ndarray) -> None:
     """Raise `ProblemError` where holding a pose at rest exceeds a torque limit."""
-    if problem.boundary_acceleration != "zero" or problem.boundary_velocity is not None:
+    if problem.boundary_acceleration != "zero" or not problem.rests_at_both_ends:
         return
     torque, limit = gravity_torque(problem, angles), problem.active_limits.torque
     for j in np.flatnonzero(np.abs(torque) > limit):

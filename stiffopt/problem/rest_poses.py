@@ -30,7 +30,7 @@ class RestPose:
 
 def rest_poses(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[RestPose, RestPose]:
     """Start and end pose of the motion."""
-    rest = problem.boundary_acceleration == "zero" and problem.boundary_velocity is None
+    rest = problem.boundary_acceleration == "zero" and problem.rests_at_both_ends
     return (
         RestPose("start", motion.start, motion.start_fixed and rest),
         RestPose("end", motion.end, motion.end_fixed and rest),
@@ -91,7 +91,7 @@ def torque_sign_change(problem: TrajectoryProblem, motion: ResolvedMotion, joint
                 return f"it is zero at rest in the {where} pose"
     if (
         problem.robot.tree.bodies[joint - 1].parent == 0
-        and problem.boundary_velocity is None
+        and problem.rests_at_both_ends
         and not np.any(problem.process_force)
         and _never_loaded_by_gravity(problem, joint)
     ):

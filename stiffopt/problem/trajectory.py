@@ -361,13 +361,17 @@ class TrajectoryProblem:
         """
         fastest = any(objective.name == "duration" for objective in self.objectives)
         asked = fastest and self.uncertainty != AssumedUncertainty()
-        rests = self.boundary_velocity is None or not np.any(self.boundary_velocity)
-        if not (asked and rests and self.robot.yields):
+        if not (asked and self.rests_at_both_ends and self.robot.yields):
             return False
         with suppress(ProblemError):
             check_link_planning(self, "", "")
             return True
         return False
+
+    @property
+    def rests_at_both_ends(self) -> bool:
+        """True where the velocity is zero at both ends."""
+        return self.boundary_velocity is None or not np.any(self.boundary_velocity)
 
     @property
     def judges_arrival(self) -> bool:
@@ -391,8 +395,7 @@ class TrajectoryProblem:
         if not (self.uncertainty.stated and alone):
             return False
         # Only a motion from rest to rest of fixed duration has a command whose lead can vary.
-        at_rest = self.boundary_velocity is None or not np.any(self.boundary_velocity)
-        return at_rest and self.duration[0] == self.duration[1]
+        return self.rests_at_both_ends and self.duration[0] == self.duration[1]
 
     @property
     def is_shaped(self) -> bool:

@@ -163,7 +163,7 @@ def _judge_beside_rivals(problem: TrajectoryProblem, solution: Solution) -> Solu
 
 def _explain_missing_command(problem: TrajectoryProblem, own: PlannedMotion) -> str:
     """Return why no command is made for a motion, "" where one is."""
-    if problem.boundary_velocity is not None and np.any(problem.boundary_velocity):
+    if not problem.rests_at_both_ends:
         return "No command.csv: the motion does not start and end at rest."
     if own.vibrates_after_arrival:
         return (

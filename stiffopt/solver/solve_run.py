@@ -188,7 +188,7 @@ class SolveRun:
         None where the motors do not come to rest smoothly, or the arm cannot be simulated.
         """
         problem = self.problem
-        smooth = problem.boundary_acceleration == "zero" and not np.any(problem.boundary_velocity)
+        smooth = problem.boundary_acceleration == "zero" and problem.rests_at_both_ends
         if not (problem.plans_links and smooth) or self.end_modes:
             return None
         with suppress(NotSimulatedError):
