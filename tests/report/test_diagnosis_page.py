@@ -187,7 +187,6 @@ def test_remedies_with_undetermined_values_are_whole_sentences() -> None:
     assert "covers." in told["inertial_error"]
 
 
-
 def test_large_unexplained_residual_is_reported_with_findings(friction, tmp_path, capsys):
     """Case of a torque constant that is wrong by a factor of two."""
     left = unexplained_in(friction, ratio=42.0, left=0.4).unexplained
