@@ -11,6 +11,7 @@ from scipy.special import expit, softmax
 from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.parameters import Parameters
 from stiffopt.closed_loop.polish import STRETCH_SECONDS, Score, score_amplitudes
+from stiffopt.closed_loop.simulation import CommandedRun
 from stiffopt.discovery.comparison.located_effect import (
     EstimatedEffect,
     Extension,
@@ -78,15 +79,20 @@ class LoopSearch:
                 model, found = simpler, rest
         if model is not None:
             model, found, findings = self._replace_losses(model, found, findings)
+        # Joints by what they leave; what the initial shapes of an effect leave is no second effect.
+        searched = set[int]()
         while model is not None and len(added) < MAX_EFFECTS:
-            self.say("search the simulation's residual")
-            taken = [each.located for each in (*found.effects, *(own.estimated for own in added))]
-            new = self._best(model, self._model(found, added), taken, added)
-            better = None if new is None else self._fit(found, [*added, new])
-            if new is None or better is None or better.misfit >= model.misfit:
+            open_joints = set(np.flatnonzero(model.lacks)) - searched
+            if not open_joints:
                 break
-            self.say(f"found {new.located.label} in the simulation")
-            model, added = better, [*added, new]
+            worst = max(open_joints, key=model.noise_ratio.__getitem__)
+            searched.add(worst)
+            self.say("search the simulation's residual")
+            new = self._best(model, self._model(found, added), worst)
+            better = None if new is None else self._fit(found, [*added, new])
+            if new is not None and better is not None and better.misfit < model.misfit:
+                self.say(f"found {new.located.label} in the simulation")
+                model, added = better, [*added, new]
         judged = self._judge(model, (*findings, *added))
         if model is None:
             return None, judged
@@ -166,24 +172,11 @@ class LoopSearch:
             self.recordings, self.training, whole, self.runs, self.estimated, self.say
         )
 
-    def _best(
-        self,
-        model: ClosedLoopModel,
-        whole: Extension,
-        taken: Sequence[LocatedEffect],
-        added: Sequence[Finding],
-    ) -> Finding | None:
-        """Return the likeliest effect that the simulation lacks, with its rivals."""
-        constants, order = self.training.constants, self.recordings.order
-        busy = {each.located.joint for each in added}
-        # What the initial shapes of an effect leave is no second effect.
-        joints = [j for j in range(len(order)) if model.lacks[order[j]] and j not in busy]
-        if not joints:
-            return None
-        assert model.noise_ratio is not None
-        ratio = model.noise_ratio[order]
-        worst = max(joints, key=lambda j: float(ratio[j]))
-        candidates = list(self._candidates(worst, taken))
+    def _best(self, model: ClosedLoopModel, whole: Extension, place: int) -> Finding | None:
+        """Return the likeliest effect that a joint of the robot (from 0) lacks, with its rivals."""
+        constants = self.training.constants
+        joint = int(np.flatnonzero(self.recordings.order == place)[0])
+        candidates = list(self._candidates(joint, [each.located for each in whole.effects]))
         scores = self._scores(model, whole, candidates)
         best: dict[tuple[object, ...], tuple[float, LocatedEffect, Score]] = {}
         for located, score in zip(candidates, scores, strict=True):
@@ -196,15 +189,14 @@ class LoopSearch:
             if key not in best or score.evidence > best[key][2].evidence:
                 best[key] = (score.evidence + prior - price, located, score)
         ranked = sorted(best.values(), key=lambda each: -each[0])
-        if not ranked or ranked[0][2].evidence < NAMED_EVIDENCE:
+        if not ranked:
             return None
-        if ranked[0][2].deviations < NAMED_DEVIATIONS:
+        most, located, score = ranked[0]
+        if score.evidence < NAMED_EVIDENCE or score.deviations < NAMED_DEVIATIONS:
             return None
-        width = tempering_width(ranked[0][2].evidence)
-        near = [each for each in ranked if (each[0] - ranked[0][0]) / width > -RIVAL_LOG_ODDS]
-        near = near[:4]
+        width = tempering_width(score.evidence)
+        near = [each for each in ranked[:4] if (each[0] - most) / width > -RIVAL_LOG_ODDS]
         shares = softmax([each[0] / width for each in near])
-        _, located, score = near[0]
         rivals = tuple(
             Rival(located=each[1], probability=float(share))
             for each, share in zip(near[1:], shares[1:], strict=True)
@@ -212,10 +204,11 @@ class LoopSearch:
         estimated = EstimatedEffect(located=located, amplitudes=score.amplitudes)
         return self._finding(estimated, score.explained, float(shares[0]), rivals)
 
-    def _stretches(self) -> float:
-        """Return the number of stretches of a fit: within one, residuals repeat one another."""
-        runs = [commanded_run(self.recordings, run) for run in self.runs if is_commanded(run)]
-        return sum(float(np.ptp(run.time)) for run in limit_motion(runs)) / STRETCH_SECONDS
+    @property
+    def _fitted_runs(self) -> list[CommandedRun]:
+        """Parts of the runs that a fit reads."""
+        each = [commanded_run(self.recordings, run) for run in self.runs if is_commanded(run)]
+        return limit_motion(each)
 
     def _candidates(self, joint: int, taken: Sequence[LocatedEffect]) -> Iterator[LocatedEffect]:
         """Yield effects at a joint whose torque a formula of an instant gives."""
@@ -223,9 +216,8 @@ class LoopSearch:
         for entry in self.asked:
             # Every fit has values that no nominal one bounds.
             fitted = loop_parameter(entry) is not None and not entry.nominal
-            if fitted or entry.limits_drive or entry.at_motor or entry.of_runs:
-                continue
-            if entry.scope != "joint":
+            other = entry.limits_drive or entry.at_motor or entry.of_runs
+            if fitted or other or entry.scope != "joint":
                 continue
             for located in effect_places(entry, constants, ()):
                 known = any(located.same_place(other) for other in taken)
@@ -247,9 +239,8 @@ class LoopSearch:
         count = len(model.loop.physics.amplitudes.names)
         keys = [key for key, _ in physics.amplitudes.names[count:]]
         groups = [[k for k, key in enumerate(keys) if key == each.key] for each in candidates]
-        runs = [commanded_run(recordings, run) for run in self.runs if is_commanded(run)]
         assert model.polished is not None
-        return score_amplitudes(loop, limit_motion(runs), model.polished, groups)
+        return score_amplitudes(loop, self._fitted_runs, model.polished, groups)
 
     def _causes(self, model: ClosedLoopModel, finding: Finding) -> Iterator[LocatedEffect]:
         """Yield effects that bring about a friction that vanishes in the simulation."""
@@ -270,6 +261,8 @@ class LoopSearch:
     ) -> tuple[ClosedLoopModel, Extension, tuple[Finding, ...]]:
         """Replace friction that vanishes by its cause where the simulation fits better with it."""
         constants, kept = self.training.constants, list(findings)
+        # Within a stretch residuals repeat one another.
+        stretches = sum(float(np.ptp(run.time)) for run in self._fitted_runs) / STRETCH_SECONDS
         for finding in findings:
             for cause in self._causes(model, finding):
                 size = float(cause.sizes(constants)[0])
@@ -279,7 +272,7 @@ class LoopSearch:
                 better = self._fit(new)
                 if better is None or better.misfit >= model.misfit:
                     continue
-                share = float(expit(self._stretches() * (model.misfit - better.misfit)))
+                share = float(expit(stretches * (model.misfit - better.misfit)))
                 rival = Rival(located=finding.located, probability=1.0 - share)
                 own = self._finding(estimated, finding.variance_explained, share, (rival,))
                 kept[kept.index(finding)] = own

@@ -128,7 +128,8 @@ def fit_positions(
         fitted=fitted.parameters,
         deviations=fitted.deviations,
         polished=fitted,
-        noise_ratio=fitted.residual / _encoder_noise(recordings, runs),
+        # A joint that stands in all runs lacks nothing.
+        noise_ratio=np.nan_to_num(fitted.residual / _encoder_noise(recordings, runs), nan=1.0),
         expected=fitted.expected,
         expected_deviations=fitted.expected_deviations,
         ratios=_ratios_to_gain(loop.law, fitted),
@@ -139,13 +140,18 @@ def _encoder_noise(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> np.
     """Return the standard deviation (n,) of readings that change independently [rad].
 
     The third difference of a slow motion vanishes, that of white noise has 20 times its variance.
+    NaN of readings that never change.
     """
-    each = [
-        np.nanstd(np.diff(commanded_run(recordings, run).position, n=3, axis=0), axis=0)
-        for run in runs
-        if is_commanded(run)
-    ]
-    return np.asarray(np.maximum(np.median(each, axis=0) / np.sqrt(20.0), 1e-12))
+    each = np.array(
+        [
+            np.nanstd(np.diff(commanded_run(recordings, run).position, n=3, axis=0), axis=0)
+            for run in runs
+            if is_commanded(run)
+        ]
+    )
+    changing = (own[own > 0.0] for own in each.T)
+    found = [np.median(own) if own.size else np.nan for own in changing]
+    return np.array(found) / np.sqrt(20.0)
 
 
 def fit_simulation(
