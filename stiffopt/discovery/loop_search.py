@@ -24,7 +24,7 @@ from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.extended.value_changes import extended_model
 from stiffopt.discovery.loop_effects import loop_parameter, robot_in_loop
 from stiffopt.discovery.loop_fit import commanded_run, is_commanded, limit_motion
-from stiffopt.discovery.position_fit import ClosedLoopModel, fit_simulation
+from stiffopt.discovery.position_fit import ClosedLoopModel, fit_positions
 from stiffopt.discovery.progress import Say
 from stiffopt.discovery.search.rivals import tempering_width
 from stiffopt.discovery.thresholds import (
@@ -37,6 +37,7 @@ from stiffopt.discovery.thresholds import (
 from stiffopt.discovery.training import Training
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
+from stiffopt.recording.state_pair import StatePair
 
 # Difference of the sum of log residuals over noise between fits that are equally good.
 _EQUAL_MISFIT = 0.05
@@ -167,10 +168,12 @@ class LoopSearch:
         return found.plus(Extension(effects=tuple(each.estimated for each in added)))
 
     def _fit(self, found: Extension, added: Sequence[Finding] = ()) -> ClosedLoopModel | None:
-        whole = self._model(found, added)
-        return fit_simulation(
-            self.recordings, self.training, whole, self.runs, self.estimated, self.say
-        )
+        if isinstance(self.recordings, StatePair):
+            return None  # one simulation is none of two states
+        self.say("simulate the training runs from their commands")
+        constants = self.training.constants
+        model = extended_model(self.recordings, constants, self._model(found, added))
+        return fit_positions(self.recordings, self.runs, model, self.estimated, self.say)
 
     def _best(self, model: ClosedLoopModel, whole: Extension, place: int) -> Finding | None:
         """Return the likeliest effect that a joint of the robot (from 0) lacks, with its rivals."""
@@ -242,20 +245,6 @@ class LoopSearch:
         assert model.polished is not None
         return score_amplitudes(loop, self._fitted_runs, model.polished, groups)
 
-    def _causes(self, model: ClosedLoopModel, finding: Finding) -> Iterator[LocatedEffect]:
-        """Yield effects that bring about a friction that vanishes in the simulation."""
-        located, constants = finding.located, self.training.constants
-        parameter = loop_parameter(finding.effect)
-        if parameter is None or located.joint is None or not finding.effect.nominal:
-            return
-        joint = int(self.recordings.order[located.joint])
-        place = model.fitted.place(parameter[0]).start + joint
-        if model.lacks[joint] and model.fitted.values[place] <= model.deviations[place]:
-            for entry in self.asked:
-                if entry.loses == finding.effect.nominal:
-                    every = effect_places(entry, constants, ())
-                    yield from [each for each in every if each.joint == located.joint][:1]
-
     def _replace_losses(
         self, model: ClosedLoopModel, found: Extension, findings: Sequence[Finding]
     ) -> tuple[ClosedLoopModel, Extension, tuple[Finding, ...]]:
@@ -264,14 +253,30 @@ class LoopSearch:
         # Within a stretch residuals repeat one another.
         stretches = sum(float(np.ptp(run.time)) for run in self._fitted_runs) / STRETCH_SECONDS
         for finding in findings:
-            for cause in self._causes(model, finding):
-                size = float(cause.sizes(constants)[0])
-                estimated = EstimatedEffect(located=cause, amplitudes=(size, 1.0))
-                new = with_findings(found, [finding], [])
-                new = new.plus(Extension(effects=(estimated,)))
-                better = self._fit(new)
-                if better is None or better.misfit >= model.misfit:
-                    continue
+            entry, joint = finding.effect, finding.located.joint
+            parameter = loop_parameter(entry)
+            if parameter is None or joint is None or not entry.nominal:
+                continue
+            place = int(self.recordings.order[joint])
+            value = model.fitted.of(parameter[0])[place]
+            sd = model.deviations[model.fitted.place(parameter[0])][place]
+            if not model.lacks[place] or value > sd:
+                continue
+            causes = (
+                located
+                for each in self.asked
+                if each.loses == entry.nominal
+                for located in effect_places(each, constants, ())
+                if located.joint == joint
+            )
+            if (cause := next(causes, None)) is None:
+                continue
+            amplitudes = (float(cause.sizes(constants)[0]), 1.0)
+            estimated = EstimatedEffect(located=cause, amplitudes=amplitudes)
+            new = with_findings(found, [finding], [])
+            new = new.plus(Extension(effects=(estimated,)))
+            better = self._fit(new)
+            if better is not None and better.misfit < model.misfit:
                 share = float(expit(stretches * (model.misfit - better.misfit)))
                 rival = Rival(located=finding.located, probability=1.0 - share)
                 own = self._finding(estimated, finding.variance_explained, share, (rival,))
