@@ -73,7 +73,7 @@ def hold_tournament(
 
 def _residual_left_out(model: Comparison, effects: Sequence[LocatedEffect]) -> float:
     """Return the normalised residual of stretches left out, over the stated noise."""
-    left = model.channel_ratio(predict_folds(model, effects).residual()) * model.inflation
+    left = model.channel_ratio(predict_folds(model, effects).residual_within_bounds(model)) * model.inflation
     return float(np.sqrt(np.nanmean(left**2)))
 
 
