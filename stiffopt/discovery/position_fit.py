@@ -155,7 +155,7 @@ def _encoder_noise(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> np.
     )
     changing = (own[own > 0.0] for own in each.T)
     found = [np.median(own) if own.size else np.nan for own in changing]
-    return np.array(found) / np.sqrt(20.0)
+    return np.asarray(np.array(found) / np.sqrt(20.0))
 
 
 def _ratios_to_gain(law: ActuatorLaw, fitted: Polished) -> dict[str, tuple[np.ndarray, np.ndarray]]:
