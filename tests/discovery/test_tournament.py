@@ -10,9 +10,15 @@ from shipped_set import SHIPPED
 
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.inertial_parameters import body_units, nominal_bodies
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.judging.ensemble import _mean_by_kind, odds_in_member, recurrence
 from stiffopt.discovery.search import search as search_module
+from stiffopt.discovery.search.cross_validation import (
+    FoldPredictions,
+    number_folds,
+    stack_columns,
+)
 from stiffopt.discovery.search.joint_fit import prune_effects
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.tournament import (
@@ -109,6 +115,34 @@ def test_friction_lines_win_over_an_effect_that_only_fits_noise(comparison: Comp
     found = hold_tournament(comparison, [calibrated], None, [calibrated, *useless])
     order = [each.name for each in found]
     assert order.index(FRICTION_LINES) < order.index(CATALOGUE_MODEL)
+
+
+def test_models_are_judged_with_their_own_noise(comparison: Comparison) -> None:
+    """Noise beside another model hides what this one explains, and its priors hold."""
+    calibrated = LocatedEffect(effect=effect("viscous"), joint=0, calibrated=True)
+    effects = [calibrated, PRESENT]
+    noise = comparison.inflation.copy()
+    noise[PRESENT.joint] *= 30.0
+    loud = comparison.with_extension(comparison.extension_of(comparison.fit(effects)), noise)
+    residuals = [
+        {each.name: each.residual for each in hold_tournament(start, [calibrated], None, effects)}
+        for start in (comparison, loud)
+    ]
+    assert residuals[1] == pytest.approx(residuals[0], rel=0.02)
+
+
+def test_negative_masses_predict_no_stretch_left_out(comparison: Comparison) -> None:
+    """No answer has them: without bounds they won, and the answer fitted far worse."""
+    model = comparison.with_bodies(body_units(comparison.robot))
+    columns, prior, _ = stack_columns(model, ())
+    change = np.zeros(len(prior))
+    change[: model.bodies.size] = -2.0 * nominal_bodies(model.robot).ravel()
+    prior[: model.bodies.size] *= 1e3
+    target, limits, fold = columns @ change, model.limits(len(prior)), number_folds(model)
+    folds = FoldPredictions(columns, target, prior, limits, fold)
+    size = np.linalg.norm(target)
+    assert np.linalg.norm(folds.residual()) < 1e-3 * size
+    assert np.linalg.norm(folds.residual_within_bounds(model)) > 0.1 * size
 
 
 def test_kinds_of_perturbation_have_equal_weight() -> None:

@@ -247,12 +247,9 @@ class Comparison:
         prior = np.concatenate([sd, np.ones(sum(len(e.effect.amplitudes) for e in effects))])
         sums = self.sums(effects).own
         found = posterior(sums, prior, cross_validate=False)
-        limits = self.limits(len(prior))
-        if boxed and np.any(np.abs(found.mean / prior) > limits):
+        if boxed:
             gram, moment = sums.gram.sum(axis=0), sums.moment.sum(axis=0)
-            found = replace(found, mean=solve_boxed(gram, moment, prior, limits))
-        if boxed and self.bodies is not None:
-            found = replace(found, mean=self._make_consistent(found.mean, sums, prior, limits))
+            found = replace(found, mean=self.within_bounds(found.mean, gram, moment, prior))
         residual = (self.target - self.model_rows(effects, found.mean)) / self._row_weight
         return Fit(tuple(effects), found, residual, len(sd))
 
@@ -266,17 +263,25 @@ class Comparison:
         found[first : len(self.priors[1])] = MAX_NOMINAL_DEVIATIONS
         return found
 
-    def _make_consistent(
-        self, mean: np.ndarray, sums: Sums, prior: np.ndarray, limits: np.ndarray
+    def within_bounds(
+        self, mean: np.ndarray, gram: np.ndarray, moment: np.ndarray, prior: np.ndarray
     ) -> np.ndarray:
-        """Return the likeliest values (p,) with physically consistent bodies."""
+        """Return the likeliest values (p,) within limits and with physically consistent bodies.
+
+        `mean` (p,): likeliest without bounds. `gram` (p, p), `moment` (p,): of the rows. `prior`
+        (p,): standard deviations.
+        """
+        limits = self.limits(len(prior))
+        if np.any(np.abs(mean / prior) > limits):
+            mean = solve_boxed(gram, moment, prior, limits)
+        if self.bodies is None:
+            return mean
         nominal, units = nominal_bodies(self.robot), body_units(self.robot)
         place = slice(0, nominal.size)
         if is_consistent(nominal + mean[place].reshape(nominal.shape), units):
             return mean
-        gram = sums.gram.sum(axis=0) + np.diag(prior**-2.0)
-        moment = sums.moment.sum(axis=0)
-        return likeliest_consistent_bodies(gram, moment, place, nominal, units, limits * prior)
+        whole = gram + np.diag(prior**-2.0)
+        return likeliest_consistent_bodies(whole, moment, place, nominal, units, limits * prior)
 
     def channel_ratio(self, residual: np.ndarray) -> np.ndarray:
         """Return the rms of whitened residuals per channel (2 n,); nan without rows."""

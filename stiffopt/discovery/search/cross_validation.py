@@ -81,6 +81,18 @@ class FoldPredictions:
             left[rows] -= columns @ others.values(kept)
         return left
 
+    def residual_within_bounds(self, comparison: Comparison) -> np.ndarray:
+        """Return the residual (m,) of fits with consistent bodies, as whole recordings get them."""
+        left, gram, moment = self._target.copy(), self._gram.sum(axis=0), self._moment.sum(axis=0)
+        for rows, columns, own, part, others in zip(
+            self._rows, self._columns, self._gram, self._moment, self._others, strict=True
+        ):
+            values = comparison.within_bounds(
+                others.values(None), gram - own, moment - part, self._prior
+            )
+            left[rows] -= columns @ values
+        return left
+
     def prior_squares(self, count: int, kept: np.ndarray | None = None) -> float:
         """Return the squares over priors of the first columns (k,), fitted to all folds."""
         return float(np.sum((self._whole.values(kept)[:count] / self._prior[:count]) ** 2))
