@@ -204,7 +204,9 @@ class _Fit:
     def polish(self, start: Parameters, say: Callable[[str], object]) -> Polished:
         """Return the fit that begins with some parameters; its noise is estimated in rounds."""
         current, point = start, self.evaluate(start)
-        if not np.isfinite(point.slopes).all():
+        with np.errstate(over="ignore"):
+            squares = np.sum(point.slopes**2) + np.nansum(point.residual**2)
+        if not np.isfinite(squares):
             raise FloatingPointError("the simulation diverges")
         noise = self.noise(point)
         for last in range(_NOISE_ROUNDS):

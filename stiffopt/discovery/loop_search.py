@@ -63,6 +63,9 @@ class LoopSearch:
         without them. Findings that another one brings about are left out.
         """
         model, added = self._fit(found), list[Finding]()
+        if model is None:  # the findings make it unstable
+            found = Extension()
+            model = self._fit(found)
         limits = [each for each in found.effects if each.effect.limits_drive]
         if model is not None and model.lacks.any() and limits:
             # One too low lets the joint drift: no slope leads back from there.

@@ -112,6 +112,13 @@ def test_noise_of_encoders_is_that_of_the_runs_that_move(tmp_path: Path) -> None
     assert np.isnan(_encoder_noise(recordings, still)).all()
 
 
+def test_findings_that_make_the_loop_unstable_are_searched_without(tmp_path: Path) -> None:
+    located = LocatedEffect(effect=effect("cable_spring"), joint=0, shapes=(0.0,))
+    pushing = EstimatedEffect(located=located, amplitudes=(-400.0, 0.0))
+    _, findings = search(tmp_path / "set", stribeck=RISE).run(Extension(effects=(pushing,)), ())
+    assert [each.effect.name for each in findings] == ["stribeck"]
+
+
 def test_nothing_is_found_where_the_simulation_leaves_noise(tmp_path: Path) -> None:
     own = search(tmp_path / "set")
     model, findings = own.run(Extension(), ())
