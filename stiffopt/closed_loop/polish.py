@@ -42,13 +42,10 @@ class Polished:
     expected_deviations: np.ndarray
 
     def whole_covariance(self) -> np.ndarray:
-        """Return the covariance (p, p) of all parameters, 0 of those that were not fitted.
-
-        Its diagonal has what the deviations hold beside the fit's, as of an unstated mass scale.
-        """
+        """Return the covariance (p, p) of all parameters, 0 of those that were not fitted."""
         found = np.zeros((len(self.deviations),) * 2)
         found[np.ix_(self.places, self.places)] = self.covariance
-        np.fill_diagonal(found, self.deviations**2)
+        np.fill_diagonal(found, self.deviations**2)  # with that of an unstated mass scale
         return found
 
     def over_gain(self, name: str, stiffness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
