@@ -45,6 +45,7 @@ class Polished:
         """Return the covariance (p, p) of all parameters, 0 of those that were not fitted."""
         found = np.zeros((len(self.deviations),) * 2)
         found[np.ix_(self.places, self.places)] = self.covariance
+        np.fill_diagonal(found, self.deviations**2)  # with that of an unstated mass scale
         return found
 
     def over_gain(self, name: str, stiffness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -204,7 +205,9 @@ class _Fit:
     def polish(self, start: Parameters, say: Callable[[str], object]) -> Polished:
         """Return the fit that begins with some parameters; its noise is estimated in rounds."""
         current, point = start, self.evaluate(start)
-        if not np.isfinite(point.slopes).all():
+        with np.errstate(over="ignore"):
+            squares = np.sum(point.slopes**2) + np.nansum(point.residual**2)
+        if not np.isfinite(squares):
             raise FloatingPointError("the simulation diverges")
         noise = self.noise(point)
         for last in range(_NOISE_ROUNDS):

@@ -63,6 +63,9 @@ class LoopSearch:
         without them. Findings that another one brings about are left out.
         """
         model, added = self._fit(found), list[Finding]()
+        if model is None:  # the findings make it unstable
+            found = Extension()
+            model = self._fit(found)
         limits = [each for each in found.effects if each.effect.limits_drive]
         if model is not None and model.lacks.any() and limits:
             # One too low lets the joint drift: no slope leads back from there.
@@ -83,10 +86,12 @@ class LoopSearch:
         # Joints by what they leave; what the initial shapes of an effect leave is no second effect.
         searched = set[int]()
         while model is not None and len(added) < MAX_EFFECTS:
-            open_joints = set(np.flatnonzero(model.lacks)) - searched
-            if not open_joints:
+            assert model.noise_ratio is not None
+            ratio = np.where(model.lacks, model.noise_ratio, 0.0)
+            ratio[list(searched)] = 0.0
+            worst = int(np.argmax(ratio))
+            if ratio[worst] == 0.0:
                 break
-            worst = max(open_joints, key=model.noise_ratio.__getitem__)
             searched.add(worst)
             self.say("search the simulation's residual")
             new = self._best(model, self._model(found, added), worst)

@@ -104,9 +104,10 @@ def fit_positions(
     """Fit a simulation from commands to training runs, beginning with the findings of a model.
 
     Joints whose gain gives torque no scale begin with the drives of `estimated`. Amplitudes of the
-    findings are fitted with all else; where they begin so that the loop is unstable, it has none.
+    findings are fitted with all else.
 
-    None where a joint has no gain, which would not be held, or no command.
+    None where a joint has no gain, which would not be held, or no command, and where the findings
+    make the loop unstable.
     """
     robot, physics = recordings.robot, LoopPhysics()
     values: Mapping[tuple[str, int], float] = {}
@@ -123,7 +124,7 @@ def fit_positions(
     begun.values[:] = np.maximum(begun.values, begun.lower)
     found = fit_loop(recordings, runs, begun, say, tree=robot.tree, physics=physics)
     if found is None:
-        return None if model is None else fit_positions(recordings, runs, None, estimated, say)
+        return None
     loop, fitted = found
     return ClosedLoopModel(
         nominal_loop=CommandedArm(recordings.robot.tree, loop.law, loop.middle),
@@ -155,7 +156,7 @@ def _encoder_noise(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> np.
     )
     changing = (own[own > 0.0] for own in each.T)
     found = [np.median(own) if own.size else np.nan for own in changing]
-    return np.array(found) / np.sqrt(20.0)
+    return np.asarray(np.array(found) / np.sqrt(20.0))
 
 
 def _ratios_to_gain(law: ActuatorLaw, fitted: Polished) -> dict[str, tuple[np.ndarray, np.ndarray]]:

@@ -71,17 +71,16 @@ def torque_placeholders(
     stated = {name: each["effort"] for name, each in arm.joints.items()}
     reasons = {}
     for j, (name, torque) in enumerate(stated.items()):
-        alike = demands[slides == slides[j]]
+        alike, unit = demands[slides == slides[j]], "N" if slides[j] else "N m"
         # A placeholder exceeds this multiple of the largest joint demand, and this torque [N m]
         # or, as prismatic joints also press, this force [N].
         most = max(15.0 * float(np.max(alike)), 2000.0 if slides[j] else 200.0)
         if torque > min(most, _MAX_CREDIBLE_TORQUE):
             reasons[name] = (
-                "the arm's weight and full acceleration take"
-                f" {np.max(alike):.3g} {'N' if slides[j] else 'N m'} at most"
+                f"the arm's weight and full acceleration take {np.max(alike):.3g} {unit} at most"
             )
         elif _is_shared(torque, stated) and 0.0 < torque < weight[j]:
-            reasons[name] = f"the arm's weight alone takes {float(weight[j]):.3g} N m"
+            reasons[name] = f"the arm's weight alone takes {float(weight[j]):.3g} {unit}"
     return _describe_placeholders(arm, "effort", reasons)
 
 

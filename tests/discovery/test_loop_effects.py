@@ -283,3 +283,18 @@ def test_parameters_of_a_body_count_as_far_as_they_are_free(tmp_path: Path) -> N
     (judged,) = findings_with_loop_values(servo, constants(servo), model, [payload], ())
     chance = float(special.chdtrc(7, deviations**2))
     assert judged.misfit == pytest.approx(_null_share(chance))
+
+
+def test_a_value_is_as_uncertain_as_the_deviations_of_the_fit_say(servo: RecordingSet) -> None:
+    """They may hold what the fit does not tell, as the scale of masses that nobody states."""
+    model = fitted_loop(servo, 0.5)
+    assert model.polished is not None
+    unsure = replace(model.polished, deviations=10.0 * model.polished.deviations)
+    sds = []
+    for polished in (model.polished, unsure):
+        own = replace(model, polished=polished)
+        (judged,) = findings_with_loop_values(
+            servo, constants(servo), own, [claimed_friction()], ()
+        )
+        sds.append(judged.parameters[0].sd)
+    assert sds[1] ** 2 - sds[0] ** 2 == pytest.approx(0.05**2 - 0.005**2)

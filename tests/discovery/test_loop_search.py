@@ -112,6 +112,13 @@ def test_noise_of_encoders_is_that_of_the_runs_that_move(tmp_path: Path) -> None
     assert np.isnan(_encoder_noise(recordings, still)).all()
 
 
+def test_findings_that_make_the_loop_unstable_are_searched_without(tmp_path: Path) -> None:
+    located = LocatedEffect(effect=effect("cable_spring"), joint=0, shapes=(0.0,))
+    pushing = EstimatedEffect(located=located, amplitudes=(-400.0, 0.0))
+    _, findings = search(tmp_path / "set", stribeck=RISE).run(Extension(effects=(pushing,)), ())
+    assert [each.effect.name for each in findings] == ["stribeck"]
+
+
 def test_nothing_is_found_where_the_simulation_leaves_noise(tmp_path: Path) -> None:
     own = search(tmp_path / "set")
     model, findings = own.run(Extension(), ())
@@ -130,3 +137,26 @@ def test_a_size_is_that_of_the_simulation(tmp_path: Path) -> None:
     (sizes, spread) = (x[model.fitted.amplitudes] for x in (model.fitted.values, model.deviations))
     assert len(sizes) == 2
     np.testing.assert_array_less(np.abs(sizes), 4.0 * spread + 1e-3)
+
+
+def test_friction_that_vanishes_is_replaced_by_what_loses_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As far as the fit with its cause leaves less, over four stretches of 2 s."""
+    searched = replace(search(tmp_path / "set"), asked=[effect("output_backlash")])
+    less = EstimatedEffect(
+        located=LocatedEffect(effect=effect("coulomb"), joint=0), amplitudes=(-COULOMB,)
+    )
+    found = Extension(effects=(less,))
+    fitted = searched._fit(found)
+    assert fitted is not None
+    fitted.fitted.values[fitted.fitted.place("coulomb")] = 0.0
+    model, better = (replace(fitted, noise_ratio=np.array([ratio])) for ratio in (3.0, 2.0))
+    claimed = searched._finding(less, 0.4)
+    monkeypatch.setattr(LoopSearch, "_fit", lambda *_: better)
+    left, _, (own,) = searched._replace_losses(model, found, [claimed])
+    assert left is better
+    assert (own.effect.name, own.rivals[0].located) == ("output_backlash", less.located)
+    assert own.probability == pytest.approx(1.0 / (1.0 + 1.5**-4.0), rel=0.01)
+    quiet = replace(model, noise_ratio=np.array([1.0]))
+    assert searched._replace_losses(quiet, found, [claimed])[2] == (claimed,)

@@ -174,6 +174,13 @@ def test_one_number_for_all_joints_is_a_placeholder_of_all(
     assert not np.any(np.isin(stated, [24.0, 30.0]))
 
 
+def test_force_that_does_not_bear_the_weight_is_told_in_its_unit(tmp_path, capsys):
+    text = chain(6, inside=limits("30", "2"))
+    urdf = written(tmp_path, text.replace('type="revolute"', 'type="prismatic"', 1))
+    assert run(["init", "robot", str(urdf)]) == 0
+    assert re.search(r"1: [^;]* weight alone takes \d+ N[;.]", capsys.readouterr().out)
+
+
 def test_doubtful_limits_are_kept_and_questioned(tmp_path, capsys):
     """One torque for all joints, and one that does not bear the weight of three links of 3 kg."""
     urdf = written(tmp_path, chain(6, inside=limits("150", "2")))

@@ -124,10 +124,9 @@ class _Normal:
     def values(self, kept: np.ndarray | None) -> np.ndarray:
         """Return the likeliest values (p,) within their bounds.
 
-        `kept` (p,): mask of the columns that are fitted; the others are zero.
-
-        Values that leave their bounds are held there, and let go where they press inwards: all at
-        once, or one at a time where that does not make them fewer.
+        `kept` (p,): mask of the columns that are fitted; the others are zero. Values that leave
+        their bounds are held there, and let go where they press inwards: all at once, or one at a
+        time where that does not make them fewer.
         """
         held = np.zeros(len(self._prior), dtype=bool) if kept is None else ~kept
         bound, fewest, trials = np.zeros(len(self._prior)), len(self._prior) + 1, 0
