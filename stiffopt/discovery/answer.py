@@ -29,6 +29,7 @@ MIN_LISTED_PROBABILITY = 0.005
 _MAX_SHOWN_PROBABILITY = 0.995
 _UNDETERMINED_AMOUNT = "an undetermined amount"
 _VALUE_PLACEHOLDER = re.compile(r"\{([^{}:]+)(:%)?\}")
+_CLAUSE_START = re.compile(r"(?=[,;] )")
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,8 +281,10 @@ def fill(
             return f"{pm(100.0 * size, 100.0 * own.sd, '')} %"
         return pm(size, own.sd, own.unit)
 
-    first, *more = _VALUE_PLACEHOLDER.sub(value, text).split(", ")
-    return ", ".join([first, *(each for each in more if _UNDETERMINED_AMOUNT not in each)])
+    filled = _VALUE_PLACEHOLDER.sub(value, text)
+    first, *more = _CLAUSE_START.split(filled)
+    told = "".join([first, *(each for each in more if _UNDETERMINED_AMOUNT not in each)])
+    return told if filled[-1] == told[-1] else f"{told}."
 
 
 def _format_together(parameters: list[Parameter]) -> str:

@@ -287,24 +287,25 @@ def _with_loop_value(
         )
         return replace(finding, parameters=own)
     reversed_sign = len(numbers) == 1 and values[0] * amplitudes[numbers[0]] <= 0.0
+    deviations = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(deviations, deviations)
     if not located.calibrated:
         # What reverses or vanishes where reversals are simulated was an error of filtered torques.
-        square = float(values @ np.linalg.lstsq(covariance, values)[0])
-        chance = 1.0 if reversed_sign else float(special.chdtrc(len(values), square))
-        finding = refuted(finding, chance)
+        # Parameters of a body move together: fewer are free than it has.
+        solved, _, free, _ = np.linalg.lstsq(correlation, values / deviations)
+        chance = float(special.chdtrc(free, values / deviations @ solved))
+        finding = refuted(finding, 1.0 if reversed_sign else chance)
     if reversed_sign:
         return finding
     amplitudes[numbers] = values
     steps = np.zeros((len(numbers), len(amplitudes)))
-    steps[range(len(numbers)), numbers] = np.sqrt(np.diag(covariance))
+    steps[range(len(numbers)), numbers] = deviations
 
     def report(at: np.ndarray) -> np.ndarray:
         told = entry.parameters(tuple(at), located.shapes, located.constants(constants))
         return np.array([told[each.name] for each in finding.parameters])
 
     slopes = np.array([report(amplitudes + step) - report(amplitudes - step) for step in steps]) / 2
-    deviations = np.diag(steps[:, numbers])
-    correlation = covariance / np.outer(deviations, deviations)
     spread = np.sqrt(np.einsum("ik,ij,jk->k", slopes, correlation, slopes))
     each = zip(finding.parameters, report(amplitudes), spread, strict=True)
     parameters = (

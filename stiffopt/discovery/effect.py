@@ -40,6 +40,7 @@ Need = Literal[
     "sensor",
     "torque_sensor",
     "commanded",
+    "stated_gain",
     "windup",
     "moves",
     "reverses",

@@ -23,6 +23,7 @@ _PREREQUISITE_NEEDS: tuple[Need, ...] = (
     "sensor",
     "torque_sensor",
     "commanded",
+    "stated_gain",
     "windup",
     "moves",
     "gear_ratio",
@@ -43,6 +44,7 @@ MISSING_DATA: dict[Need, str] = {
     "sensor": "neither its torque nor its link angle is recorded",
     "torque_sensor": "torques are derived from commands, by their clock and scale",
     "commanded": "its torque is measured, or its actuator is not known",
+    "stated_gain": "its gain is not stated but estimated",
     "windup": "it has no link encoder, and not every joint has stiffness and damping",
     "moves": "it does not move",
     "reverses": "it moves in one direction only",
@@ -106,7 +108,7 @@ def effect_checks(
 
     `facts` (n,): of the training runs.
     """
-    nominal = recordings.nominal
+    nominal, law = recordings.nominal, recordings.actuator
     of_set: dict[Need, bool] = {
         "torque_sensor": not recordings.signals.commanded,
         "commanded": recordings.signals.commanded,
@@ -122,6 +124,8 @@ def effect_checks(
             return of_set[need]
         if need == "before":
             return bool(joint)
+        if need == "stated_gain":
+            return law is None or law.estimated is None or not law.estimated[joint]
         joints = facts if joint is None else facts[joint : joint + 1]
         return any(getattr(one, need) for one in joints)
 

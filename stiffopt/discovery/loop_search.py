@@ -11,6 +11,7 @@ from scipy.special import expit, softmax
 from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.parameters import Parameters
 from stiffopt.closed_loop.polish import STRETCH_SECONDS, Score, score_amplitudes
+from stiffopt.closed_loop.simulation import CommandedRun
 from stiffopt.discovery.comparison.located_effect import (
     EstimatedEffect,
     Extension,
@@ -23,7 +24,7 @@ from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.extended.value_changes import extended_model
 from stiffopt.discovery.loop_effects import loop_parameter, robot_in_loop
 from stiffopt.discovery.loop_fit import commanded_run, is_commanded, limit_motion
-from stiffopt.discovery.position_fit import ClosedLoopModel, fit_simulation
+from stiffopt.discovery.position_fit import ClosedLoopModel, fit_positions
 from stiffopt.discovery.progress import Say
 from stiffopt.discovery.search.rivals import tempering_width
 from stiffopt.discovery.thresholds import (
@@ -36,6 +37,7 @@ from stiffopt.discovery.thresholds import (
 from stiffopt.discovery.training import Training
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
+from stiffopt.recording.state_pair import StatePair
 
 # Difference of the sum of log residuals over noise between fits that are equally good.
 _EQUAL_MISFIT = 0.05
@@ -78,15 +80,20 @@ class LoopSearch:
                 model, found = simpler, rest
         if model is not None:
             model, found, findings = self._replace_losses(model, found, findings)
+        # Joints by what they leave; what the initial shapes of an effect leave is no second effect.
+        searched = set[int]()
         while model is not None and len(added) < MAX_EFFECTS:
-            self.say("search the simulation's residual")
-            taken = [each.located for each in (*found.effects, *(own.estimated for own in added))]
-            new = self._best(model, self._model(found, added), taken, added)
-            better = None if new is None else self._fit(found, [*added, new])
-            if new is None or better is None or better.misfit >= model.misfit:
+            open_joints = set(np.flatnonzero(model.lacks)) - searched
+            if not open_joints:
                 break
-            self.say(f"found {new.located.label} in the simulation")
-            model, added = better, [*added, new]
+            worst = max(open_joints, key=model.noise_ratio.__getitem__)
+            searched.add(worst)
+            self.say("search the simulation's residual")
+            new = self._best(model, self._model(found, added), worst)
+            better = None if new is None else self._fit(found, [*added, new])
+            if new is not None and better is not None and better.misfit < model.misfit:
+                self.say(f"found {new.located.label} in the simulation")
+                model, added = better, [*added, new]
         judged = self._judge(model, (*findings, *added))
         if model is None:
             return None, judged
@@ -161,29 +168,18 @@ class LoopSearch:
         return found.plus(Extension(effects=tuple(each.estimated for each in added)))
 
     def _fit(self, found: Extension, added: Sequence[Finding] = ()) -> ClosedLoopModel | None:
-        whole = self._model(found, added)
-        return fit_simulation(
-            self.recordings, self.training, whole, self.runs, self.estimated, self.say
-        )
+        if isinstance(self.recordings, StatePair):
+            return None  # one simulation is none of two states
+        self.say("simulate the training runs from their commands")
+        constants = self.training.constants
+        model = extended_model(self.recordings, constants, self._model(found, added))
+        return fit_positions(self.recordings, self.runs, model, self.estimated, self.say)
 
-    def _best(
-        self,
-        model: ClosedLoopModel,
-        whole: Extension,
-        taken: Sequence[LocatedEffect],
-        added: Sequence[Finding],
-    ) -> Finding | None:
-        """Return the likeliest effect that the simulation lacks, with its rivals."""
-        constants, order = self.training.constants, self.recordings.order
-        busy = {each.located.joint for each in added}
-        # What the initial shapes of an effect leave is no second effect.
-        joints = [j for j in range(len(order)) if model.lacks[order[j]] and j not in busy]
-        if not joints:
-            return None
-        assert model.noise_ratio is not None
-        ratio = model.noise_ratio[order]
-        worst = max(joints, key=lambda j: float(ratio[j]))
-        candidates = list(self._candidates(worst, taken))
+    def _best(self, model: ClosedLoopModel, whole: Extension, place: int) -> Finding | None:
+        """Return the likeliest effect that a joint of the robot (from 0) lacks, with its rivals."""
+        constants = self.training.constants
+        joint = int(np.flatnonzero(self.recordings.order == place)[0])
+        candidates = list(self._candidates(joint, [each.located for each in whole.effects]))
         scores = self._scores(model, whole, candidates)
         best: dict[tuple[object, ...], tuple[float, LocatedEffect, Score]] = {}
         for located, score in zip(candidates, scores, strict=True):
@@ -196,15 +192,14 @@ class LoopSearch:
             if key not in best or score.evidence > best[key][2].evidence:
                 best[key] = (score.evidence + prior - price, located, score)
         ranked = sorted(best.values(), key=lambda each: -each[0])
-        if not ranked or ranked[0][2].evidence < NAMED_EVIDENCE:
+        if not ranked:
             return None
-        if ranked[0][2].deviations < NAMED_DEVIATIONS:
+        most, located, score = ranked[0]
+        if score.evidence < NAMED_EVIDENCE or score.deviations < NAMED_DEVIATIONS:
             return None
-        width = tempering_width(ranked[0][2].evidence)
-        near = [each for each in ranked if (each[0] - ranked[0][0]) / width > -RIVAL_LOG_ODDS]
-        near = near[:4]
+        width = tempering_width(score.evidence)
+        near = [each for each in ranked[:4] if (each[0] - most) / width > -RIVAL_LOG_ODDS]
         shares = softmax([each[0] / width for each in near])
-        _, located, score = near[0]
         rivals = tuple(
             Rival(located=each[1], probability=float(share))
             for each, share in zip(near[1:], shares[1:], strict=True)
@@ -212,10 +207,11 @@ class LoopSearch:
         estimated = EstimatedEffect(located=located, amplitudes=score.amplitudes)
         return self._finding(estimated, score.explained, float(shares[0]), rivals)
 
-    def _stretches(self) -> float:
-        """Return the number of stretches of a fit: within one, residuals repeat one another."""
-        runs = [commanded_run(self.recordings, run) for run in self.runs if is_commanded(run)]
-        return sum(float(np.ptp(run.time)) for run in limit_motion(runs)) / STRETCH_SECONDS
+    @property
+    def _fitted_runs(self) -> list[CommandedRun]:
+        """Parts of the runs that a fit reads."""
+        each = [commanded_run(self.recordings, run) for run in self.runs if is_commanded(run)]
+        return limit_motion(each)
 
     def _candidates(self, joint: int, taken: Sequence[LocatedEffect]) -> Iterator[LocatedEffect]:
         """Yield effects at a joint whose torque a formula of an instant gives."""
@@ -223,9 +219,8 @@ class LoopSearch:
         for entry in self.asked:
             # Every fit has values that no nominal one bounds.
             fitted = loop_parameter(entry) is not None and not entry.nominal
-            if fitted or entry.limits_drive or entry.at_motor or entry.of_runs:
-                continue
-            if entry.scope != "joint":
+            other = entry.limits_drive or entry.at_motor or entry.of_runs
+            if fitted or other or entry.scope != "joint":
                 continue
             for located in effect_places(entry, constants, ()):
                 known = any(located.same_place(other) for other in taken)
@@ -247,39 +242,42 @@ class LoopSearch:
         count = len(model.loop.physics.amplitudes.names)
         keys = [key for key, _ in physics.amplitudes.names[count:]]
         groups = [[k for k, key in enumerate(keys) if key == each.key] for each in candidates]
-        runs = [commanded_run(recordings, run) for run in self.runs if is_commanded(run)]
         assert model.polished is not None
-        return score_amplitudes(loop, limit_motion(runs), model.polished, groups)
-
-    def _causes(self, model: ClosedLoopModel, finding: Finding) -> Iterator[LocatedEffect]:
-        """Yield effects that bring about a friction that vanishes in the simulation."""
-        located, constants = finding.located, self.training.constants
-        parameter = loop_parameter(finding.effect)
-        if parameter is None or located.joint is None or not finding.effect.nominal:
-            return
-        joint = int(self.recordings.order[located.joint])
-        place = model.fitted.place(parameter[0]).start + joint
-        if model.lacks[joint] and model.fitted.values[place] <= model.deviations[place]:
-            for entry in self.asked:
-                if entry.loses == finding.effect.nominal:
-                    every = effect_places(entry, constants, ())
-                    yield from [each for each in every if each.joint == located.joint][:1]
+        return score_amplitudes(loop, self._fitted_runs, model.polished, groups)
 
     def _replace_losses(
         self, model: ClosedLoopModel, found: Extension, findings: Sequence[Finding]
     ) -> tuple[ClosedLoopModel, Extension, tuple[Finding, ...]]:
         """Replace friction that vanishes by its cause where the simulation fits better with it."""
         constants, kept = self.training.constants, list(findings)
+        # Within a stretch residuals repeat one another.
+        stretches = sum(float(np.ptp(run.time)) for run in self._fitted_runs) / STRETCH_SECONDS
         for finding in findings:
-            for cause in self._causes(model, finding):
-                size = float(cause.sizes(constants)[0])
-                estimated = EstimatedEffect(located=cause, amplitudes=(size, 1.0))
-                new = with_findings(found, [finding], [])
-                new = new.plus(Extension(effects=(estimated,)))
-                better = self._fit(new)
-                if better is None or better.misfit >= model.misfit:
-                    continue
-                share = float(expit(self._stretches() * (model.misfit - better.misfit)))
+            entry, joint = finding.effect, finding.located.joint
+            parameter = loop_parameter(entry)
+            if parameter is None or joint is None or not entry.nominal:
+                continue
+            place = int(self.recordings.order[joint])
+            value = model.fitted.of(parameter[0])[place]
+            sd = model.deviations[model.fitted.place(parameter[0])][place]
+            if not model.lacks[place] or value > sd:
+                continue
+            causes = (
+                located
+                for each in self.asked
+                if each.loses == entry.nominal
+                for located in effect_places(each, constants, ())
+                if located.joint == joint
+            )
+            if (cause := next(causes, None)) is None:
+                continue
+            amplitudes = (float(cause.sizes(constants)[0]), 1.0)
+            estimated = EstimatedEffect(located=cause, amplitudes=amplitudes)
+            new = with_findings(found, [finding], [])
+            new = new.plus(Extension(effects=(estimated,)))
+            better = self._fit(new)
+            if better is not None and better.misfit < model.misfit:
+                share = float(expit(stretches * (model.misfit - better.misfit)))
                 rival = Rival(located=finding.located, probability=1.0 - share)
                 own = self._finding(estimated, finding.variance_explained, share, (rival,))
                 kept[kept.index(finding)] = own

@@ -22,10 +22,8 @@ from stiffopt.closed_loop.parameters import (
 from stiffopt.closed_loop.physics import LoopPhysics
 from stiffopt.closed_loop.polish import Polished
 from stiffopt.closed_loop.simulation import simulate
-from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.extended.model import ExtendedModel
 from stiffopt.discovery.extended.schema import ClosedLoopSection
-from stiffopt.discovery.extended.value_changes import extended_model
 from stiffopt.discovery.loop_effects import robot_in_loop
 from stiffopt.discovery.loop_fit import (
     DRIVE_PARAMETERS,
@@ -35,13 +33,10 @@ from stiffopt.discovery.loop_fit import (
     nominal_parameters,
 )
 from stiffopt.discovery.progress import Say
-from stiffopt.discovery.training import Training
 from stiffopt.errors import InputError
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
-from stiffopt.recording.state_pair import StatePair
 from stiffopt.robot.batched_kinematics import frame_positions
-from stiffopt.robot.robot import Robot
 from stiffopt.units import joint_unit
 
 # Residual over the encoders' noise from which something is missing: fits of arms that lack nothing
@@ -117,7 +112,16 @@ def fit_positions(
     values: Mapping[tuple[str, int], float] = {}
     if model is not None:
         robot, physics, values = robot_in_loop(recordings, model)
-    found = _fit_robot(recordings, runs, estimated, say, robot, physics, values)
+    begun, law = nominal_parameters(recordings, robot, physics), recordings.actuator
+    for (name, joint), value in values.items():
+        begun.values[begun.place(name)][joint] += value
+    if estimated is not None and law is not None:
+        unscaled = ~law.scaled[np.argsort(recordings.order)]
+        for name in DRIVE_PARAMETERS.values():
+            place = begun.place(name)
+            begun.values[place] = np.where(unscaled, estimated.of(name), begun.of(name))
+    begun.values[:] = np.maximum(begun.values, begun.lower)
+    found = fit_loop(recordings, runs, begun, say, tree=robot.tree, physics=physics)
     if found is None:
         return None if model is None else fit_positions(recordings, runs, None, estimated, say)
     loop, fitted = found
@@ -128,7 +132,8 @@ def fit_positions(
         fitted=fitted.parameters,
         deviations=fitted.deviations,
         polished=fitted,
-        noise_ratio=fitted.residual / _encoder_noise(recordings, runs),
+        # A joint that stands in all runs lacks nothing.
+        noise_ratio=np.nan_to_num(fitted.residual / _encoder_noise(recordings, runs), nan=1.0),
         expected=fitted.expected,
         expected_deviations=fitted.expected_deviations,
         ratios=_ratios_to_gain(loop.law, fitted),
@@ -139,57 +144,18 @@ def _encoder_noise(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> np.
     """Return the standard deviation (n,) of readings that change independently [rad].
 
     The third difference of a slow motion vanishes, that of white noise has 20 times its variance.
+    NaN of readings that never change.
     """
-    each = [
-        np.nanstd(np.diff(commanded_run(recordings, run).position, n=3, axis=0), axis=0)
-        for run in runs
-        if is_commanded(run)
-    ]
-    return np.asarray(np.maximum(np.median(each, axis=0) / np.sqrt(20.0), 1e-12))
-
-
-def fit_simulation(
-    recordings: RecordingSet,
-    training: Training,
-    found: Extension,
-    runs: Sequence[RecordedRun],
-    estimated: Parameters | None,
-    say: Say,
-) -> ClosedLoopModel | None:
-    """Fit the simulation from commands, beginning with friction, rotors and effects as found.
-
-    Joints without a scale of torque, of which nothing is found, begin as `estimated`.
-
-    None where no training run holds commands of joints with known gains, and for two states of a
-    robot, of which one simulation is none.
-    """
-    if isinstance(recordings, StatePair):
-        return None
-    say("simulate the training runs from their commands")
-    model = extended_model(recordings, training.constants, found)
-    return fit_positions(recordings, runs, model, estimated, say)
-
-
-def _fit_robot(
-    recordings: RecordingSet,
-    runs: Sequence[RecordedRun],
-    estimated: Parameters | None,
-    say: Say,
-    robot: Robot,
-    physics: LoopPhysics,
-    values: Mapping[tuple[str, int], float],
-) -> tuple[CommandedArm, Polished] | None:
-    """Fit the closed loop of a robot with further physics, beginning with some values."""
-    prior, law = nominal_parameters(recordings, robot, physics), recordings.actuator
-    for (name, joint), value in values.items():
-        prior.values[prior.place(name)][joint] += value
-    if estimated is not None and law is not None:
-        unscaled = ~law.scaled[np.argsort(recordings.order)]
-        for name in DRIVE_PARAMETERS.values():
-            place = prior.place(name)
-            prior.values[place] = np.where(unscaled, estimated.of(name), prior.of(name))
-    prior.values[:] = np.maximum(prior.values, prior.lower)
-    return fit_loop(recordings, runs, prior, say, tree=robot.tree, physics=physics)
+    each = np.array(
+        [
+            np.nanstd(np.diff(commanded_run(recordings, run).position, n=3, axis=0), axis=0)
+            for run in runs
+            if is_commanded(run)
+        ]
+    )
+    changing = (own[own > 0.0] for own in each.T)
+    found = [np.median(own) if own.size else np.nan for own in changing]
+    return np.array(found) / np.sqrt(20.0)
 
 
 def _ratios_to_gain(law: ActuatorLaw, fitted: Polished) -> dict[str, tuple[np.ndarray, np.ndarray]]:

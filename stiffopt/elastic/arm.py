@@ -215,14 +215,10 @@ class ElasticArm:
 
     def static_torque(self, q: np.ndarray) -> np.ndarray:
         """Static spring torque (n,) [N m] of a link position: weight less process force."""
-        weight = self.bodies.gravity_torque(q)
-        return weight - self.force_torque(q) if self.process_force.any() else weight
+        return np.asarray(self.bodies.gravity_torque(q) - self.force_torque(q))
 
     def _static_torques(self, q: np.ndarray) -> np.ndarray:
-        weight = self.robot.bodies_in_motion().gravity_torque(q)
-        if self.process_force.any():
-            weight -= [self.force_torque(row) for row in q]
-        return weight
+        return np.asarray(self.robot.bodies_in_motion().gravity_torque(q) - self.force_torque(q))
 
     def added_torque(
         self, motor: np.ndarray, speed: np.ndarray, acceleration: np.ndarray, load: np.ndarray
@@ -246,8 +242,12 @@ class ElasticArm:
         return np.stack(sums, axis=-1)
 
     def force_torque(self, q: np.ndarray) -> np.ndarray:
-        """Joint torque (n,) [N m] of the process force."""
-        return np.asarray(self.bodies.jacobian(self.robot.tool, q)[:3].T @ self.process_force)
+        """Joint torques (..., n) [N m] of the process force in poses (..., n)."""
+        if not self.process_force.any():
+            return np.zeros(np.shape(q))
+        poses = np.reshape(q, (-1, self.robot.n))
+        jacobians = np.array([self.bodies.jacobian(self.robot.tool, own)[:3] for own in poses])
+        return np.reshape(jacobians.swapaxes(1, 2) @ self.process_force, np.shape(q))
 
     def static_equilibrium(self, motor: np.ndarray) -> np.ndarray:
         """Link positions (K, n) in static equilibrium at motor positions (K, n)."""

@@ -73,7 +73,7 @@ def _ideal_command(arm: ElasticArm, plan: JointMotion, uncertainty: Uncertainty)
     q, v, a = (np.array(plan(time, k)) for k in range(3))
     # Both ends are at rest.
     v[[0, -1]] = a[[0, -1]] = 0.0
-    pushed, bodies = np.array([arm.force_torque(row) for row in q]), arm.robot.bodies_in_motion()
+    pushed, bodies = arm.force_torque(q), arm.robot.bodies_in_motion()
     sag = arm.windup(bodies.torque(q, 0.0 * v, 0.0 * a) - pushed)
     dynamic = arm.windup(bodies.torque(q, v, a) - pushed) - sag
     # Dampers carry part of the torque, by which the wind-up is late.

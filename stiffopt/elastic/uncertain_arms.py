@@ -90,7 +90,7 @@ class LinearizedWeight:
             weight = np.array([bodies.gravity_torque(row) for row in q])
             whole.append((weight, np.array([bodies.weight_slope(row) for row in q])))
         self.torque, self.by_q = _split_payload(whole)
-        self.torque[0] -= [arm.force_torque(row) for row in q]
+        self.torque[0] -= arm.force_torque(q)
 
 
 def _robot_and_heavier_payload(arm: ElasticArm) -> list[Robot]:
@@ -112,7 +112,7 @@ def _plan_torques(arm: ElasticArm, q: np.ndarray, v: np.ndarray, a: np.ndarray) 
         (robot.bodies_in_motion().torque(q, v, a),) for robot in _robot_and_heavier_payload(arm)
     ]
     (torque,) = _split_payload(whole)
-    torque[0] -= [arm.force_torque(row) for row in q]
+    torque[0] -= arm.force_torque(q)
     return torque
 
 
@@ -263,8 +263,10 @@ class UncertainArms:
             np.array([arm.bodies.jacobian(arm.robot.tool, q) for q in self._q[: count + 1]])
         )
         self._direction = path_directions(arm.tool(self._q))
-        # By command: motions behind both servos, of the last batch.
+        # Of the last batch: by command motions behind both servos; by stiffness and payload planned
+        # static equilibria at their samples.
         self._followed: dict[MotorMotion, np.ndarray] = {}
+        self._equilibria: dict[tuple[bytes, float], np.ndarray] = {}
 
     def simulate(self, members: Sequence[Member]) -> ToolError:
         """Simulate all members."""
@@ -359,12 +361,7 @@ class UncertainArms:
 
     def tool_error(self, members: Sequence[Member], links: np.ndarray) -> ToolError:
         """Tool errors of members, for link positions less the plan (K, B, n)."""
-        # Members with the same departure share their equilibrium.
-        departures = self.departures(members)
-        alike = {id(each): each for each in departures}
-        places = {key: place for place, key in enumerate(alike)}
-        equilibrium = self._planned_equilibrium(_DepartureArrays(list(alike.values())))
-        own = [places[id(each)] for each in departures]
+        equilibrium, own = self._planned_equilibria(self.departures(members))
         # One matrix product for all members: einsum would loop over them.
         along = self._jacobian.swapaxes(1, 2)
         away = links @ along - (equilibrium.swapaxes(0, 1) @ along)[:, own]
@@ -377,15 +374,27 @@ class UncertainArms:
             direction=self._direction,
         )
 
-    def _planned_equilibrium(self, arms: _DepartureArrays) -> np.ndarray:
-        """Static equilibrium with the motors at the planned positions, less these (B, K, n)."""
+    def _planned_equilibria(self, departures: list[Departure]) -> tuple[np.ndarray, list[int]]:
+        """Static equilibria with the motors at the planned positions, less these (E, K, n).
+
+        And the index of each departure's: those that differ in damping or servo share one.
+        """
+        keys = [(each.stiffness.tobytes(), each.payload) for each in departures]
+        alike = dict(zip(keys, departures, strict=True))
+        self._equilibria = {own: self._equilibria[own] for own in alike if own in self._equilibria}
         chosen, count = self._equilibrium_samples, len(self.time)
-        turn = np.zeros((len(arms.stiffness), len(chosen), self._q.shape[1]))
-        coarse = _solve_equilibrium(self.springs, self._weight, arms, turn)
+        if new := [own for own in alike if own not in self._equilibria]:
+            arms = _DepartureArrays([alike[own] for own in new])
+            turn = np.zeros((len(new), len(chosen), self._q.shape[1]))
+            found = _solve_equilibrium(self.springs, self._weight, arms, turn)
+            self._equilibria.update(zip(new, found, strict=True))
+        coarse = np.array([self._equilibria[own] for own in alike])
+        places = {key: place for place, key in enumerate(alike)}
         right = np.clip(np.searchsorted(chosen, np.arange(count)), 1, len(chosen) - 1)
         left = right - 1
         share = ((np.arange(count) - chosen[left]) / (chosen[right] - chosen[left]))[:, None]
-        return np.asarray((1.0 - share) * coarse[:, left] + share * coarse[:, right])
+        between = (1.0 - share) * coarse[:, left] + share * coarse[:, right]
+        return between, [places[key] for key in keys]
 
 
 def _integrate_compiled(core: CDLL, many: UncertainArms, members: Sequence[Member]) -> np.ndarray:

@@ -180,8 +180,8 @@ class MotionSection(Section):
     ] = None
     duration: Annotated[
         Annotated[Time, POSITIVE] | DurationSection,
-        Doc("Fixed, or optimised between two bounds; of a cycle with its dwells."),
-    ]
+        Doc("Fixed, or optimised between two bounds; of a cycle with its dwells. Default free."),
+    ] = DurationSection()
     error_limit: Annotated[
         Length | None,
         POSITIVE,

@@ -168,6 +168,7 @@ _NEED_PHRASES: dict[Need, str] = {
     "sensor": "torque or link encoder",
     "torque_sensor": "measured, not derived from commands",
     "commanded": "torques derived from commands",
+    "stated_gain": "no gain that is estimated from the recordings",
     "windup": "link encoder, or elastic vibration",
     "moves": "motion",
     "reverses": "both directions",

@@ -117,8 +117,12 @@ def _by_limit(value: Any) -> Any:
     """Return violations, which are sorted by size, by their limits."""
     if not isinstance(value, list) or not all(isinstance(x, dict) and "limit" in x for x in value):
         return value
+    owners = [
+        f"joint {x['joint']}" if x.get("joint") else " and ".join(x.get("pair", ())) for x in value
+    ]
     return {
-        f"{x['limit']} of joint {x['joint']}" if x.get("joint") else x["limit"]: x for x in value
+        f"{x['limit']} of {owner}" if owner else x["limit"]: x
+        for x, owner in zip(value, owners, strict=True)
     }
 
 

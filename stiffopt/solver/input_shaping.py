@@ -129,8 +129,8 @@ def solve_shaped(
     if status.usable and strict is not None and _rival_is_better(problem, rival, shaped[1]):
         status = SolveStatus.ACCEPTABLE
         message = (
-            f"{message} But the {strict.name} motion is better and keeps all limits as well: run "
-            "that one, allow a longer duration, or minimise tool_deviation."
+            f"{message} But the {strict.name} motion has a better objective and keeps all limits "
+            "as well: allow a longer duration, or minimise tool_deviation."
         )
     trajectory, assessment = shaped
     if status.usable and not assessment.feasible(CERTIFICATE_TOLERANCE):

@@ -39,7 +39,7 @@ class RingingBesideRivals(OutcomeOracle):
     def __init__(self, run: SolveRun, outcome: Outcome) -> None:
         super().__init__(run)
         self._rivals = RivalErrors(run, [])
-        if not any(each.kind.of_uncertain_arms for each in run.problem.objectives):
+        if not (run.problem.judges_uncertain_arms and outcome.raw.converged):
             return
         with suppress(NotSimulatedError):
             arm, duration = elastic_arm(run.problem, run.motion.start), outcome.assessment.duration

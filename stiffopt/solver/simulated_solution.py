@@ -16,16 +16,15 @@ from stiffopt.command.command_search import CommandChoice, CommandOnArms
 from stiffopt.command.compensation import compare_commands, compensate, rival_commands
 from stiffopt.command.path_notes import with_path_notes
 from stiffopt.elastic.arm import ElasticArm
-from stiffopt.elastic.uncertainty import AssumedUncertainty
 from stiffopt.errors import NotSimulatedError
 from stiffopt.interrupts import end_deferral
-from stiffopt.problem.formulation import smoothing_stages
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import ResolvedMotion
 from stiffopt.result.simulation import Simulation
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver.exchange import until_interrupted
 from stiffopt.solver.solve_run import ProgressCallback, SolveProgress
+from stiffopt.solver.verdict import requests_command
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
@@ -153,9 +152,9 @@ def _arm_of(problem: TrajectoryProblem, solution: Solution) -> ElasticArm:
 def _judge_beside_rivals(problem: TrajectoryProblem, solution: Solution) -> Solution:
     """Return the solution; a motion of least tool error is not optimal where a rival wins."""
     led = solution.compensation
-    aimed = any(each.kind.of_uncertain_arms for each in problem.objectives)
-    if not (aimed and led is not None and led.rival_wins and led.best_rival is not None):
+    if not problem.judges_uncertain_arms or led is None or not led.rival_wins:
         return solution
+    assert led.best_rival is not None
     message = f"{solution.message} But the command of the {led.best_rival.name} motion is better."
     lower = solution.status is SolveStatus.OPTIMAL
     status = SolveStatus.ACCEPTABLE if lower else solution.status
@@ -171,13 +170,7 @@ def _explain_missing_command(problem: TrajectoryProblem, own: PlannedMotion) -> 
             "No command.csv: the plan has residual vibration within the limits; q of "
             "trajectory.csv is the command for it."
         )
-    return "" if _requests_command(problem) else _COMMAND_NOT_REQUESTED
-
-
-def _requests_command(problem: TrajectoryProblem) -> bool:
-    """Return True where an objective, limit or stated uncertainty concerns the arm's elasticity."""
-    asked = problem.leads_on_path or problem.uncertainty != AssumedUncertainty()
-    return len(smoothing_stages(problem)) > 1 or asked
+    return "" if requests_command(problem) else _COMMAND_NOT_REQUESTED
 
 
 def _add_note(solution: Solution, note: str) -> Solution:

@@ -19,6 +19,7 @@ from stiffopt.certificate.assess import assess
 from stiffopt.certificate.collisions import COLLISION_LIMIT, describe_collision_scope
 from stiffopt.certificate.objective_value import is_maximised, objective_value
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE, describe_slips, find_slips
+from stiffopt.elastic.uncertainty import AssumedUncertainty
 from stiffopt.problem.formulation import smoothing_stages
 from stiffopt.problem.prediction import predict_motion
 from stiffopt.problem.stage_terms import Smoothing
@@ -83,16 +84,27 @@ def judge_outcome(
     better = find_better_baseline(problem, outcome, compared)
     if better is None or found.status is SolveStatus.INFEASIBLE:
         return found
+    told = f"{found.message} But the {better.name} motion"
+    more = "raise method.intervals or method.starts."
+    if not outcome.assessment.feasible(CERTIFICATE_TOLERANCE):
+        return Verdict(found.status, f"{told} keeps all limits: run that one, or {more}")
     # A motion of least tool error was chosen beside the rivals, phase by phase, and is judged with
     # their commands.
-    if found.status.usable and any(each.kind.of_uncertain_arms for each in problem.objectives):
+    if problem.judges_uncertain_arms:
         return found
     optimal = found.status is SolveStatus.OPTIMAL
+    # Where commands are made, these say which motion to run.
+    run = "" if requests_command(problem) else "run that one, or "
     return Verdict(
         SolveStatus.ACCEPTABLE if optimal else found.status,
-        f"{found.message} But the {better.name} motion {_describe_advantage(outcome)}: run that "
-        "one, or raise method.intervals or method.starts.",
+        f"{told} has a better objective and keeps all limits as well: {run}{more}",
     )
+
+
+def requests_command(problem: TrajectoryProblem) -> bool:
+    """Return True where an objective, limit or stated uncertainty concerns the arm's elasticity."""
+    asked = problem.leads_on_path or problem.uncertainty != AssumedUncertainty()
+    return len(smoothing_stages(problem)) > 1 or asked
 
 
 def _explain_unreachable_deflection(
@@ -236,19 +248,11 @@ def describe_optimality(
     ]
     tried = "one start" if starts_made == 1 else f"the best of {starts_made} starts"
     rivals = ""
-    if compared:
-        rivals = (
-            f"; no baseline that keeps every limit ({', '.join(kept)}) has a better objective"
-            if kept
-            else "; no baseline keeps every limit within the duration"
-        )
+    if compared and not kept:
+        rivals = "; no baseline keeps every limit within the duration"
+    elif kept and not problem.judges_uncertain_arms:  # else the commands are compared
+        rivals = f"; no baseline that keeps every limit ({', '.join(kept)}) has a better objective"
     return f"It is a local optimum, from {tried}{rivals}. More method.starts look further."
-
-
-def _describe_advantage(outcome: Outcome) -> str:
-    if outcome.assessment.feasible(CERTIFICATE_TOLERANCE):
-        return "is better and keeps all limits as well"
-    return "keeps all limits"
 
 
 def _solve_status(outcome: Outcome) -> SolveStatus:

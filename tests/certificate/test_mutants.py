@@ -285,4 +285,4 @@ def test_better_baseline_prevents_status_optimal(tmp_path, monkeypatch):
     coarse = solve(pendulum(tmp_path, method="intervals = 4"))
     assert coarse.objective.value > 1.01 * fine.objective.value
     assert coarse.status is SolveStatus.ACCEPTABLE
-    assert "toppra motion is better" in coarse.message
+    assert "toppra motion has a better objective" in coarse.message

@@ -191,7 +191,8 @@ def test_friction_and_rotor_at_the_link_of_a_coupled_wrist_take_the_power_of_its
         torque = 0.7 * np.tanh(speed / 0.01) + 0.3 * speed + 0.05 * faster
         return torque * speed
 
-    drive = 0.7 * np.tanh(own / 0.01) + 0.3 * own + 0.05 * rate
+    # A servo damps by the speed that it reads, coupled or not.
+    drive = 0.7 * np.tanh(own / 0.01) + 0.3 * own + 0.05 * rate + 5.0 * own
     term = effect("wrist_coupling").term(
         replace(signals, drive_torque=drive), [share], [share, 1.0]
     )

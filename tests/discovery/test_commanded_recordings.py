@@ -172,13 +172,15 @@ def test_a_measured_torque_stays_one(tmp_path: Path) -> None:
     assert notes == ()
 
 
-def test_effects_of_torque_sensors_are_not_sought(servo: RecordingSet) -> None:
+def test_effects_of_torque_sensors_and_of_unstated_gains_are_not_sought(
+    servo: RecordingSet,
+) -> None:
     own = resolve_actuator(servo, open_training_runs(servo))
     resolved, runs = own.recordings, own.runs
     checks = effect_checks(resolved, joint_facts(resolved, runs), len(runs))
     possible = {each.effect.name for each in checks if each.possible}
     assert "coulomb" in possible
-    assert not possible & {"clock_drift", "crosstalk", "time_delay"}
+    assert not possible & {"clock_drift", "crosstalk", "time_delay", "torque_gain"}
 
 
 def _swap(columns: Columns) -> Columns:

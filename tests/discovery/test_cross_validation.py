@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import lsq_linear
 from shipped_set import SHIPPED
 
 from stiffopt.discovery.catalogue import effect
@@ -155,3 +156,21 @@ def test_values_beside_others_held_at_their_bounds_are_the_likeliest_ones() -> N
             values = solve_boxed(gram, moment, prior[kept], limits[kept])
             expected = target[~others] - own[~others] @ values
             np.testing.assert_allclose(left[~others], expected, atol=1e-8)
+
+
+def test_a_value_held_at_a_bound_is_let_go_where_others_at_theirs_press_it_inwards() -> None:
+    """Columns that resemble one another, and values far beyond their bounds."""
+    draw = np.random.default_rng(2)
+    columns = draw.normal(size=(400, 3)) @ draw.normal(size=(3, 12)) + 0.2 * draw.normal(
+        size=(400, 12)
+    )
+    target = 100.0 * columns @ draw.normal(size=12)
+    prior, limits, fold = np.full(12, 5.0), np.full(12, 4.0), np.arange(400) // 100
+    left = FoldPredictions(columns, target, prior, limits, fold).residual()
+    for number in range(4):
+        others = fold != number
+        known = np.vstack([columns[others], np.diag(1.0 / prior)])
+        goal = np.concatenate([target[others], np.zeros(12)])
+        values = lsq_linear(known, goal, (-limits * prior, limits * prior), method="bvls").x
+        expected = target[~others] - columns[~others] @ values
+        np.testing.assert_allclose(left[~others], expected, rtol=1e-6, atol=1e-6)

@@ -72,6 +72,18 @@ def test_start_of_the_runs_that_is_left_out_gains_nothing() -> None:
     assert left_out_gains(comparison, effects)[0].left_open > 10.0 * before[0].left_open
 
 
+def test_few_parts_of_one_run_are_not_judged_in_larger_ones() -> None:
+    """A bump that acts in 2 of 24 parts: the fit of five of six larger parts lacks it."""
+    whole = prepare_training(load_recordings(SHIPPED), Settings()).comparison()
+    single = DesignMatrix(whole.robot, whole.runs[:1], whole.noise, whole.tolerance)
+    comparison = Comparison(single)
+    bump = LocatedEffect(effect=effect("position_friction"), joint=0, shapes=(-1.346, 0.05))
+    column = comparison.stack_columns([bump])[:, -1]
+    comparison.target[:] += 24.0 * column / np.abs(column).max()
+    (gain,) = left_out_gains(comparison, [bump], count=24)
+    assert gain.share > 0.93
+
+
 def test_noise_that_is_stated_too_small_leaves_nothing_open() -> None:
     """What the channels hold above the filter's band is noise, whatever the set states."""
     whole = prepare_training(load_recordings(SHIPPED), Settings()).comparison()

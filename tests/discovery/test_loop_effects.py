@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from scipy import special
 from servo_sets import ARMATURE, COULOMB, DELAY, KP, VISCOUS, write_servo_set
 
 from stiffopt.closed_loop.arm import CommandedArm
@@ -20,7 +21,7 @@ from stiffopt.discovery.comparison.located_effect import (
     Extension,
     LocatedEffect,
 )
-from stiffopt.discovery.conclusions import findings_with_loop_values
+from stiffopt.discovery.conclusions import _null_share, findings_with_loop_values
 from stiffopt.discovery.diagnosis import Finding, Parameter, Rival
 from stiffopt.discovery.effect import Term, Values
 from stiffopt.discovery.extended.value_changes import extended_model
@@ -30,7 +31,7 @@ from stiffopt.discovery.loop_effects import robot_in_loop
 from stiffopt.discovery.loop_fit import build_loop, commanded_run, nominal_parameters
 from stiffopt.discovery.position_fit import ClosedLoopModel
 from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
-from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.settings import DEFAULT_TOLERANCE, Settings
 from stiffopt.discovery.signals import RobotConstants
 from stiffopt.discovery.training import open_training_runs, prepare_training
 from stiffopt.recording.recording_set import RecordingSet, load_recordings
@@ -263,3 +264,22 @@ def test_a_finding_has_no_part_in_what_the_starting_model_holds(servo: Recording
         servo, constants(servo), model, [claimed_friction()], (earlier,)
     )
     assert judged.parameters[0].value == pytest.approx(0.06)
+
+
+def test_parameters_of_a_body_count_as_far_as_they_are_free(tmp_path: Path) -> None:
+    """Seven parameters of a body of the simulation make ten amplitudes of a payload."""
+    folder = write_servo_set(tmp_path / "set", actuator=f"kp = [{KP}]\ndelay = {DELAY}")
+    urdf = folder / "robot.urdf"
+    urdf.write_text(urdf.read_text().replace('xyz="0 0 -0.14"', 'xyz="0.01 0.02 -0.14"'))
+    servo = load_recordings(folder)
+    model, stated = fitted_loop(servo, 0.0), DEFAULT_TOLERANCE.mass
+    assert servo.tolerance.mass is None
+    assert stated is not None
+    deviations = 4.5
+    model.fitted.values[model.fitted.bodies.start] = deviations * np.hypot(0.005, stated)
+    located = LocatedEffect(effect=effect("payload"))
+    claimed = EstimatedEffect(located=located, amplitudes=(0.1,) + (0.0,) * 9)
+    payload = replace(claimed_friction(), estimated=claimed, parameters=())
+    (judged,) = findings_with_loop_values(servo, constants(servo), model, [payload], ())
+    chance = float(special.chdtrc(7, deviations**2))
+    assert judged.misfit == pytest.approx(_null_share(chance))

@@ -2,10 +2,22 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from servo_sets import ARMATURE, COULOMB, DELAY, KP, STRIBECK_SPEED, VISCOUS, write_servo_set
+import pytest
+from servo_sets import (
+    ARMATURE,
+    COULOMB,
+    DELAY,
+    KP,
+    STRIBECK_SPEED,
+    VISCOUS,
+    commanded_motion,
+    write_servo_set,
+)
 
 from stiffopt.discovery.catalogue import CATALOGUE, effect
 from stiffopt.discovery.comparison.located_effect import (
@@ -14,6 +26,7 @@ from stiffopt.discovery.comparison.located_effect import (
     LocatedEffect,
 )
 from stiffopt.discovery.loop_search import LoopSearch
+from stiffopt.discovery.position_fit import _encoder_noise
 from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import open_training_runs, prepare_training
@@ -22,7 +35,27 @@ from stiffopt.recording.recording_set import load_recordings
 RISE = 0.1  # [N m]
 
 
-def search(folder: Path, **physics: float) -> LoopSearch:
+def add_servo(folder: Path) -> None:
+    """Put a like servo with an encoder that waves in time before that of a set."""
+    urdf, file = folder / "robot.urdf", folder / "recordings.toml"
+    text = urdf.read_text()
+    link = text[text.index('<link name="arm">') : text.index("</robot>")]
+    other = link.replace('"arm"', '"arm0"').replace('"servo"', '"servo0"')
+    urdf.write_text(text.replace("</robot>", other + "</robot>"))
+    text = file.read_text().replace('joints = ["', 'joints = ["servo0", "')
+    for name in ("present_position", "goal_position"):
+        text = text.replace(f'["{name}"]', f'["{name}0", "{name}"]')
+    text = re.sub(r"= \[([0-9.]+)\]", r"= [\1, \1]", text)
+    file.write_text(text)
+    for k, run in enumerate(sorted(folder.glob("run*.npz"))):
+        columns = dict(np.load(run))
+        time, command, position = commanded_motion(10 + k)
+        wave = 0.004 * np.sin(4.8 * time) * np.sin(19.5 * time)
+        own = {"goal_position0": command, "present_position0": position + wave}
+        np.savez(run, **columns, **own)
+
+
+def search(folder: Path, *, beside_another: bool = False, **physics: float) -> LoopSearch:
     """Return the search of a servo whose drive is stated but for some physics."""
     actuator = f"kp = [{KP}]\nkd = [0.0]\ntolerance = 0.01\ndelay = {DELAY}"
     write_servo_set(folder, actuator=actuator, runs=2, **physics)
@@ -32,6 +65,8 @@ def search(folder: Path, **physics: float) -> LoopSearch:
     lines += ["[tolerance]", "mass = 0.01", "com = 0.001", *(f"{key} = 0.05" for key in stated)]
     text = file.read_text()
     file.write_text(text.replace("[actuator]", "\n".join([*lines, "[actuator]"])))
+    if beside_another:
+        add_servo(folder)
     recordings = load_recordings(folder)
     own = resolve_actuator(recordings, open_training_runs(recordings))
     training = prepare_training(own.recordings, Settings(), None, lambda _: None, own.runs)
@@ -54,6 +89,27 @@ def test_friction_at_low_speed_is_found_in_the_residual(tmp_path: Path) -> None:
     told = {each.name: each for each in first.parameters}
     assert 0.5 * RISE < told["A"].value < 2.0 * RISE
     assert 0.5 * STRIBECK_SPEED < told["vs"].value < 2.5 * STRIBECK_SPEED
+
+
+@pytest.mark.slow
+def test_a_joint_that_no_effect_explains_hides_no_other(tmp_path: Path) -> None:
+    model, findings = search(tmp_path / "set", beside_another=True, stribeck=RISE).run(
+        Extension(), ()
+    )
+    assert model is not None
+    assert model.lacks[0]
+    assert [(each.effect.name, each.joint) for each in findings] == [("stribeck", 2)]
+
+
+def test_noise_of_encoders_is_that_of_the_runs_that_move(tmp_path: Path) -> None:
+    folder = write_servo_set(tmp_path / "set", actuator=f"kp = [{KP}]\ndelay = {DELAY}")
+    recordings = load_recordings(folder)
+    rng, runs = np.random.default_rng(3), open_training_runs(recordings)
+    still = [replace(run, position=0.0 * run.position) for run in runs]
+    slow = np.sin(runs[0].time)[:, None]
+    noisy = replace(runs[0], position=slow + 2e-5 * rng.normal(size=slow.shape))
+    np.testing.assert_allclose(_encoder_noise(recordings, [*still, noisy]), 2e-5, rtol=0.1)
+    assert np.isnan(_encoder_noise(recordings, still)).all()
 
 
 def test_nothing_is_found_where_the_simulation_leaves_noise(tmp_path: Path) -> None:

@@ -317,6 +317,17 @@ def test_one_joint_in_rad_where_all_are_stated_in_degrees(tmp_path):
     assert found[0].line.startswith("position = [0.0174533, 1.0] in [signals.scale]")
 
 
+def test_a_joint_that_travels_as_far_as_the_others_is_not_in_degrees(tmp_path):
+    """Any reading that lets one joint stand still leaves little of its torque to explain."""
+    mixed = changed_copy(SHIPPED, tmp_path / "mixed", times("q2 ql2 qd2", DEGREES))
+    for folder, possible in ((SHIPPED, []), (mixed, [2])):
+        recordings = load_recordings(folder)
+        samples = sample_runs(open_training_runs(recordings))
+        search = Explanations(RobotModel(recordings), samples)
+        tried = [search.own.in_other_units(recordings.prismatic, own) for own in np.eye(2) > 0.0]
+        assert [j + 1 for j in (0, 1) if search.travels_in_degrees(tried[j])] == possible
+
+
 def test_sign_reversed_in_one_run(tmp_path):
     shutil.copytree(SHIPPED, folder := tmp_path / "set")
     with np.load(folder / "train_2.npz") as stored:

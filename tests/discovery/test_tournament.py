@@ -53,6 +53,17 @@ def test_present_effect_is_named_by_all_members_and_absent_by_none(comparison: C
     np.testing.assert_allclose(again, [1.0, 0.0], atol=0.01)
 
 
+def test_value_without_evidence_is_not_named_again(comparison: Comparison) -> None:
+    """A value that every arm has is kept without evidence; less of it is no recurrence."""
+    absent = LocatedEffect(effect=effect("coulomb"), joint=0, calibrated=True)
+    found = [
+        Selected(located, loss, 1.0, 1.0, (), 1)
+        for located, loss in [(PRESENT, -3.0), (absent, -3.0)]
+    ]
+    again, _ = recurrence(comparison, found, None, free_bodies=False)
+    np.testing.assert_allclose(again, [1.0, 0.0], atol=0.01)
+
+
 def test_share_of_members_falls_steadily_with_the_evidence(comparison: Comparison) -> None:
     found = comparison.extension_of(comparison.fit([PRESENT]))
     ranked = [Selected(PRESENT, NAMED_EVIDENCE, 1.0, 1.0, (), 1)]

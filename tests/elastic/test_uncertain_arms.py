@@ -51,6 +51,31 @@ def test_batch_deviations_agree_with_full_simulation(tmp_path):
         assert swings.peaks(swings.after)["position"][k] == pytest.approx(full.peak_after, rel=0.02)
 
 
+def test_arms_that_differ_in_damping_share_their_equilibrium(tmp_path, monkeypatch):
+    elastic, solved = planar(tmp_path), []
+    sound = uncertain_arms._solve_equilibrium
+
+    def counted(springs, weight, arms, turn):
+        solved.append(turn.shape[:2])
+        return sound(springs, weight, arms, turn)
+
+    many = UncertainArms(elastic, there_and_stop((3.0, -4.0), 0.2, (0.3, 0.4)))
+    monkeypatch.setattr(uncertain_arms, "_solve_equilibrium", counted)
+    soft = np.array([0.9, 0.8])
+    arms = [
+        Departure.none(2),
+        *(Departure(stiffness=soft, damping=factor) for factor in (1.0, 1.5)),
+    ]
+    command = bang((3.0, -4.0), 0.2, (0.3, 0.4))
+    members = [Member(command=command, departure=each) for each in arms]
+    together = many.position_peaks(members)
+    alone = [many.position_peaks([each])[:, 0] for each in reversed(members)]
+    assert together == pytest.approx(np.array(alone[::-1]).T, rel=1e-9)
+    # Beside those of the start: two for three arms, none for those known from the last batch.
+    along = [count for count, samples in solved if samples > 1]
+    assert along == [2, 1]
+
+
 def test_twice_the_stiffness_halves_the_windup(tmp_path):
     elastic = arm(tmp_path, "planar")
     torque = np.linspace(-20.0, 20.0, 41)

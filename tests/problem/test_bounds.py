@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_arms import load, write_problem
+from small_arms import load, problem_text, write_problem
 from synthetic_solution import solution
 
 from stiffopt import Limits, SolveStatus, Target, solve
@@ -154,6 +154,19 @@ def test_free_duration_without_an_upper_bound(objective, tmp_path):
     assert objective in message
     assert "no upper bound" in message
     assert "'duration'" in message
+
+
+@pytest.mark.parametrize("objective", ["duration", "torque_squared"])
+def test_no_duration_is_needed_where_it_is_minimised(objective, tmp_path):
+    goal = f'objective = "{objective}"'
+    text = problem_text("swivel", minimise=goal).replace("duration = 0.5\n", "")
+    stated = load(tmp_path, "swivel", duration="{ lower = 0.01 }", minimise=goal)
+    problem = load(tmp_path, "swivel", text=text)
+    assert problem.duration == stated.duration == (0.01, np.inf)
+    if objective == "duration":
+        assert solve(problem).duration == pytest.approx(solve(stated).duration)
+    else:
+        assert "Give motion.duration an upper bound or a fixed value" in refusal(problem)
 
 
 def test_weighted_free_duration_has_an_optimum(tmp_path):

@@ -169,6 +169,24 @@ def test_values_of_a_place_share_a_unit():
     assert text == "1.48 ± 0.09 kg lighter, at 0/2/82 mm"
 
 
+def test_remedies_with_undetermined_values_are_whole_sentences() -> None:
+    """A clause whose value is undetermined is left out, the rest stays a sentence."""
+    told = {}
+    for entry in CATALOGUE:
+        if isinstance(entry.remedy, str):
+            keys = {key.split(":")[0] for key in re.findall(r"\{([^{}]+)\}", entry.remedy)}
+            named = {
+                name: Parameter(name=name, value=1.0, sd=9.0, unit="m", prior_sd=1.0)
+                for key in keys
+                for name in key.split("/")
+            }
+            told[entry.name] = fill(entry.remedy, named, {"where": "joint 1", "new": "3 N m"})
+    assert all(text.endswith(".") for text in told.values())
+    assert told["stroke_friction"] == "Look for a cable, seal or guard that rubs at joint 1."
+    assert told["load_friction"] == "Look at the gear mesh and bearings of joint 1."
+    assert "covers." in told["inertial_error"]
+
+
 def test_large_unexplained_residual_is_reported_with_findings(friction, tmp_path, capsys):
     """Case of a torque constant that is wrong by a factor of two."""
     left = unexplained_in(friction, ratio=42.0, left=0.4).unexplained

@@ -231,13 +231,17 @@ def test_compared_quantities_have_units(tmp_path):
 
 def test_numbers_of_a_list_and_what_one_result_lacks_are_one_compared_entry(tmp_path):
     torque, jerk = ({"limit": name, "joint": 1, "value": -0.1} for name in ("torque", "jerk"))
+    arm, post = ({"limit": "clearance", "pair": ["hand", x], "value": 0.2} for x in ("arm", "post"))
     answers = {
         "one": {
             "draws": [1.0, 2.0, 4.0],
             "rivals": {"quintic": 1, "toppra": 2},
-            "v": [torque, jerk],
+            "v": [torque, jerk, arm, post],
         },
-        "two": {"draws": [1.0, 2.5, 4.0], "v": [{**jerk, "value": -0.2}, torque]},
+        "two": {
+            "draws": [1.0, 2.5, 4.0],
+            "v": [{**jerk, "value": -0.2}, torque, {**arm, "value": 0.3}, post],
+        },
     }
     for name, answer in answers.items():
         (tmp_path / name).mkdir()
@@ -247,6 +251,7 @@ def test_numbers_of_a_list_and_what_one_result_lacks_are_one_compared_entry(tmp_
         ("draws", "3 values, 1 to 4", "3 values, 1 to 4", "up to 12 % of the largest"),
         ("rivals", "2 entries", "–", ""),
         ("v, jerk of joint 1, value", "-0.1", "-0.2", "+100 %"),
+        ("v, clearance of hand and arm, value", "0.2", "0.3", "+50 %"),
     ]
 
 

@@ -20,8 +20,9 @@ from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.led_error import _ideal_command, _ServoChange, led_error
 from stiffopt.elastic.servo import Servo
 from stiffopt.elastic.uncertain_arms import Member, UncertainArms
-from stiffopt.elastic.uncertainty import ParameterBox, Uncertainty
+from stiffopt.elastic.uncertainty import AssumedUncertainty, ParameterBox, Uncertainty
 from stiffopt.errors import ProblemError
+from stiffopt.problem.formulation import Scales
 from stiffopt.problem.limits.travel import with_bounded_travel
 from stiffopt.problem.motor_model import MotorModel
 from stiffopt.problem.objective import OBJECTIVES, Objective
@@ -29,11 +30,12 @@ from stiffopt.problem.resolve import resolve
 from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.provenance import inputs_hash
+from stiffopt.result.solution import Baseline
 from stiffopt.result.status import SolveStatus
 from stiffopt.result.tool_error import LedError
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.robot.tolerances import Tolerances
-from stiffopt.solver import between_rivals, verdict
+from stiffopt.solver import between_rivals, ringing, verdict
 from stiffopt.solver.between_rivals import BetweenRivals
 from stiffopt.solver.ipopt import RawSolution
 from stiffopt.solver.programme import solve_stage
@@ -41,6 +43,7 @@ from stiffopt.solver.ringing import RingingBesideRivals
 from stiffopt.solver.rival_errors import RivalErrors
 from stiffopt.solver.simulated_solution import _judge_beside_rivals, with_simulation
 from stiffopt.solver.solve import solve
+from stiffopt.solver.solve_run import SolveRun
 from stiffopt.solver.stage_plan import SolveStage
 
 
@@ -240,6 +243,18 @@ def test_weight_of_the_ringing_follows_the_phase_that_is_worse_than_the_rival(
     assert (None if proposal is None else proposal.solve()) == (weight and pytest.approx(weight))
 
 
+@pytest.mark.parametrize(("converged", "sought"), [(True, 1), (False, 0)])
+def test_rivals_are_sought_for_an_optimum_only(problem, solution, monkeypatch, converged, sought):
+    calls = []
+    monkeypatch.setattr(ringing, "rival_motions", lambda *_: calls.append(1) or [])
+    outcome = SimpleNamespace(
+        assessment=solution.assessment, raw=SimpleNamespace(converged=converged)
+    )
+    run = SolveRun(problem, resolve(problem), Scales(), None)
+    RingingBesideRivals(run, outcome)
+    assert len(calls) == sought
+
+
 def straight(slope):
     return Trajectory.from_acceleration([0.0, 1.0], np.zeros((1, 1, 1)), [0.0], [slope])
 
@@ -320,22 +335,52 @@ def test_soft_arm_is_no_worse_than_its_best_rival_in_either_phase(problem):
 
 
 @pytest.mark.parametrize(
-    ("goal", "status"), [("tool_error", "optimal"), ("tool_deviation", "acceptable")]
+    ("goal", "solved", "status", "told"),
+    [
+        ("tool_error", "optimal", "optimal", ""),
+        ("tool_error", "iteration_limit", "iteration_limit", ""),
+        (
+            "tool_deviation",
+            "optimal",
+            "acceptable",
+            "a better objective and keeps all limits as well: raise method",
+        ),
+        (
+            "torque_squared",
+            "time_limit",
+            "time_limit",
+            "a better objective and keeps all limits as well: run that one, or raise method",
+        ),
+    ],
 )
-def test_a_baseline_of_less_summed_error_is_judged_with_its_command(
-    problem, solution, monkeypatch, goal, status
+def test_a_baseline_is_judged_with_its_command_where_there_is_one(
+    problem, solution, monkeypatch, goal, solved, status, told
 ):
     """The motion was chosen phase by phase: its sum may exceed that of a baseline."""
-    own = verdict.Verdict(SolveStatus.OPTIMAL, "")
+    own = verdict.Verdict(SolveStatus(solved), "")
     monkeypatch.setattr(verdict, "_solve_status", lambda _: own.status)
     monkeypatch.setattr(verdict, "_status_message", lambda *_: own.message)
     monkeypatch.setattr(verdict, "_judge_model_agreement", lambda *_: own)
     baseline = SimpleNamespace(name="quintic")
     monkeypatch.setattr(verdict, "find_better_baseline", lambda *_: baseline)
-    stated = replace(problem, objectives=(Objective(name=goal),))
+    stated = replace(problem, objectives=(Objective(name=goal),), uncertainty=AssumedUncertainty())
     outcome = SimpleNamespace(assessment=solution.assessment)
     found = verdict.judge_outcome(stated, outcome, solution.assessment, {})
     assert found.status.value == status
+    assert told in found.message
+    assert bool(told) == bool(found.message)
+
+
+def test_optimum_of_the_tool_error_claims_nothing_of_the_objectives_of_baselines(problem, solution):
+    rival = Baseline(
+        name="quintic",
+        assessment=solution.assessment,
+        objective=0.0,
+        feasible=True,
+        reason="",
+    )
+    said = verdict.describe_optimality(problem, {"quintic": rival}, 1)
+    assert said == "It is a local optimum, from one start. More method.starts look further."
 
 
 @pytest.mark.parametrize(("wins", "status"), [(True, "acceptable"), (False, "optimal")])

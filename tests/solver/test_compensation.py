@@ -109,6 +109,9 @@ def test_table_text_and_document_have_every_motion(smooth):
         [name, how] for name in ("optimised", "toppra") for how in ("as planned", "compensated")
     ]
     assert all(len(row) == len(head) for row in rows)
+    worst = 1e3 * found.optimised.compensated.flight.worst
+    assert section.title.startswith("Deviations [mm]")
+    assert float(rows[1][head.index("worst")]) == pytest.approx(worst, rel=5e-3)
     text = compensation_text(found)
     assert "in the worst case" in text
     assert "toppra's motion" in rival_text(found)

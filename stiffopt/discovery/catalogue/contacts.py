@@ -22,7 +22,7 @@ def wrist_coupling_term(signals: JointSignals, amplitudes: Values, shapes: Value
     the motor (0). Then they follow its motion too; dry friction is linear about a share.
     """
     share, about, at_link = amplitudes[0], shapes[0], shapes[1]
-    own, spring = signals.constants, signals.spring_torque
+    own = signals.constants
     about = about if abs(about) > _MIN_SHARE else _MIN_SHARE
     speed = signals.motor_velocity
     reversed_dry = smooth_sign(speed + about * signals.previous_velocity) - smooth_sign(speed)
@@ -31,10 +31,12 @@ def wrist_coupling_term(signals: JointSignals, amplitudes: Values, shapes: Value
         + own.viscous * signals.previous_velocity
         + own.coulomb / about * reversed_dry
     )
+    # Of nominal values on both sides: damping of a servo, which acts by its reading, has no part.
+    carried = own.rotor_inertia * signals.motor_acceleration + signals.nominal_friction
     return Term(
         deflection=-share * signals.previous_position,
         drive_torque=share * at_link * with_link,
-        previous_torque=share * (spring + at_link * (signals.drive_torque - spring)),
+        previous_torque=share * (signals.spring_torque + at_link * carried),
     )
 
 

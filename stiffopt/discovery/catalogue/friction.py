@@ -222,7 +222,7 @@ LOAD_FRICTION = Effect(
     signature="motor torque off against the motion, in proportion to the size of the load"
     " carried, whatever its sign",
     phrase="friction that grows by {mu:%} of the load",
-    remedy="Look at the gear mesh and bearings of {where}; in the model, add load friction"
+    remedy="Look at the gear mesh and bearings of {where}; in the model add load friction"
     " with mu = {mu}.",
     needs=("torque", "moves", "reverses"),
     reference="BittencourtAxelsson2014",
@@ -312,7 +312,7 @@ STROKE_FRICTION = Effect(
         "{A} more dry friction over part of the stroke, from {q0} to {q1}",
         "{A} less dry friction over part of the stroke, from {q0} to {q1}",
     ),
-    remedy="Look for a cable, seal or guard that rubs at {where} between {q0} and {q1}.",
+    remedy="Look for a cable, seal or guard that rubs at {where}, between {q0} and {q1}.",
     needs=("torque", "moves", "reverses"),
     confused_with=("position_friction", "coulomb"),
     term=stroke_friction_term,

@@ -54,7 +54,7 @@ TORQUE_GAIN = Effect(
     phrase=("torque reading {eps:%} too large", "torque reading {eps:%} too small"),
     remedy="Check torque constant and unit of {where}, and correct its readings by {eps:%}.",
     tolerances=("torque_constant",),
-    needs=("torque", "moves"),
+    needs=("torque", "stated_gain", "moves"),
     # Of the predicted torque: the measured one would explain itself.
     term=lambda signals, a, s: Term(drive_torque=a[0] * signals.drive_torque),
     amplitudes=(Amplitude("eps", "", 0.1, -6.0, 6.0),),

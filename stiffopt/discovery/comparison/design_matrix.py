@@ -150,6 +150,7 @@ class DesignMatrix:
             {key: own for key, own in cache.items() if key not in keys}
             for cache in (self._start_cache, self._recent_cache)
         )
+        new._cached_bytes = sum(each.nbytes for each in new._start_cache.values())
         new._nominal_by_freedom = {
             free: replace(own, products={k: v for k, v in own.products.items() if k not in keys})
             for free, own in self._nominal_by_freedom.items()

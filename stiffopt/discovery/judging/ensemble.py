@@ -180,8 +180,9 @@ class _Member:
             # Deviations of runs are about the mean of the runs left: their signs may change.
             drifts = each.located.effect.of_runs is not None
             same_sign = drifts or mean[main] * self._signs[rows[main] - first] > 0.0
-            asked = share * min(NAMED_EVIDENCE, each.loss)
-            again[k] = float(np.clip(gained / asked, 0.0, 1.0)) if same_sign else 0.0
+            # A value that every arm has is kept without evidence too: then any is enough.
+            asked = share * np.clip(each.loss, 0.0, NAMED_EVIDENCE)
+            again[k] = same_sign * np.interp(gained, [0.0, asked], [0.0, 1.0])
             if rivals:
                 ahead = [
                     self._lead(k, located, rival, kept, mean, covariance)

@@ -256,6 +256,7 @@ class Explanations:
                     ),
                 )
                 for other in reading.neighbours(self.robot.recordings.prismatic)
+                if self.travels_in_degrees(other)
             ]
             if not tried:
                 break
@@ -377,6 +378,19 @@ class Explanations:
         return np.array(
             [self.torque_fit.residual_share(motion, torque[:, j], j) for j in range(self.n)]
         )
+
+    def travels_in_degrees(self, reading: Reading) -> bool:
+        """Return False where a joint read in degrees would stand still beside one left in rad.
+
+        Joints of one log share a unit: as recorded their travels are nearer to one another then.
+        """
+        position = self.samples.position[:, list(reading.position_from)]
+        travel = np.nanmax(position, axis=0) - np.nanmin(position, axis=0)
+        degrees = np.isclose(np.abs(reading.position_scale), DEGREE)
+        left = ~degrees & ~self.robot.recordings.prismatic
+        if not degrees.any() or not left.any():
+            return True
+        return bool(travel[degrees].min() * np.sqrt(DEGREE) > travel[left].max())
 
     def _fails_where_it_moves(self, reading: Reading, left: np.ndarray) -> np.ndarray:
         """Return joints (n,) with a failing stated reading at instants moving in the other one.

@@ -418,10 +418,12 @@ def _select_shared_range(
     inside = np.ones(len(samples.position), dtype=bool)
     for name in ("position", "velocity", "acceleration", *(("torque",) if asked else ())):
         beside = np.vstack([getattr(each, name) for each in others])
-        low, high = np.nanmin(beside, axis=0), np.nanmax(beside, axis=0)
+        low = np.where(np.isnan(beside), np.inf, beside).min(axis=0)
+        high = np.where(np.isnan(beside), -np.inf, beside).max(axis=0)
         margin = _RANGE_MARGIN * (high - low)
         own = getattr(samples, name)
-        inside &= ~((own < low - margin) | (own > high + margin)).any(axis=1)
+        outside = (own < low - margin) | (own > high + margin)
+        inside &= ~(outside & np.isfinite(beside).any(axis=0)).any(axis=1)
     if inside.sum() < _MIN_SHARED_INSTANTS:
         return None
     names = ("position", "velocity", "acceleration", "torque")

@@ -30,6 +30,10 @@ def stack_columns(
     return comparison.stack_columns(effects), prior, owner
 
 
+# Rounding of a value at its bound; exchanges of all values that do not make wrong ones fewer.
+_BOUND_ROUNDING, _MAX_TRIALS = 1e-9, 3
+
+
 class FoldPredictions:
     """Predictions of every fold by fits to the other folds.
 
@@ -118,23 +122,34 @@ class _Normal:
         self._likeliest = self._inverse @ (prior * moment)
 
     def values(self, kept: np.ndarray | None) -> np.ndarray:
-        """Return the likeliest values (p,); those that leave their bounds are held there.
+        """Return the likeliest values (p,) within their bounds.
 
         `kept` (p,): mask of the columns that are fitted; the others are zero.
+
+        Values that leave their bounds are held there, and let go where they press inwards: all at
+        once, or one at a time where that does not make them fewer.
         """
         held = np.zeros(len(self._prior), dtype=bool) if kept is None else ~kept
-        found, bound = self._likeliest, np.zeros(len(self._prior))
+        bound, fewest, trials = np.zeros(len(self._prior)), len(self._prior) + 1, 0
         while True:
+            found, pressed = self._likeliest.copy(), np.zeros(len(self._prior))
             if held.any():
                 inner = self._inverse[np.ix_(held, held)]
-                away = np.linalg.solve(inner, (self._likeliest - bound)[held])
-                found = self._likeliest - self._inverse[:, held] @ away
+                pressed[held] = np.linalg.solve(inner, (found - bound)[held])
+                found -= self._inverse @ pressed
                 found[held] = bound[held]
-            beyond = np.where(held, 0.0, np.abs(found) / self._limits)
-            worst = int(np.argmax(beyond))
-            if beyond[worst] <= 1.0:
+            outside = np.abs(found) > (1.0 + _BOUND_ROUNDING) * self._limits
+            wrong = np.flatnonzero(np.where(held, pressed * bound < 0.0, outside))
+            if not wrong.size:
                 return np.asarray(self._prior * found)
-            held[worst], bound[worst] = True, np.copysign(self._limits[worst], found[worst])
+            if wrong.size < fewest:
+                fewest, trials = wrong.size, 0
+            elif (trials := trials + 1) > _MAX_TRIALS:
+                wrong = wrong[-1:]
+            bound[wrong] = np.where(
+                held[wrong], 0.0, np.copysign(self._limits[wrong], found[wrong])
+            )
+            held[wrong] = ~held[wrong]
 
 
 def predict_folds(comparison: Comparison, effects: Sequence[LocatedEffect]) -> FoldPredictions:

@@ -75,8 +75,8 @@ def left_out_gains(
 
     `begin`: share of each run's start that is in no fold. `count`: folds of few runs.
 
-    Folds are parts of every run for an effect that acts in few of them: if each joint moves in a
-    run of its own, the other runs say nothing of it.
+    Folds are smaller parts of every run for an effect that acts in few of them: if each joint moves
+    in a run of its own, the other runs say nothing of it.
     """
     if not effects:
         return ()
@@ -84,9 +84,12 @@ def left_out_gains(
     kept = comparison.rows.sample_signal(lambda run: elapsed_shares(run.time)) >= begin
     columns *= kept[:, None]
     target, limits = kept * comparison.target, comparison.limits(len(prior))
-    fold = number_folds(comparison, folds_per_run(len(comparison.runs), count), begin)
+    parts = folds_per_run(len(comparison.runs), count)
+    fold = number_folds(comparison, parts, begin)
     few = [
-        e.is_run_specific or _is_seldom(columns[:, owner == k], fold) for k, e in enumerate(effects)
+        parts < FOLDS_OF_FEW_RUNS
+        and (e.is_run_specific or _is_seldom(columns[:, owner == k], fold))
+        for k, e in enumerate(effects)
     ]
     folds = {False: fold}
     if any(few):

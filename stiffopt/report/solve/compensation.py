@@ -34,25 +34,27 @@ def compensation_section(compensation: Compensation) -> ReportSection:
     head = ["motion", "duration", "motors"]
     for phase in ("in flight", "after"):
         head += [f"{phase}, nominal", "90 % of draws", "worst"]
-    head += ["worst arm in flight", "optimised over it", "motor limits"]
+    head += ["optimised over it", "motor limits"]
     beside = {each.rival.name: each for each in compensation.beside_rivals}
+    spreads = [s for m in compensation.motions for s in (m.planned, m.compensated)]
+    factor, unit = scale(max(each.worst for s in spreads for each in (s.flight, s.after)), "m")
     rows = []
     for motion in compensation.motions:
         found = beside.get(motion.name)
-        rows += _motion_rows(motion, motion.name, found)
+        rows += _motion_rows(motion, motion.name, factor, found)
         if found is not None and found.own is not compensation.optimised:
-            rows += _motion_rows(found.own, "optimised, slowed")[1:]
+            rows += _motion_rows(found.own, "optimised, slowed", factor)[1:]
     return ReportSection(
-        title="Deviations on uncertain arms, as planned and compensated",
+        title=f"Deviations [{unit}] on uncertain arms, as planned and compensated",
         head=head,
         rows=rows,
         lines=_compensation_notes(compensation),
-        numbers=[head[1], *head[3:-3]],
+        numbers=[head[1], *head[3:-2]],
     )
 
 
 def _motion_rows(
-    motion: CompensatedMotion, name: str, beside: RivalComparison | None = None
+    motion: CompensatedMotion, name: str, factor: float, beside: RivalComparison | None = None
 ) -> list[list[str]]:
     """Return the rows of a motion as planned and with its command."""
     ratios = {} if beside is None else beside.ratios
@@ -62,9 +64,8 @@ def _motion_rows(
             name,
             si(motion.duration, "s", 4),
             how,
-            *_spread_cells(spreads.flight),
-            *_spread_cells(spreads.after),
-            spreads.flight.worst_case,
+            *_spread_cells(spreads.flight, factor),
+            *_spread_cells(spreads.after, factor),
             over if how == _COMPENSATED_LABEL else DASH,
             _limit_cell(motion, how),
         ]
@@ -75,8 +76,9 @@ def _motion_rows(
     ]
 
 
-def _spread_cells(spread: Spread) -> list[str]:
-    return [si(value, "m", 3) for value in (spread.nominal, spread.quantile(0.9), spread.worst)]
+def _spread_cells(spread: Spread, factor: float) -> list[str]:
+    values = (spread.nominal, spread.quantile(0.9), spread.worst)
+    return [significant(factor * value, 3) for value in values]
 
 
 def _limit_cell(motion: CompensatedMotion, how: str) -> str:
@@ -118,6 +120,7 @@ def _compensation_notes(compensation: Compensation) -> list[str]:
         " case is the worst arm that an exchange of the values at their bounds finds; "
         f"{compensation.draws} arms are drawn uniformly within the bounds. The problem's limits, "
         "settling included, are checked on the nominal arm only.",
+        f"Worst arm of the optimised motion in flight: {own.compensated.flight.worst_case}.",
         "Optimised over a rival: worst errors in flight / after arrival / across the path in "
         "flight, at equal duration: beside a slower rival that is better in one of them the "
         "optimised motion is slowed.",

@@ -60,11 +60,9 @@ def print_simulation(simulation: Simulation) -> None:
 
 
 def print_compensation(compensation: Compensation) -> None:
-    """Print the table of planned and compensated motions, less the worst arm, with its notes."""
+    """Print the table of planned and compensated motions with its notes."""
     section = compensation_section(compensation)
-    head, *rows = ([*row[:-2], row[-1]] for row in (section.head, *section.rows))
-    lines = [compensation_text(compensation), *section.lines]
-    print_section(replace(section, head=head, rows=rows, lines=lines))
+    print_section(replace(section, lines=[compensation_text(compensation), *section.lines]))
 
 
 def print_check_begins(path: Path, number: int, count: int) -> None:
