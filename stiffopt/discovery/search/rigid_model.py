@@ -151,8 +151,7 @@ def _choose_widths(
     """
     n = comparison.robot.n
     free = comparison.with_bodies(_parameter_deviations(comparison, (PRIOR_WIDTHS[-1],) * n))
-    for _ in range(_NOISE_ROUNDS):
-        free = free.linearised_at(free.fit(effects))
+    free = with_own_noise(free, effects)
     left_out = predict_folds(free, effects)
     widths = [BODY_WIDTHS[0]] * n
     least = left_out.squares(_parameter_deviations(comparison, widths).ravel())
@@ -167,6 +166,13 @@ def _choose_widths(
         if least == before:
             break
     return tuple(widths), free, least
+
+
+def with_own_noise(comparison: Comparison, effects: Sequence[LocatedEffect]) -> Comparison:
+    """Return a model with the noise beside its own fit, whatever noise it starts from."""
+    for _ in range(_NOISE_ROUNDS):
+        comparison = comparison.linearised_at(comparison.fit(effects))
+    return comparison
 
 
 def _find_counterweights(

@@ -18,7 +18,7 @@ from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.inertial_parameters import body_units
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.search.cross_validation import predict_folds
-from stiffopt.discovery.search.rigid_model import PRIOR_WIDTHS
+from stiffopt.discovery.search.rigid_model import PRIOR_WIDTHS, with_own_noise
 
 FRICTION_LINES, SINGLE_BODY, BASE_PARAMETERS, CATALOGUE_MODEL = (
     "friction lines",
@@ -78,7 +78,7 @@ def _residual_left_out(start: Comparison, effects: Sequence[LocatedEffect]) -> f
     With the noise beside the model's own fit: beside another's, a channel that only this one
     explains hardly counts, and its masses stay where their priors hold them.
     """
-    model = start.linearised_at(start.fit(effects))
+    model = with_own_noise(start, effects)
     left = predict_folds(model, effects).residual_within_bounds(model)
     return float(np.sqrt(np.nanmean((model.channel_ratio(left) * model.inflation) ** 2)))
 
