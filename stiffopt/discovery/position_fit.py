@@ -59,7 +59,8 @@ class ClosedLoopModel:
     nominal: Parameters
     fitted: Parameters
     deviations: np.ndarray  # (p,) one standard deviation of each fitted parameter
-    # The fit, and its residual (n,) over the noise of the encoders; None of a model that was read.
+    # The fit, and its residual (n,) over the noise of the encoders with the simulation's own error;
+    # None of a model that was read.
     polished: Polished | None = None
     noise_ratio: np.ndarray | None = None
     # expected, expected_deviations: the same before the fit; None of a model that was read.
@@ -121,6 +122,7 @@ def fit_positions(
     if found is None:
         return None if model is None else fit_positions(recordings, runs, None, estimated, say)
     loop, fitted = found
+    error = np.hypot(_encoder_noise(recordings, runs), fitted.discretisation)
     return ClosedLoopModel(
         nominal_loop=CommandedArm(recordings.robot.tree, loop.law, loop.middle),
         loop=loop,
@@ -128,7 +130,7 @@ def fit_positions(
         fitted=fitted.parameters,
         deviations=fitted.deviations,
         polished=fitted,
-        noise_ratio=fitted.residual / _encoder_noise(recordings, runs),
+        noise_ratio=fitted.residual / error,
         expected=fitted.expected,
         expected_deviations=fitted.expected_deviations,
         ratios=_ratios_to_gain(loop.law, fitted),

@@ -74,3 +74,17 @@ def test_a_size_is_that_of_the_simulation(tmp_path: Path) -> None:
     (sizes, spread) = (x[model.fitted.amplitudes] for x in (model.fitted.values, model.deviations))
     assert len(sizes) == 2
     np.testing.assert_array_less(np.abs(sizes), 4.0 * spread + 1e-3)
+
+
+def test_a_stated_value_that_the_simulation_moves_beyond_its_tolerance_is_named(
+    tmp_path: Path,
+) -> None:
+    """Here the search of filtered torques has not named it."""
+    more = 0.06
+    _, findings = search(tmp_path / "set", coulomb=COULOMB + more).run(Extension(), ())
+    (first,) = findings
+    assert first.effect.name == "coulomb"
+    assert first.certainty == "found"
+    (value,) = first.parameters
+    assert value.sd is not None
+    assert abs(value.value - more) < 2.0 * value.sd < 0.5 * more
