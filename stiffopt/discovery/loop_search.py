@@ -128,7 +128,7 @@ class LoopSearch:
                 joint = int(self.recordings.order[located.joint])
                 place = fitted.place(name).start + joint
                 sd, prior = model.deviations[place], model.expected_deviations[place]
-                open_ = bool(entry.nominal) and bool(model.lacks[joint])
+                open_ = bool(entry.nominal) and bool(model.misses[joint])
                 if (
                     shifted
                     or open_

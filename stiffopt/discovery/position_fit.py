@@ -59,8 +59,7 @@ class ClosedLoopModel:
     nominal: Parameters
     fitted: Parameters
     deviations: np.ndarray  # (p,) one standard deviation of each fitted parameter
-    # The fit, and its residual (n,) over the noise of the encoders with the simulation's own error;
-    # None of a model that was read.
+    # The fit, and its residual (n,) over the noise of the encoders; None of a model that was read.
     polished: Polished | None = None
     noise_ratio: np.ndarray | None = None
     # expected, expected_deviations: the same before the fit; None of a model that was read.
@@ -80,6 +79,13 @@ class ClosedLoopModel:
         """Return the joints (n,) in which the simulation leaves more than noise."""
         assert self.noise_ratio is not None
         return np.asarray(self.noise_ratio > _OPEN_NOISE_RATIO)
+
+    @property
+    def misses(self) -> np.ndarray:
+        """Return the joints (n,) in which it leaves more than noise and its own error."""
+        assert self.polished is not None
+        own = self.polished.discretisation / self.polished.residual
+        return self.lacks & (_OPEN_NOISE_RATIO * own < 1.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -122,7 +128,6 @@ def fit_positions(
     if found is None:
         return None if model is None else fit_positions(recordings, runs, None, estimated, say)
     loop, fitted = found
-    error = np.hypot(_encoder_noise(recordings, runs), fitted.discretisation)
     return ClosedLoopModel(
         nominal_loop=CommandedArm(recordings.robot.tree, loop.law, loop.middle),
         loop=loop,
@@ -130,7 +135,7 @@ def fit_positions(
         fitted=fitted.parameters,
         deviations=fitted.deviations,
         polished=fitted,
-        noise_ratio=fitted.residual / error,
+        noise_ratio=fitted.residual / _encoder_noise(recordings, runs),
         expected=fitted.expected,
         expected_deviations=fitted.expected_deviations,
         ratios=_ratios_to_gain(loop.law, fitted),
