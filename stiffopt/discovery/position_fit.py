@@ -85,7 +85,7 @@ class ClosedLoopModel:
         """Return the joints (n,) in which it leaves more than noise and its own error."""
         assert self.polished is not None
         own = self.polished.discretisation / self.polished.residual
-        return self.lacks & (_OPEN_NOISE_RATIO * own < 1.0)
+        return np.asarray(self.lacks & (_OPEN_NOISE_RATIO * own < 1.0))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
