@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import casadi as ca
 import numpy as np
 from scipy.optimize import lsq_linear
 
@@ -23,6 +24,8 @@ _NOISE_ROUNDS = 2
 _LEADING_SECONDS = 40.0
 # Division of steps and of the width of dry friction by which the fit's dependence on them is told.
 _REFINEMENT_RATIO = 2.0
+# Limits of drives that a fit may begin with, over what filtered torques tell.
+_LIMIT_FACTORS = np.linspace(0.8, 1.6, 17)
 # Longest lag over which residuals repeat one another [s].
 _MAX_REPETITION = 1.0
 
@@ -35,6 +38,8 @@ class Polished:
     deviations: np.ndarray  # (p,) one standard deviation of each; 0 of those that were not fitted
     # (n,) root mean square of the positions' residual in the training runs [rad].
     residual: np.ndarray
+    # (n,) root mean square of what no steps and no width of dry friction would change [rad].
+    discretisation: np.ndarray
     places: np.ndarray  # (m,) fitted parameters
     covariance: np.ndarray  # (m, m) of the fitted parameters
     expected: Parameters  # before the fit
@@ -95,8 +100,31 @@ def polish(
     FloatingPointError
         The simulation diverges with the prior.
     """
+    prior = _begin_limits(loop, runs, prior, deviations)
     begun = polish_leading(loop, runs, prior, deviations, say)
     return _Fit(loop, runs, prior, deviations).polish(begun.parameters, say)
+
+
+def _begin_limits(
+    loop: CommandedArm, runs: Sequence[CommandedRun], prior: Parameters, deviations: np.ndarray
+) -> Parameters:
+    """Return a prior with the limits of drives, of some about each, that simulate the runs best.
+
+    One too low lets the joint drift, one too high never acts: no slope leads back from there.
+    """
+    fit, none = _Fit(loop, runs, prior, deviations), np.zeros(0, dtype=int)
+
+    def misfit(values: np.ndarray) -> float:
+        residual = fit.simulate(replace(prior, values=values), none).residual
+        return float(np.log(np.nanmean(residual**2, axis=0)).sum())
+
+    for limit in loop.physics.limits.values():
+        symbols = ca.vertsplit(loop.physics.amplitudes.symbols)
+        place = prior.amplitudes.start + [ca.is_equal(own, limit) for own in symbols].index(True)
+        tried = np.tile(prior.values, (len(_LIMIT_FACTORS), 1))
+        tried[:, place] *= _LIMIT_FACTORS
+        prior = replace(prior, values=min(tried, key=misfit))
+    return prior
 
 
 def polish_leading(
@@ -215,7 +243,7 @@ class _Fit:
             if last < _NOISE_ROUNDS - 1:
                 noise = self.noise(point)
         spread = np.zeros_like(start.values)
-        covariance = self.covariance(current, point)
+        covariance, discretisation = self.covariance(current, point)
         if not (np.diag(covariance) > 0.0).all():  # derivatives that grow without bound
             raise FloatingPointError("the simulation diverges")
         current, covariance = self._share_delay(current, covariance)
@@ -227,6 +255,7 @@ class _Fit:
             parameters=current,
             deviations=spread,
             residual=residual,
+            discretisation=discretisation,
             places=self.places,
             covariance=covariance,
             expected=self._prior,
@@ -271,11 +300,9 @@ class _Fit:
 
     def evaluate(self, parameters: Parameters) -> _Point:
         """Simulate all runs by stretches."""
-        return self._simulate(parameters, self._free)
+        return self.simulate(parameters, self._free)
 
-    def _simulate(
-        self, parameters: Parameters, free: np.ndarray, refinement: float = 1.0
-    ) -> _Point:
+    def simulate(self, parameters: Parameters, free: np.ndarray, refinement: float = 1.0) -> _Point:
         found = simulate_stretches(self._loop, self._stretches, parameters, free, refinement)
         residual, slopes = [], []
         for each, own, lead in zip(found, self._stretches, self._leads, strict=True):
@@ -330,22 +357,24 @@ class _Fit:
                 break
         return parameters, point
 
-    def covariance(self, parameters: Parameters, point: _Point) -> np.ndarray:
-        """Return the covariance (m, m) of the fitted parameters.
+    def covariance(self, parameters: Parameters, point: _Point) -> tuple[np.ndarray, np.ndarray]:
+        """Return the covariance (m, m) of the fitted parameters, and the discretisation error (n,).
 
         How sharply dry friction changes its direction is not known, and steps are finite: where
         the fit would go with both halved, twice as far as it would go with neither, is a deviation.
+        What the simulation changes besides is an error of its positions.
         """
         noise = self.noise(point)
         hessian, _ = self._normal_equations(parameters, point, noise)
         inverse, weighted = np.linalg.inv(hessian), point.slopes / noise[:, None]
 
         none = np.zeros(0, dtype=int)
-        finer = self._simulate(parameters, none, _REFINEMENT_RATIO).residual - point.residual
+        finer = self.simulate(parameters, none, _REFINEMENT_RATIO).residual - point.residual
+        finer *= _REFINEMENT_RATIO / (_REFINEMENT_RATIO - 1.0)
         moved = inverse @ np.einsum("kjm,kj->m", weighted, np.nan_to_num(finer) / noise)
-        moved *= _REFINEMENT_RATIO / (_REFINEMENT_RATIO - 1.0)
+        error = np.sqrt(np.nanmean((finer - point.slopes @ moved) ** 2, axis=0))
         whole = inverse + np.outer(moved, moved)
-        return np.asarray(self._size[:, None] * whole * self._size)
+        return np.asarray(self._size[:, None] * whole * self._size), error
 
     def _share_delay(
         self, found: Parameters, covariance: np.ndarray

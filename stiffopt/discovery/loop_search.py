@@ -23,10 +23,16 @@ from stiffopt.discovery.diagnosis import Finding, Parameter, Rival
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.extended.value_changes import extended_model
 from stiffopt.discovery.loop_effects import loop_parameter, robot_in_loop
-from stiffopt.discovery.loop_fit import commanded_run, is_commanded, limit_motion
+from stiffopt.discovery.loop_fit import (
+    commanded_run,
+    is_commanded,
+    limit_motion,
+    stated_tolerance,
+)
 from stiffopt.discovery.position_fit import ClosedLoopModel, fit_positions
 from stiffopt.discovery.progress import Say
 from stiffopt.discovery.search.rivals import tempering_width
+from stiffopt.discovery.settings import MAX_NOMINAL_DEVIATIONS
 from stiffopt.discovery.thresholds import (
     MAX_EFFECTS,
     NAMED_DEVIATIONS,
@@ -114,27 +120,45 @@ class LoopSearch:
     def _own_values(
         self, model: ClosedLoopModel, taken: Sequence[LocatedEffect]
     ) -> Iterator[Finding]:
-        """Yield values of the fit that no nominal model has, that are not zero, beside findings."""
+        """Yield values of the fit that are not the nominal ones, beside findings.
+
+        What no nominal model has is zero; what is stated lies beyond its tolerance, in a joint that
+        the fit leaves nothing of.
+        """
         constants, fitted = self.training.constants, model.fitted
         assert model.expected_deviations is not None
         for entry in self.asked:
             parameter = loop_parameter(entry)
-            if parameter is None or entry.nominal or entry.scope != "joint" or entry.only_in:
+            if parameter is None or entry.scope != "joint" or entry.only_in:
+                continue
+            if entry.nominal in self.recordings.unstated:
                 continue
             name, sign = parameter
             shifted = entry.shifts_weight and any(each.effect.shifts_weight for each in taken)
             for located in effect_places(entry, constants, ()):
                 assert located.joint is not None
-                place = fitted.place(name).start + int(self.recordings.order[located.joint])
+                joint = int(self.recordings.order[located.joint])
+                place = fitted.place(name).start + joint
                 sd, prior = model.deviations[place], model.expected_deviations[place]
-                if shifted or sd <= 0.0 or any(located.same_place(other) for other in taken):
+                open_ = bool(entry.nominal) and bool(model.misses[joint])
+                if (
+                    shifted
+                    or open_
+                    or sd <= 0.0
+                    or any(located.same_place(other) for other in taken)
+                ):
                     continue
                 taken = [*taken, located]
                 known = (e for own in self.training.before for e in own.effects)
                 alike = [e.amplitudes[0] for e in known if e.located.same_place(located)]
-                value = float(fitted.values[place]) - sign * sum(alike)
+                value, least = float(fitted.values[place]) - sign * sum(alike), 0.0
+                if entry.nominal:
+                    nominal = float(getattr(self.recordings.robot, entry.nominal)[joint])
+                    tolerance = stated_tolerance(self.recordings, entry.nominal)
+                    value -= nominal
+                    least = MAX_NOMINAL_DEVIATIONS * tolerance * nominal
                 evidence = 0.5 * (value / sd) ** 2 - float(np.log(prior / sd))
-                if evidence > NAMED_EVIDENCE and abs(value) > NAMED_DEVIATIONS * sd:
+                if evidence > NAMED_EVIDENCE and abs(value) > max(NAMED_DEVIATIONS * sd, least):
                     estimated = EstimatedEffect(located=located, amplitudes=(sign * value,))
                     yield self._finding(estimated, 1.0)
 

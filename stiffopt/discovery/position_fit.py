@@ -75,6 +75,13 @@ class ClosedLoopModel:
         assert self.noise_ratio is not None
         return np.asarray(self.noise_ratio > _OPEN_NOISE_RATIO)
 
+    @property
+    def misses(self) -> np.ndarray:
+        """Return the joints (n,) in which it leaves more than noise and its own error."""
+        assert self.polished is not None
+        own = self.polished.discretisation / self.polished.residual
+        return np.asarray(self.lacks & (_OPEN_NOISE_RATIO * own < 1.0))
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PositionRun:

@@ -35,6 +35,8 @@ from stiffopt.closed_loop.simulation import (
 )
 from stiffopt.robot.files import load_robot
 
+LIMIT = 1.4  # [N m]
+
 
 @pytest.fixture(name="loop")
 def pendulum_loop(tmp_path: Path) -> CommandedArm:
@@ -52,9 +54,9 @@ def pendulum_loop(tmp_path: Path) -> CommandedArm:
     return CommandedArm(robot.tree, law, np.zeros(1))
 
 
-def recorded(seed: int, seconds: float = 8.0) -> CommandedRun:
+def recorded(seed: int, seconds: float = 8.0, limit: float = np.inf) -> CommandedRun:
     """Run of the pendulum."""
-    time, command, position = commanded_motion(seed, seconds)
+    time, command, position = commanded_motion(seed, seconds, limit=limit)
     velocity = np.gradient(position, time)
     return CommandedRun("run", time, *(x[:, None] for x in (command, position, velocity)))
 
@@ -161,6 +163,29 @@ def test_a_limit_of_the_physics_bounds_the_torque(loop: CommandedArm) -> None:
     end = float(simulate(own, run, free)[-1, 0])
     assert KP * (0.8 - end) > 0.5
     np.testing.assert_allclose(MASS * GRAVITY * LEVER * np.sin(end), 0.5, rtol=0.05)
+
+
+@pytest.mark.parametrize("begun", [0.75, 1.25])
+def test_a_limit_is_fitted_from_where_it_never_acts_or_lets_the_joint_drift(
+    loop: CommandedArm, begun: float
+) -> None:
+    limit = ca.SX.sym("limit")
+    amplitudes = Amplitudes(
+        names=(("limit", 0),),
+        symbols=limit,
+        values=np.array([begun * LIMIT]),
+        deviations=np.array([0.2 * LIMIT]),
+        lower=np.zeros(1),
+    )
+    physics = LoopPhysics(limits={0: limit}, amplitudes=amplitudes)
+    own = CommandedArm(loop.tree, loop.law, np.zeros(1), physics)
+    prior = zero_parameters(("servo",), amplitudes.lower)
+    prior.values[:] = np.insert(true_parameters().values, -1, begun * LIMIT)
+    deviations = np.zeros_like(prior.values)
+    deviations[prior.amplitudes] = amplitudes.deviations
+    found = polish(own, [recorded(7, limit=LIMIT)], prior, deviations)
+    np.testing.assert_allclose(found.parameters.values[prior.amplitudes], LIMIT, rtol=0.02)
+    assert 0.0 < found.discretisation[0] < found.residual[0] < 1e-3
 
 
 def test_delays_of_single_joints_are_told_from_that_of_all(tmp_path: Path) -> None:

@@ -160,3 +160,17 @@ def test_friction_that_vanishes_is_replaced_by_what_loses_it(
     assert own.probability == pytest.approx(1.0 / (1.0 + 1.5**-4.0), rel=0.01)
     quiet = replace(model, noise_ratio=np.array([1.0]))
     assert searched._replace_losses(quiet, found, [claimed])[2] == (claimed,)
+
+
+def test_a_stated_value_that_the_simulation_moves_beyond_its_tolerance_is_named(
+    tmp_path: Path,
+) -> None:
+    """Here the search of filtered torques has not named it."""
+    more = 0.06
+    _, findings = search(tmp_path / "set", coulomb=COULOMB + more).run(Extension(), ())
+    (first,) = findings
+    assert first.effect.name == "coulomb"
+    assert first.certainty == "found"
+    (value,) = first.parameters
+    assert value.sd is not None
+    assert abs(value.value - more) < 2.0 * value.sd < 0.5 * more
