@@ -212,6 +212,8 @@ def reason(score: CaseScore) -> str:
     if score.kind == "outside":
         return "an effect of the catalogue imitates it"
     true, said = score.truth, score.said
+    if not said:
+        return "a law stands for it"
     if score.kind == "pair":
         missed = [t.label for t in true if not any(same(t, s) for s in said[:3])]
         return "not among the first three: " + ", ".join(missed)

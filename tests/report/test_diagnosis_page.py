@@ -349,6 +349,9 @@ def test_headline_of_values_without_nominal_value(friction):
     silent = replace(friction, findings=(own,))
     values = "dentified values without nominal value: dry friction of joint 2"
     assert headline(silent) == f"I{values}"
+    # A new effect that nothing speaks for, refuted by a simulation, leads no headline.
+    refuted = replace(finding, probability=0.0, misfit=1.0, rivals=())
+    assert headline(replace(silent, findings=(own, refuted))) == f"I{values}"
     assert answer.action(silent).startswith("Enter dry friction 0.")
     left = Unexplained(("torque_1",), ("q_1",), None, 0.5, 6.8)
     assert headline(replace(silent, unexplained=left)) == (

@@ -39,8 +39,9 @@ _BURST_CAUSES = {"torque": "saturates", "dtorque": "limits the rate of its torqu
 
 def new_and_unstated(diagnosis: Diagnosis) -> tuple[list[Finding], list[Finding]]:
     """Return new effects, and values that every arm has and the nominal model does not state."""
-    unstated = [f for f in diagnosis.findings if f.located.calibrated]
-    return [f for f in diagnosis.findings if f not in unstated], unstated
+    every = [each.finding for each in statements(diagnosis)]
+    unstated = [f for f in every if f.located.calibrated]
+    return [f for f in every if f not in unstated], unstated
 
 
 def unchanged_sentence(diagnosis: Diagnosis) -> str:
@@ -82,13 +83,14 @@ def headline(diagnosis: Diagnosis) -> str:
     text = statement_headline(diagnosis, new)
     # Share of the mismatch on held-out runs from which findings lead a headline in any case.
     least = min(0.01, open_share(diagnosis))
-    if unstated and all(held_out_share(diagnosis, each) < least for each in new):
+    leading = [each for each in new if each.certainty != "possible"]
+    if unstated and all(held_out_share(diagnosis, each) < least for each in leading):
         values = f"identified values without nominal value: {_unstated_phrase(unstated)}"
-        text = f"{values}; small beside them: {text}" if new else values
+        text = f"{values}; small beside them: {text}" if leading else values
     left = diagnosis.unexplained
     if left is None:
         return capital(text)
-    if all(each.certainty == "possible" for each in new):
+    if not leading:
         # Nothing else is known for sure: the residual is the news.
         return capital(f"{_describe_open_residual(left)}; {text}")
     more = is_partly_unexplained(diagnosis)
