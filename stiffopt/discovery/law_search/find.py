@@ -286,7 +286,10 @@ class _State:
         kept = prune_effects(current, effects)
         if self._strict:
             kept = select_predictive(current, kept)
-        if located not in kept or not _is_determined(current, kept, located):
+        # Where a known effect acts, a law beside it or in its place has to be told from it.
+        acting = [e.located for e in self.kept if e.located.joint in (None, law.joint)]
+        alone = all(each.calibrated for each in acting)
+        if located not in kept or not _is_determined(current, kept, located, shapes_held=alone):
             return None
         self.restored = {each.key for each in self._restorable(current, kept)}
         if self.restored:
@@ -413,12 +416,16 @@ def _mean_stiffness(comparison: Comparison, joint: int) -> float:
 
 
 def _is_determined(
-    comparison: Comparison, effects: Sequence[LocatedEffect], law: LocatedEffect
+    comparison: Comparison,
+    effects: Sequence[LocatedEffect],
+    law: LocatedEffect,
+    *,
+    shapes_held: bool,
 ) -> bool:
     """Return True where a law's amplitude stands out of its deviation between parts and runs.
 
-    Sharp forms in a few samples gain evidence with an amplitude that is anything. The shapes are
-    held: the amplitude of a power or a hinge is told only together with its place.
+    Sharp forms in a few samples gain evidence with an amplitude that is anything. `shapes_held`:
+    the amplitude of a power or a hinge is told only together with its place.
     """
     estimate, index = estimate_parameters(comparison, effects), list(effects).index(law)
-    return estimate.amplitude_deviations(index, shapes_held=True) >= CONFIRMED_DEVIATIONS
+    return estimate.amplitude_deviations(index, shapes_held=shapes_held) >= CONFIRMED_DEVIATIONS
