@@ -7,6 +7,7 @@ from rich.console import Console
 
 from stiffopt.discovery.progress import RoundProgress, throttle_progress
 from stiffopt.report.common.progress import ProgressDisplay, StudyProgress
+from stiffopt.report.common.terminal import print_table
 from stiffopt.report.common.text import percent, si, significant
 from stiffopt.solver.monitor import Progress
 
@@ -134,3 +135,8 @@ def test_round_shows_the_remaining_time(monkeypatch):
     assert pace.words(0) == "1 of 4"
     assert pace.words(1) == "2 of 4, about 9 s of this round left"
     assert pace.words(3) == "4 of 4, about 4 s of this round left"
+
+
+def test_units_in_brackets_stay_in_the_title_of_a_table(capsys):
+    print_table(["motion", "error"], [["quintic", "0.3"]], "Deviations [mm]")
+    assert "Deviations [mm]" in " ".join(capsys.readouterr().out.split())

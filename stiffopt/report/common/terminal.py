@@ -34,7 +34,7 @@ def print_table(
     if not console.is_terminal:
         # Width of a table in a file or log, where rich would truncate cells at 80 columns.
         console = Console(highlight=False, width=160)
-    table = Table(title=title)
+    table = Table(title=None if title is None else Text(title, style="table.title"))
     for name in head:
         table.add_column(Text(name), justify="right" if name in numbers else "left")
     for row in rows:
