@@ -76,3 +76,13 @@ def write_servo_set(
         lines += ["[[runs]]", f'file = "run{k}.npz"', f'role = "{role}"']
     (folder / "recordings.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
     return folder
+
+
+def state_drive(folder: Path) -> None:
+    """State friction and rotor of the servo with narrow tolerances."""
+    file = folder / "recordings.toml"
+    stated = {"coulomb": COULOMB, "viscous": VISCOUS, "rotor_inertia": ARMATURE}
+    lines = ["[nominal]", *(f"{key} = [{value}]" for key, value in stated.items())]
+    lines += ["[tolerance]", "mass = 0.01", "com = 0.001", *(f"{key} = 0.05" for key in stated)]
+    text = file.read_text()
+    file.write_text(text.replace("[actuator]", "\n".join([*lines, "[actuator]"])))

@@ -153,14 +153,19 @@ def test_amplitudes_of_physics_are_fitted_as_parameters_are(loop: CommandedArm) 
     np.testing.assert_allclose(*spreads, rtol=1e-2)
 
 
+def settle(loop: CommandedArm, command: float) -> float:
+    """Return where the servo comes to rest under a constant command, without dry friction."""
+    run = recorded(6, 3.0)
+    run = replace(run, command=np.full_like(run.command, command))
+    free = true_parameters()
+    free.values[free.place("coulomb")] = 0.0
+    return float(simulate(loop, run, free)[-1, 0])
+
+
 def test_a_limit_of_the_physics_bounds_the_torque(loop: CommandedArm) -> None:
     physics = LoopPhysics(limits={0: ca.SX(0.5)})
     own = CommandedArm(loop.tree, loop.law, np.zeros(1), physics)
-    run = recorded(6, 3.0)
-    run = replace(run, command=np.full_like(run.command, 0.8))
-    free = true_parameters()
-    free.values[free.place("coulomb")] = 0.0
-    end = float(simulate(own, run, free)[-1, 0])
+    end = settle(own, 0.8)
     assert KP * (0.8 - end) > 0.5
     np.testing.assert_allclose(MASS * GRAVITY * LEVER * np.sin(end), 0.5, rtol=0.05)
 
@@ -312,11 +317,7 @@ def test_torques_by_accelerations_count_as_inertia(loop: CommandedArm) -> None:
 def test_a_displaced_link_carries_its_weight_there(loop: CommandedArm) -> None:
     physics = LoopPhysics(displacement=lambda position: 0.3 * position)
     own = CommandedArm(loop.tree, loop.law, np.zeros(1), physics)
-    run = recorded(6, 3.0)
-    run = replace(run, command=np.full_like(run.command, 0.8))
-    free = true_parameters()
-    free.values[free.place("coulomb")] = 0.0
-    end = float(simulate(own, run, free)[-1, 0])
+    end = settle(own, 0.8)
     # By virtual work the motor carries 0.7 of the weight at 0.7 of its angle.
     carried = 0.7 * MASS * GRAVITY * LEVER * np.sin(0.7 * end)
     np.testing.assert_allclose(KP * (0.8 - end), carried, rtol=1e-3)

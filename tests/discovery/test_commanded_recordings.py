@@ -18,6 +18,7 @@ from servo_sets import (
     LEVER,
     MASS,
     VISCOUS,
+    state_drive,
     write_servo_set,
 )
 
@@ -255,16 +256,6 @@ def test_doubts_end_with_exit_code_2(
 
 def test_right_commands_raise_no_doubt(servo: RecordingSet) -> None:
     assert list(doubt_commands(servo, open_training_runs(servo))) == []
-
-
-def state_drive(folder: Path) -> None:
-    """State friction and rotor of the servo with narrow tolerances."""
-    file = folder / "recordings.toml"
-    stated = {"coulomb": COULOMB, "viscous": VISCOUS, "rotor_inertia": ARMATURE}
-    lines = ["[nominal]", *(f"{key} = [{value}]" for key, value in stated.items())]
-    lines += ["[tolerance]", "mass = 0.01", "com = 0.001", *(f"{key} = 0.05" for key in stated)]
-    text = file.read_text()
-    file.write_text(text.replace("[actuator]", "\n".join([*lines, "[actuator]"])))
 
 
 def test_a_limit_of_the_drive_is_named_and_simulated(tmp_path: Path) -> None:

@@ -9,13 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from servo_sets import (
-    ARMATURE,
     COULOMB,
     DELAY,
     KP,
     STRIBECK_SPEED,
-    VISCOUS,
     commanded_motion,
+    state_drive,
     write_servo_set,
 )
 
@@ -59,12 +58,7 @@ def search(folder: Path, *, beside_another: bool = False, **physics: float) -> L
     """Return the search of a servo whose drive is stated but for some physics."""
     actuator = f"kp = [{KP}]\nkd = [0.0]\ntolerance = 0.01\ndelay = {DELAY}"
     write_servo_set(folder, actuator=actuator, runs=2, **physics)
-    file = folder / "recordings.toml"
-    stated = {"coulomb": COULOMB, "viscous": VISCOUS, "rotor_inertia": ARMATURE}
-    lines = ["[nominal]", *(f"{key} = [{value}]" for key, value in stated.items())]
-    lines += ["[tolerance]", "mass = 0.01", "com = 0.001", *(f"{key} = 0.05" for key in stated)]
-    text = file.read_text()
-    file.write_text(text.replace("[actuator]", "\n".join([*lines, "[actuator]"])))
+    state_drive(folder)
     if beside_another:
         add_servo(folder)
     recordings = load_recordings(folder)
