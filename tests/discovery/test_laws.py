@@ -272,6 +272,14 @@ def test_a_square_needs_no_exponent() -> None:
     assert found.best.law.amplitude_unit == "N m/(rad/s)^2"
 
 
+def test_only_units_of_several_names_need_brackets() -> None:
+    units = [
+        Law(4, "drive_torque", (Factor(LawSource(kind, 4), "linear"),)).amplitude_unit
+        for kind in ("position", "speed", "load")
+    ]
+    assert units == ["N m/rad", "N m/(rad/s)", "N m/(N m)"]
+
+
 def test_functions_of_one_signal_are_one_law_whatever_it_is_called() -> None:
     speed = LawSource("speed", 4)
     odd = Law(4, "drive_torque", (Factor(speed, "signed_square"),))

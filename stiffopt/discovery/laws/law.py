@@ -229,7 +229,8 @@ class Law:
     def amplitude_unit(self) -> str:
         """Unit of the amplitudes."""
         powers = [(f.source.own.unit, f.own.unit_power) for f in self.factors]
-        units = [f"/({unit})" + f"^{n}" * (n > 1) for unit, n in powers if unit and n]
+        named = ((f"({unit})" if "/" in unit or " " in unit else unit, n) for unit, n in powers)
+        units = [f"/{unit}" + f"^{n}" * (n > 1) for unit, n in named if unit and n]
         return _PLACE_UNITS[self.place] + "".join(units)
 
     @property
