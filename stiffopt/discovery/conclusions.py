@@ -34,7 +34,6 @@ from stiffopt.discovery.search.uncertainty import (
     Estimate,
     null_probability,
 )
-from stiffopt.discovery.settings import DEFAULT_TOLERANCE
 from stiffopt.discovery.thresholds import (
     OPEN_RATIO,
     OPEN_SHARE,
@@ -367,7 +366,7 @@ def _loop_body(
     recordings: RecordingSet, model: ClosedLoopModel, link: int
 ) -> tuple[list[int], np.ndarray, np.ndarray]:
     """Return the change of a link's inertial parameters that the simulation has, as amplitudes."""
-    place, fitted, tolerance = int(recordings.order[link]), model.fitted, recordings.tolerance
+    place, fitted = int(recordings.order[link]), model.fitted
     nominal, own = (tree.bodies[place] for tree in (recordings.robot.tree, model.loop.tree))
     count = len(BODY_PARAMETERS)
     first = fitted.bodies.start + place * count
@@ -379,8 +378,7 @@ def _loop_body(
     slopes[[1, 2, 3, 4, 6, 9], range(1, count)] = 1.0
     change = own.inertial_parameters - nominal.inertial_parameters + slopes @ fitted.values[rows]
     covariance = slopes @ model.polished.whole_covariance()[rows, rows] @ slopes.T
-    of_mass = DEFAULT_TOLERANCE.mass if tolerance.mass is None else tolerance.mass
-    stated = (of_mass or 0.0) * nominal.inertial_parameters
+    stated = stated_tolerance(recordings, "mass") * nominal.inertial_parameters
     covariance += np.outer(stated, stated)
     numbers = np.flatnonzero(np.diag(covariance) > 0.0)
     return numbers.tolist(), change[numbers], covariance[np.ix_(numbers, numbers)]

@@ -113,7 +113,7 @@ def expect_parameters(
     findings changed are as uncertain as the change.
     """
     prior = replace(begun, values=begun.values.copy())
-    robot, law, tolerance = recordings.robot, loop.law, recordings.tolerance
+    robot, law = recordings.robot, loop.law
     error = np.vstack([run.command - run.position for run in runs])
     velocity = np.vstack([run.velocity for run in runs])
     stiffness = np.where(np.isfinite(law.stiffness), law.stiffness, 0.0)
@@ -146,10 +146,7 @@ def expect_parameters(
             kept = np.abs(prior.of(name) - nominal) <= _KEPT_DEVIATIONS * relative * nominal
             size[place] = np.where(kept, relative * nominal, size[place])
             prior.values[place] = np.where(kept, nominal, prior.of(name))
-    of_mass = DEFAULT_TOLERANCE.mass if tolerance.mass is None else tolerance.mass
-    of_centre = DEFAULT_TOLERANCE.com if tolerance.com is None else tolerance.com
-    assert of_mass is not None
-    assert of_centre is not None
+    of_mass, of_centre = (stated_tolerance(recordings, key) for key in ("mass", "com"))
     for i, (body, own) in enumerate(zip(robot.tree.bodies, loop.tree.bodies, strict=True)):
         about = _INERTIA_DEVIATION * float(np.trace(body.inertia)) / 3.0
         change = np.abs(own.inertial_parameters - body.inertial_parameters)
@@ -166,7 +163,7 @@ def expect_parameters(
 
 
 def stated_tolerance(recordings: RecordingSet, key: str) -> float:
-    """Return the relative standard deviation of a nominal value, by default the usual one."""
+    """Return the standard deviation of a nominal value as stated, by default the usual one."""
     own = getattr(recordings.tolerance, key)
     return float(getattr(DEFAULT_TOLERANCE, key) if own is None else own)
 
