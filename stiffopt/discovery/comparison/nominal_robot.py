@@ -432,8 +432,7 @@ class LazyArmSignals:
     def decimate(self, every: int) -> LazyArmSignals:
         """Return every k-th sample."""
         other = LazyArmSignals(self._robot, *(x[::every] for x in self._motion))
-        if (added := self.body_regressor.added_gravity) is not None:
-            return other.under_gravity(added)
+        other.body_regressor = self.body_regressor.along(*other._motion)
         return other
 
     def with_bodies(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> LazyArmSignals:
