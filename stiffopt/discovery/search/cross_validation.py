@@ -5,7 +5,7 @@ Folds are whole runs where there are several, else parts of runs.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -17,6 +17,8 @@ from stiffopt.discovery.comparison.located_effect import LocatedEffect
 
 # Number of folds, over all runs, where runs are few: a fit has to carry over to a sixth of them.
 FOLDS_OF_FEW_RUNS = 6
+# Rounding of a value at its bound; exchanges of all values that do not make wrong ones fewer.
+_BOUND_ROUNDING, _MAX_TRIALS = 1e-9, 3
 
 
 def stack_columns(
@@ -28,10 +30,6 @@ def stack_columns(
     owner = np.repeat(np.arange(-1, len(effects)), [len(sd), *counts])
     prior = np.concatenate([sd, np.ones(len(owner) - len(sd))])
     return comparison.stack_columns(effects), prior, owner
-
-
-# Rounding of a value at its bound; exchanges of all values that do not make wrong ones fewer.
-_BOUND_ROUNDING, _MAX_TRIALS = 1e-9, 3
 
 
 class FoldPredictions:
@@ -76,21 +74,20 @@ class FoldPredictions:
 
     def residual(self, kept: np.ndarray | None = None) -> np.ndarray:
         """Return the residual (m,) with the columns of a mask (p,), default all."""
-        left = self._target.copy()
-        for rows, columns, others in zip(self._rows, self._columns, self._others, strict=True):
-            left[rows] -= columns @ others.values(kept)
-        return left
+        return self._left_by(others.values(kept) for others in self._others)
 
     def residual_within_bounds(self, comparison: Comparison) -> np.ndarray:
         """Return the residual (m,) of fits with consistent bodies, as whole recordings get them."""
-        left, gram, moment = self._target.copy(), self._gram.sum(axis=0), self._moment.sum(axis=0)
-        for rows, columns, own, part, others in zip(
-            self._rows, self._columns, self._gram, self._moment, self._others, strict=True
-        ):
-            values = comparison.within_bounds(
-                others.values(None), gram - own, moment - part, self._prior
-            )
-            left[rows] -= columns @ values
+        return self._left_by(
+            comparison.within_bounds(own.values(), own.gram, own.moment, self._prior)
+            for own in self._others
+        )
+
+    def _left_by(self, values: Iterable[np.ndarray]) -> np.ndarray:
+        """Return the residual (m,) of every fold by its own values (p,)."""
+        left = self._target.copy()
+        for rows, columns, own in zip(self._rows, self._columns, values, strict=True):
+            left[rows] -= columns @ own
         return left
 
     def prior_squares(self, count: int, kept: np.ndarray | None = None) -> float:
@@ -117,11 +114,12 @@ class _Normal:
     def __init__(
         self, gram: np.ndarray, moment: np.ndarray, prior: np.ndarray, limits: np.ndarray
     ) -> None:
+        self.gram, self.moment = gram, moment
         self._prior, self._limits = prior, limits
         self._inverse = np.linalg.inv(gram * np.outer(prior, prior) + np.eye(len(prior)))
         self._likeliest = self._inverse @ (prior * moment)
 
-    def values(self, kept: np.ndarray | None) -> np.ndarray:
+    def values(self, kept: np.ndarray | None = None) -> np.ndarray:
         """Return the likeliest values (p,) within their bounds.
 
         `kept` (p,): mask of the columns that are fitted; the others are zero. Values that leave
