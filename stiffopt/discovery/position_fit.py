@@ -286,22 +286,13 @@ def loop_values(
 def read_model(recordings: RecordingSet, model: ExtendedModel) -> ClosedLoopModel:
     """Return the closed loop of an extended model.
 
-    Raises `InputFileError`: a list of another length than the joints, or an unknown or missing
-    parameter.
+    Raises `InputError`: a list of another length than the joints, an unknown or missing parameter,
+    or a value that none can have.
     """
     section = model.closed_loop
     assert section is not None
     n, back = recordings.n, np.argsort(recordings.order)
     robot, physics, _ = robot_in_loop(recordings, model)
-    names = {**dict.fromkeys((*JOINT_PARAMETERS, *BODY_PARAMETERS), n), DELAY: 1}
-    names[AMPLITUDES] = len(physics.amplitudes.values)
-    for key in ("values", "deviations"):
-        table = getattr(section, key)
-        if {name: len(own) for name, own in table.items()} != names:
-            raise InputError(
-                f"closed_loop.{key} needs {', '.join(names)}, one number a joint ({n}) each and one"
-                f" {DELAY}. Diagnose the recordings again."
-            )
     names_of_lists = ("stiffness", "damping", "drive_max", "torque_max", "tolerance", "middle")
     if any(len(getattr(section, name)) != n for name in names_of_lists):
         raise InputError(f"closed_loop needs one number a joint ({n}) in every list.")
@@ -317,24 +308,47 @@ def read_model(recordings: RecordingSet, model: ExtendedModel) -> ClosedLoopMode
         tolerance=tolerance,
     )
     inside = law.reordered(back)
-    loop = CommandedArm(robot.tree, inside, middle[back], physics)
     known = recordings.with_actuator(law)
-    lower = physics.amplitudes.lower
-    fitted, spread = zero_parameters(recordings.robot.joint_names, lower), None
-    for table in (section.deviations, section.values):
-        spread = fitted
-        fitted = zero_parameters(recordings.robot.joint_names, lower)
-        for name in JOINT_PARAMETERS:
-            fitted.values[fitted.place(name)] = np.array(table[name])[back]
-        for name in BODY_PARAMETERS:
-            fitted.values[fitted.body_places(name)] = np.array(table[name])[back]
-        fitted.values[fitted.amplitudes] = table[AMPLITUDES]
-        fitted.values[-1] = table[DELAY][0]
-    assert spread is not None
+    none = zero_parameters(recordings.robot.joint_names, physics.amplitudes.lower)
+    fitted, spread = (
+        _read_parameters(getattr(section, key), f"closed_loop.{key}", none, back)
+        for key in ("values", "deviations")
+    )
+    wrong = ~np.isfinite(fitted.values)
+    # The delay of all joints together may lie before one that a joint has of its own.
+    wrong[:-1] |= (fitted.values < fitted.lower)[:-1]
+    if wrong.any():
+        name, _ = fitted.names[int(np.argmax(wrong))]
+        value, least = fitted.values[wrong][0], fitted.lower[wrong][0]
+        raise InputError(
+            f"closed_loop.values.{name} has {value:.4g}: finite numbers from {least:g} on are"
+            " allowed. Diagnose the recordings again."
+        )
     return ClosedLoopModel(
         nominal_loop=CommandedArm(recordings.robot.tree, inside, middle[back]),
-        loop=loop,
+        loop=CommandedArm(robot.tree, inside, middle[back], physics),
         nominal=nominal_parameters(known, recordings.robot),
         fitted=fitted,
         deviations=spread.values,
     )
+
+
+def _read_parameters(
+    table: Mapping[str, tuple[float, ...]], where: str, none: Parameters, back: np.ndarray
+) -> Parameters:
+    """Return the parameters of a table in the joint order of the set; `none`: all zero."""
+    found = replace(none, values=none.values.copy())
+    sizes = {**dict.fromkeys((*JOINT_PARAMETERS, *BODY_PARAMETERS), none.n), DELAY: 1}
+    sizes[AMPLITUDES] = len(none.lower_amplitudes)
+    for name in {**sizes, **table}:
+        if name not in table or len(table[name]) != sizes.get(name):
+            given = f"has {len(table[name])} numbers" if name in table else "is missing"
+            needed = f"{sizes[name]} needed" if name in sizes else "no parameter has this name"
+            raise InputError(f"{where}.{name} {given}, {needed}. Diagnose the recordings again.")
+    for name in JOINT_PARAMETERS:
+        found.values[found.place(name)] = np.array(table[name])[back]
+    for name in BODY_PARAMETERS:
+        found.values[found.body_places(name)] = np.array(table[name])[back]
+    found.values[found.amplitudes] = table[AMPLITUDES]
+    found.values[-1] = table[DELAY][0]
+    return found

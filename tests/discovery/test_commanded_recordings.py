@@ -24,19 +24,28 @@ from servo_sets import (
 
 from stiffopt.cli import run as run_command
 from stiffopt.closed_loop.simulation import CommandedRun, simulate
+from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.nuisance import GAIN, joint_columns
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.diagnosis import Diagnosis
 from stiffopt.discovery.experiment.commands import motion_commands
+from stiffopt.discovery.extended.value_changes import extended_model
 from stiffopt.discovery.identifiable import effect_checks
 from stiffopt.discovery.loop_fit import build_loop, nominal_parameters
-from stiffopt.discovery.position_fit import fit_positions, model_section, simulate_run
+from stiffopt.discovery.position_fit import (
+    ClosedLoopModel,
+    fit_positions,
+    model_section,
+    read_model,
+    simulate_run,
+)
 from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
 from stiffopt.discovery.sanity.command_doubts import doubt_commands
 from stiffopt.discovery.sanity.position_errors import take_errors_as_commands
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import open_training_runs, prepare_training
+from stiffopt.errors import InputError
 from stiffopt.recording.joint_facts import joint_facts
 from stiffopt.recording.recording_set import RecordingSet, load_recordings
 from stiffopt.recording.run import derive_torque
@@ -311,6 +320,32 @@ def test_servo_from_a_plain_log_to_named_friction_and_a_rollout(tmp_path: Path) 
     again = json.loads((rolled / "rollout.json").read_text(encoding="utf-8"))
     np.testing.assert_allclose(again["runs"][-1]["rms_after"], proof["rms_after"], rtol=1e-9)
     assert (rolled / "run2.png").exists()
+
+
+def test_damaged_values_of_a_simulation_are_refused(servo: RecordingSet) -> None:
+    own = resolve_actuator(servo, open_training_runs(servo))
+    training = prepare_training(own.recordings, Settings(), None, lambda _: None, own.runs)
+    section = model_section(own.recordings, fit_positions(own.recordings, own.runs[:1]))
+    assert section is not None
+    model = extended_model(own.recordings, training.constants, Extension())
+
+    def read(values: dict[str, tuple[float, ...]]) -> ClosedLoopModel:
+        changed = section.model_copy(update={"values": values})
+        return read_model(own.recordings, replace(model, closed_loop=changed))
+
+    whole = section.values
+    np.testing.assert_array_equal(read(whole).fitted.of("coulomb"), whole["coulomb"])
+    short = {name: own for name, own in whole.items() if name != "amplitudes"}
+    for values, message in (
+        (whole | {"coulomb": (np.nan,)}, "coulomb has nan: finite numbers from 0 on are allowed"),
+        (whole | {"armature": (-0.1,)}, "armature has -0.1: finite numbers from 0 on are allowed"),
+        (whole | {"zero": (np.inf,)}, "zero has inf: finite numbers from -inf on are allowed"),
+        (whole | {"amplitudes": (0.3,)}, "amplitudes has 1 numbers, 0 needed"),
+        (whole | {"dry": (0.1,)}, "dry has 1 numbers, no parameter has this name"),
+        (short, "amplitudes is missing, 0 needed"),
+    ):
+        with pytest.raises(InputError, match=rf"closed_loop\.values\.{message}"):
+            read(values)
 
 
 def _case(name: str) -> Path:
