@@ -293,20 +293,14 @@ def read_model(recordings: RecordingSet, model: ExtendedModel) -> ClosedLoopMode
     assert section is not None
     n, back = recordings.n, np.argsort(recordings.order)
     robot, physics, _ = robot_in_loop(recordings, model)
-    names_of_lists = ("stiffness", "damping", "drive_max", "torque_max", "tolerance", "middle")
-    if any(len(getattr(section, name)) != n for name in names_of_lists):
+    lists: dict[str, Any] = {
+        name: np.array(getattr(section, name))
+        for name in ("stiffness", "damping", "drive_max", "torque_max", "tolerance", "middle")
+    }
+    if any(len(own) != n for own in lists.values()):
         raise InputError(f"closed_loop needs one number a joint ({n}) in every list.")
-    stiffness, damping, drive_max, torque_max, tolerance, middle = (
-        np.array(getattr(section, name)) for name in names_of_lists
-    )
-    law = ActuatorLaw(
-        stiffness=stiffness,
-        damping=damping,
-        drive_max=drive_max,
-        torque_max=torque_max,
-        delay=section.delay,
-        tolerance=tolerance,
-    )
+    middle = lists.pop("middle")[back]
+    law = ActuatorLaw(delay=section.delay, **lists)
     inside = law.reordered(back)
     known = recordings.with_actuator(law)
     none = zero_parameters(recordings.robot.joint_names, physics.amplitudes.lower)
@@ -325,8 +319,8 @@ def read_model(recordings: RecordingSet, model: ExtendedModel) -> ClosedLoopMode
             " allowed. Diagnose the recordings again."
         )
     return ClosedLoopModel(
-        nominal_loop=CommandedArm(recordings.robot.tree, inside, middle[back]),
-        loop=CommandedArm(robot.tree, inside, middle[back], physics),
+        nominal_loop=CommandedArm(recordings.robot.tree, inside, middle),
+        loop=CommandedArm(robot.tree, inside, middle, physics),
         nominal=nominal_parameters(known, recordings.robot),
         fitted=fitted,
         deviations=spread.values,
@@ -336,7 +330,7 @@ def read_model(recordings: RecordingSet, model: ExtendedModel) -> ClosedLoopMode
 def _read_parameters(
     table: Mapping[str, tuple[float, ...]], where: str, none: Parameters, back: np.ndarray
 ) -> Parameters:
-    """Return the parameters of a table in the joint order of the set; `none`: all zero."""
+    """Return the parameters of a table in the joint order of the robot; `none`: all zero."""
     found = replace(none, values=none.values.copy())
     sizes = {**dict.fromkeys((*JOINT_PARAMETERS, *BODY_PARAMETERS), none.n), DELAY: 1}
     sizes[AMPLITUDES] = len(none.lower_amplitudes)
