@@ -240,7 +240,7 @@ def describe_next_recording(unexplained: Unexplained) -> str:
 def findings_with_loop_values(
     recordings: RecordingSet,
     constants: RobotConstants,
-    model: ClosedLoopModel | None,
+    model: ClosedLoopModel,
     findings: Sequence[Finding],
     before: Sequence[Extension],
 ) -> tuple[Finding, ...]:
@@ -252,8 +252,6 @@ def findings_with_loop_values(
     Torques derived from commands are filtered, and so are friction and its reversals: simulated,
     they are where the arm has them. What a value adds to its nominal one is as uncertain as both.
     """
-    if model is None:
-        return tuple(findings)
     known = [each for extension in before for each in extension.effects]
     return tuple(_with_loop_value(recordings, constants, model, each, known) for each in findings)
 

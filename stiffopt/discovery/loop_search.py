@@ -72,26 +72,21 @@ class LoopSearch:
         if model is None:  # the findings make it unstable
             found = Extension()
             model = self._fit(found)
-        limits = [each for each in found.effects if each.effect.limits_drive]
-        if model is not None and model.lacks.any() and limits:
-            # One too low lets the joint drift: no slope leads back from there.
-            rest = replace(found, effects=tuple(e for e in found.effects if e not in limits))
-            free = self._fit(rest)
-            if free is not None and free.misfit < model.misfit:
-                model, found = free, rest
-                findings = [refuted(f, 1.0) if f.estimated in limits else f for f in findings]
+        if model is None:
+            return None, tuple(findings)
+        if model.lacks.any():
+            # A limit too low lets the joint drift: no slope leads back from there.
+            limits = [each for each in found.effects if each.effect.limits_drive]
+            model, found = self._fit_without(limits, model, found)
+            wrong = [each for each in limits if each not in found.effects]
+            findings = [refuted(f, 1.0) if f.estimated in wrong else f for f in findings]
         judged = self._judge(model, findings)
-        zero = {each.estimated for each in judged if each.certainty == "possible"}
-        if model is not None and any(each in zero for each in found.effects):
-            rest = replace(found, effects=tuple(e for e in found.effects if e not in zero))
-            simpler = self._fit(rest)
-            if simpler is not None and simpler.misfit < model.misfit + _EQUAL_MISFIT:
-                model, found = simpler, rest
-        if model is not None:
-            model, found, findings = self._replace_losses(model, found, findings)
+        zero = [each.estimated for each in judged if each.certainty == "possible"]
+        model, found = self._fit_without(zero, model, found, _EQUAL_MISFIT)
+        model, found, findings = self._replace_losses(model, found, findings)
         # Joints by what they leave; what the initial shapes of an effect leave is no second effect.
         searched = set[int]()
-        while model is not None and len(added) < MAX_EFFECTS:
+        while len(added) < MAX_EFFECTS:
             assert model.noise_ratio is not None
             ratio = np.where(model.lacks, model.noise_ratio, 0.0)
             ratio[list(searched)] = 0.0
@@ -106,14 +101,24 @@ class LoopSearch:
                 self.say(f"found {new.located.label} in the simulation")
                 model, added = better, [*added, new]
         judged = self._judge(model, (*findings, *added))
-        if model is None:
-            return None, judged
         claimed = [each.located for each in judged if each.certainty != "possible"]
         return model, (*judged, *self._judge(model, tuple(self._own_values(model, claimed))))
 
-    def _judge(
-        self, model: ClosedLoopModel | None, findings: Sequence[Finding]
-    ) -> tuple[Finding, ...]:
+    def _fit_without(
+        self,
+        spare: Sequence[EstimatedEffect],
+        model: ClosedLoopModel,
+        found: Extension,
+        allowed: float = 0.0,
+    ) -> tuple[ClosedLoopModel, Extension]:
+        """Return the fit without some effects if its misfit rises by less than allowed."""
+        rest = replace(found, effects=tuple(e for e in found.effects if e not in spare))
+        simpler = self._fit(rest) if len(rest.effects) < len(found.effects) else None
+        if simpler is not None and simpler.misfit < model.misfit + allowed:
+            return simpler, rest
+        return model, found
+
+    def _judge(self, model: ClosedLoopModel, findings: Sequence[Finding]) -> tuple[Finding, ...]:
         constants, before = self.training.constants, self.training.before
         return findings_with_loop_values(self.recordings, constants, model, findings, before)
 
