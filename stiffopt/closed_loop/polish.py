@@ -118,8 +118,8 @@ def _begin_limits(
         residual = fit.simulate(replace(prior, values=values), none).residual
         return float(np.log(np.nanmean(residual**2, axis=0)).sum())
 
+    symbols = ca.vertsplit(loop.physics.amplitudes.symbols)
     for limit in loop.physics.limits.values():
-        symbols = ca.vertsplit(loop.physics.amplitudes.symbols)
         place = prior.amplitudes.start + [ca.is_equal(own, limit) for own in symbols].index(True)
         tried = np.tile(prior.values, (len(_LIMIT_FACTORS), 1))
         tried[:, place] *= _LIMIT_FACTORS

@@ -136,22 +136,17 @@ class LoopSearch:
             parameter = loop_parameter(entry)
             if parameter is None or entry.scope != "joint" or entry.only_in:
                 continue
-            if entry.nominal in self.recordings.unstated:
+            shifted = entry.shifts_weight and any(each.effect.shifts_weight for each in taken)
+            if shifted or entry.nominal in self.recordings.unstated:
                 continue
             name, sign = parameter
-            shifted = entry.shifts_weight and any(each.effect.shifts_weight for each in taken)
             for located in effect_places(entry, constants, ()):
                 assert located.joint is not None
                 joint = int(self.recordings.order[located.joint])
                 place = fitted.place(name).start + joint
                 sd, prior = model.deviations[place], model.expected_deviations[place]
-                open_ = bool(entry.nominal) and bool(model.misses[joint])
-                if (
-                    shifted
-                    or open_
-                    or sd <= 0.0
-                    or any(located.same_place(other) for other in taken)
-                ):
+                is_open = bool(entry.nominal) and bool(model.misses[joint])
+                if is_open or sd <= 0.0 or any(located.same_place(other) for other in taken):
                     continue
                 taken = [*taken, located]
                 known = (e for own in self.training.before for e in own.effects)
