@@ -98,7 +98,8 @@ def changed_values(diagnosis: Diagnosis) -> list[ChangedValue]:
     Those of findings come first, then nominal values that were fitted within their tolerances.
     Changes that read alike are left out.
     """
-    extension, nominal = diagnosis.extension, diagnosis.recordings.robot
+    extension, recordings = diagnosis.extension, diagnosis.recordings
+    nominal = recordings.robot
     if not extension.effects or not diagnosis.findings:
         return []
 
@@ -106,8 +107,8 @@ def changed_values(diagnosis: Diagnosis) -> list[ChangedValue]:
         calibration: Mapping[ValueName, float], effects: tuple[EstimatedEffect, ...]
     ) -> list[ValueChange]:
         own = replace(extension, calibration=calibration, effects=effects)
-        model = extended_model(diagnosis.recordings, diagnosis.training.constants, own)
-        return value_changes(nominal, planner_model(nominal, model).robot)
+        model = extended_model(recordings, diagnosis.training.constants, own)
+        return value_changes(nominal, planner_model(nominal, model).robot, recordings.order)
 
     causes: dict[tuple[int, str], str] = {}
     for each in statements(diagnosis):

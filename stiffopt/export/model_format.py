@@ -82,7 +82,7 @@ def read_diagnosed_robot(
         zeros=zeros,
         stiffness=np.full(loaded.robot.n, np.nan),
         damping=np.full(loaded.robot.n, np.nan),
-        changes=tuple(value_changes(loaded.robot, planner.robot)),
+        changes=tuple(value_changes(loaded.robot, planner.robot, loaded.order)),
         left_out=left_out,
     )
     if model.closed_loop is None:
@@ -119,7 +119,7 @@ def _with_closed_loop(
         zeros=-own["zero"],
         stiffness=np.array(loop.stiffness)[place] * (1.0 + own["gain"]),
         damping=np.array(loop.damping)[place] * (1.0 + own["damping"]),
-        changes=tuple(value_changes(found.nominal, robot)),
+        changes=tuple(value_changes(found.nominal, robot, order)),
         left_out=tuple(
             f"{name} of joint {j + 1}"
             for name in _UNREPRESENTED_PARAMETERS

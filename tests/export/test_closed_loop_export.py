@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from small_arms import ROOT
 
 from stiffopt.closed_loop.parameters import BODY_PARAMETERS, JOINT_PARAMETERS
 from stiffopt.discovery.extended.schema import ClosedLoopSection
+from stiffopt.discovery.extended.value_changes import value_changes
 from stiffopt.export.model_format import DiagnosedRobot, _with_closed_loop
 from stiffopt.recording.recording_set import load_recordings
 
@@ -67,3 +70,9 @@ def test_fitted_bodies_are_those_of_the_robot(nominal):
     np.testing.assert_array_equal(
         found.robot.tree.bodies[0].inertial_parameters, nominal.tree.bodies[0].inertial_parameters
     )
+
+
+def test_changed_values_have_the_numbers_of_the_set(nominal):
+    stiffer = replace(nominal, coulomb=nominal.coulomb + np.array([0.0, 1.0]))
+    (change,) = value_changes(nominal, stiffer, order=np.array([1, 0]))
+    assert (change.joint, change.name) == (1, nominal.joint_names[1])

@@ -28,7 +28,7 @@ _JOINT_VALUES = (
 class ValueChange:
     """A value of the nominal robot and its corrected value."""
 
-    joint: int  # from 1; of a body, the joint that carries it
+    joint: int  # from 1, in the order of the set; of a body, the joint that carries it
     name: str  # of the joint
     quantity: str
     # old, new: in `unit`.
@@ -37,14 +37,14 @@ class ValueChange:
     unit: str
 
 
-def value_changes(nominal: Robot, found: Robot) -> list[ValueChange]:
+def value_changes(nominal: Robot, found: Robot, order: np.ndarray) -> list[ValueChange]:
     """Return the values in which two robots with the same joints differ, joint by joint.
 
     `nominal`, `found`: friction and rotor inertia at the joint's output; bodies include all that is
-    fixed to them.
+    fixed to them. `order` (n,): the robot's joints (from 0) in the order of the set.
     """
     changes = []
-    for j, name in enumerate(nominal.joint_names):
+    for number, j in enumerate(order.tolist(), start=1):
         slides = bool(nominal.prismatic[j])
         pairs = [
             (words, getattr(nominal, key)[j], getattr(found, key)[j], joint_unit(unit, slides))
@@ -65,7 +65,7 @@ def value_changes(nominal: Robot, found: Robot) -> list[ValueChange]:
             for k, axis in enumerate("xyz")
         ]
         changes += [
-            ValueChange(j + 1, name, words, float(old), float(new), unit)
+            ValueChange(number, nominal.joint_names[j], words, float(old), float(new), unit)
             for words, old, new, unit in pairs
             if abs(new - old) > VALUE_TOLERANCE * max(abs(old), abs(new))
         ]
