@@ -11,7 +11,7 @@ from stiffopt.report.common.terminal import (
     print_lines,
     print_section,
 )
-from stiffopt.report.common.text import listed, si, words
+from stiffopt.report.common.text import DASH, listed, si, words
 from stiffopt.sweep.run import SweepProgress
 from stiffopt.sweep.shared_values import SharedValue
 from stiffopt.sweep.summary import TABLE_FILE, SweepSummary
@@ -103,7 +103,7 @@ def shared_section(summary: SweepSummary) -> ReportSection:
     for each in values:
         told = {name: pm(value, sd, each.unit) for name, value, sd in each.arms}
         common = pm(each.value, each.sd, each.unit) if each.common else "each arm's own"
-        rows.append([_place_words(each), *(told.get(name, "–") for name in names), common])
+        rows.append([_place_words(each), *(told.get(name, DASH) for name in names), common])
         (shared if each.common else own).append(_place_words(each))
     lines = [f"Common to all arms: {'; '.join(shared)}."] if shared else []
     lines += [f"Each arm's own: {'; '.join(own)}."] if own else []
