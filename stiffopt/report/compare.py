@@ -111,13 +111,13 @@ def _differences(a: Any, b: Any, place: str = "") -> Iterator[tuple[str, Any, An
 
 
 def _by_key(value: Any) -> Any:
-    """Return a list by number, and violations, which are sorted by size, by their limits."""
     if not isinstance(value, list):
         return value
     return {_list_key(each, number): each for number, each in enumerate(value, start=1)}
 
 
 def _list_key(value: Any, number: int) -> str:
+    """Return the number in a list; of violations, which are sorted by size, the limit."""
     if not isinstance(value, dict) or "limit" not in value:
         return f"[{number}]"
     joint = value.get("joint")

@@ -97,16 +97,16 @@ def shared_section(summary: SweepSummary) -> ReportSection:
         if not each.common or abs(each.value) > _MIN_DEVIATIONS * each.sd
     ]
     names = list(dict.fromkeys(name for each in values for name, _, _ in each.arms))
-    rows: list[list[str]] = []
-    own: list[str] = []
-    shared: list[str] = []
+    rows = []
     for each in values:
         told = {name: pm(value, sd, each.unit) for name, value, sd in each.arms}
         common = pm(each.value, each.sd, each.unit) if each.common else "each arm's own"
         rows.append([_place_words(each), *(told.get(name, DASH) for name in names), common])
-        (shared if each.common else own).append(_place_words(each))
-    lines = [f"Common to all arms: {'; '.join(shared)}."] if shared else []
-    lines += [f"Each arm's own: {'; '.join(own)}."] if own else []
+    lines = [
+        f"{title}: {'; '.join(places)}."
+        for title, common in (("Common to all arms", True), ("Each arm's own", False))
+        if (places := [_place_words(each) for each in values if each.common == common])
+    ]
     head = ["value", *names, "of all arms"]
     return ReportSection(title="Values of several arms", head=head, rows=rows, lines=lines)
 
