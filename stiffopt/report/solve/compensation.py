@@ -141,7 +141,14 @@ def compensation_figure(compensation: Compensation) -> Figure:
     # matplotlib loads slowly, and the texts do without it.
     from matplotlib.figure import Figure
 
-    from stiffopt.report.common.svg import BLUE, GREY, VERMILLION, WIDTH, figure_style
+    from stiffopt.report.common.svg import (
+        BLUE,
+        GREY,
+        VERMILLION,
+        WIDTH,
+        figure_style,
+        set_log_scale,
+    )
 
     rows = [
         (f"{motion.name}, {how}", color, spreads)
@@ -165,7 +172,7 @@ def compensation_figure(compensation: Compensation) -> Figure:
                 axes.plot(factor * spread.nominal, place, "D", color=color, markersize=6)
                 axes.plot(factor * spread.worst, place, "|", color=color, markersize=16)
             if any(getattr(each, phase).worst > 0.0 for _, _, each in rows):
-                axes.set_xscale("log")
+                set_log_scale(axes, "x")
             axes.grid(axis="x", color=GREY, linewidth=0.4)
             where = "in flight" if phase == "flight" else "after arrival"
             axes.set_xlabel(f"peak deviation {where} [{unit}]")
