@@ -12,7 +12,7 @@ import pytest
 from stiffopt.command.compensation import _explain_refusal
 from stiffopt.elastic.uncertainty import AssumedUncertainty, Uncertainty
 from stiffopt.report.common.svg import to_svg
-from stiffopt.report.solve.compensation import compensation_figure
+from stiffopt.report.solve.compensation import compensation_figure, compensation_section
 from stiffopt.report.solve.wording import rival_text
 from stiffopt.result.assessment import Violation
 from stiffopt.result.compensation import (
@@ -149,3 +149,10 @@ def test_ticks_of_deviations_over_decades_are_numbers(after, ticks):
     drawn = to_svg(compensation_figure(found), "compensation", "Deviations")
     assert "mathdefault" not in drawn
     assert ticks <= set(re.findall(r">([0-9.]+)<", drawn))
+
+
+def test_a_stored_command_is_not_said_to_be_compared_at_equal_duration():
+    found = compensation(motion("optimised", 1e-4, 3e-5), motion("quintic", 2e-4, 2e-5, 0.6))
+    assert "at equal duration" in " ".join(compensation_section(found).lines)
+    stored = compensation_section(replace(found, file="command.csv"))
+    assert "at equal duration" not in " ".join(stored.lines)

@@ -114,6 +114,13 @@ def _compensation_notes(compensation: Compensation) -> list[str]:
         else f"Splines with knots every {si(own.spacing, 's', 2)} smooth the plan"
     )
     loop = compensation.loop
+    # A stored command is compared as it is: no other duration of it is known.
+    durations = (
+        "each in its duration."
+        if compensation.file
+        else "at equal duration: beside a slower rival that is better in one of them the optimised "
+        "motion is slowed."
+    )
     return [
         *([f"The motors of every arm follow in position loops of {loop}."] if loop else []),
         f"Uncertain: {listed(compensation.uncertainty)}. The worst"
@@ -122,8 +129,7 @@ def _compensation_notes(compensation: Compensation) -> list[str]:
         "settling included, are checked on the nominal arm only.",
         f"Worst arm of the optimised motion in flight: {own.compensated.flight.worst_case}.",
         "Optimised over a rival: worst errors in flight / after arrival / across the path in "
-        "flight, at equal duration: beside a slower rival that is better in one of them the "
-        "optimised motion is slowed.",
+        f"flight, {durations}",
         f"{made}; the feedforward lead is {100 * own.share:.0f} % of the nominal wind-up, "
         f"{'as chosen by the solve' if compensation.file else 'chosen for the worst case'}.",
     ]
