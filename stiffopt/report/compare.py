@@ -54,10 +54,8 @@ def compare_results(first: Path, second: Path) -> tuple[str, list[Row]]:
     units = _objective_unit(one), _objective_unit(two)
     rows = []
     for key, a, b in _differences(one, two):
-        was, now = (
-            _format_value(value, _unit_of(key, unit))
-            for value, unit in zip((a, b), units, strict=True)
-        )
+        was = _format_value(a, _unit_of(key, units[0]))
+        now = _format_value(b, _unit_of(key, units[1]))
         rows.append((quantity(key), was, now, _format_change(key, a, b)))
     return names[0], rows
 

@@ -140,13 +140,10 @@ def open_questions(
     may be too heavy for a weak drive.
     """
     torques = {name: stated["effort"] for name, stated in arm.joints.items()}
-    if (
-        len(torques) >= _MIN_EQUAL_LIMITS
-        and len(set(torques.values())) == 1
-        and any(torques.values())
-    ):
+    values = set(torques.values())
+    if len(torques) >= _MIN_EQUAL_LIMITS and len(values) == 1 and any(values):
         yield (
-            f"QUESTION: the {arm.format} has the torque {next(iter(torques.values())):g} N m for"
+            f"QUESTION: the {arm.format} has the torque {values.pop():g} N m for"
             f" all {len(torques)} joints. Arms have a tenth at the wrist: is it a placeholder? Put"
             " torque_max of the data sheet."
         )

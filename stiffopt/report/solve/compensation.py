@@ -123,8 +123,8 @@ def _compensation_notes(compensation: Compensation) -> list[str]:
         f"{compensation.draws} arms are drawn uniformly within the bounds. The problem's limits, "
         "settling included, are checked on the nominal arm only.",
         f"Worst arm of the optimised motion in flight: {own.compensated.flight.worst_case}.",
-        "Optimised motion over a rival: worst errors in flight / after arrival / across the path in "
-        f"flight{slowed}.",
+        "Optimised motion over a rival: worst errors in flight / after arrival / across the path "
+        f"in flight{slowed}.",
         f"{made}; the feedforward lead is {100 * own.share:.0f} % of the nominal wind-up, "
         f"{'as chosen by the solve' if compensation.file else 'chosen for the worst case'}.",
     ]

@@ -33,10 +33,7 @@ from stiffopt.report.solve.compensation import (
     COMPENSATION_FILTERS,
     compensation_figure,
 )
-from stiffopt.report.solve.wording import (
-    assumed_damping_note,
-    simulation_section,
-)
+from stiffopt.report.solve.wording import assumed_damping_note, simulation_section
 
 if TYPE_CHECKING:
     from stiffopt.elastic.arm import ElasticArm

@@ -5,12 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from stiffopt.formatting import pm
-from stiffopt.report.common.terminal import (
-    ReportSection,
-    StatusLine,
-    print_lines,
-    print_section,
-)
+from stiffopt.report.common.terminal import ReportSection, StatusLine, print_lines, print_section
 from stiffopt.report.common.text import DASH, listed, si, words
 from stiffopt.sweep.run import SweepProgress
 from stiffopt.sweep.shared_values import SharedValue
