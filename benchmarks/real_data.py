@@ -108,9 +108,13 @@ def one(path: Path) -> dict[str, Any]:
     except Exception as error:  # a set that fails must not hide the others
         traceback.print_exc()
         return {"failed": f"{type(error).__name__} {error}".strip()} | _cost(begin, worked)
-    cost = _cost(begin, worked)
+    shared = {
+        "verdict": diagnosis.verdict,
+        "findings": [_finding(diagnosis, k) for k in range(len(diagnosis.findings))],
+        "faults": len(diagnosis.faults),
+    } | _cost(begin, worked)
     if diagnosis.positions:
-        return _simulated(diagnosis) | cost
+        return _simulated(diagnosis) | shared
     held_out = list(diagnosis.held_out)
     train, test = motions(
         diagnosis, list(diagnosis.training.recorded), [proof.run for proof in held_out]
@@ -148,13 +152,10 @@ def one(path: Path) -> dict[str, Any]:
             ]
             for cut in answers_of_cut_runs(path)
         ],
-        "verdict": diagnosis.verdict,
-        "findings": [_finding(diagnosis, k) for k in range(len(diagnosis.findings))],
         "outside": None if diagnosis.unexplained is None else vars(diagnosis.unexplained),
         "rod": noise_ceiling_sentence(diagnosis),
         "carried_over": transfer_sentences(diagnosis),
         "assumptions": list(diagnosis.assumptions),
-        "faults": sum(1 for _ in diagnosis.faults),
         "runs": [
             [f"{proof.run.file} ({proof.run.role})", *(_run_score(proofs[m], k, m) for m in MODELS)]
             for k, proof in enumerate(held_out)
@@ -162,7 +163,7 @@ def one(path: Path) -> dict[str, Any]:
         "total": [nrmse(proofs[m], _when(m)) for m in MODELS],
         "torque": [nrmse(_torque_only(proofs[m]), _when(m)) for m in MODELS],
         "channels": _channels(diagnosis, proofs),
-    } | cost
+    } | shared
 
 
 def _described(path: Path, folder: Path) -> Path:
@@ -187,9 +188,6 @@ def _simulated(diagnosis: Diagnosis) -> dict[str, Any]:
         runs += [[f"{name} joint {j}", *_best(list(pair))] for j, pair in pairs]
     values = loop_values(diagnosis.closed_loop, [joint.prismatic for joint in joints])
     return {
-        "verdict": diagnosis.verdict,
-        "findings": [_finding(diagnosis, k) for k in range(len(diagnosis.findings))],
-        "faults": sum(1 for _ in diagnosis.faults),
         "positions": runs,
         "values": [
             [

@@ -197,7 +197,7 @@ def _function_errors(store: Store, name: str, true: dict[str, Any]) -> dict[str,
 
 
 def _added_along(predictor: Predictor, found: Extension) -> dict[str, np.ndarray]:
-    """What findings add to torques and link angles (R, n) along the motion predicted with them."""
+    """Torques and link angles (R, n) added by findings along the motion predicted with them."""
     moved = simulate_links(predictor.nominal, found)
     change = extension_change(moved, found)
     load = moved.signals.spring_torque

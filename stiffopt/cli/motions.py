@@ -238,11 +238,7 @@ def verify(problems: Path, *more: Path, changes: Changes = (), quiet: Quiet = Fa
     or folders.
     """
     from stiffopt import verify as verification
-    from stiffopt.report.solve.terminal import (
-        print_check_begins,
-        print_check_ends,
-        print_checks,
-    )
+    from stiffopt.report.solve.terminal import print_check_begins, print_check_ends, print_checks
 
     checks: list[verification.Check] = []
     named = [path for each in (problems, *more) for path in verification.problem_files(each)]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
-from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -55,10 +54,8 @@ def compare_results(first: Path, second: Path) -> tuple[str, list[Row]]:
     units = _objective_unit(one), _objective_unit(two)
     rows = []
     for key, a, b in _differences(one, two):
-        was, now = (
-            _format_value(value, _unit_of(key, unit))
-            for value, unit in zip((a, b), units, strict=True)
-        )
+        was = _format_value(a, _unit_of(key, units[0]))
+        now = _format_value(b, _unit_of(key, units[1]))
         rows.append((quantity(key), was, now, _format_change(key, a, b)))
     return names[0], rows
 
@@ -101,33 +98,33 @@ def _find_answer(folder: Path) -> str:
 
 def _differences(a: Any, b: Any, place: str = "") -> Iterator[tuple[str, Any, Any]]:
     """Yield entries that differ; numbers of a list, or what only one has, are one entry."""
-    a, b = _by_limit(a), _by_limit(b)
-    if isinstance(a, dict) and isinstance(b, dict):
-        for key in dict.fromkeys((*a, *b)):
+    own, other = (a, b) if _are_numbers(a) and _are_numbers(b) else (_by_key(a), _by_key(b))
+    if isinstance(own, dict) and isinstance(other, dict):
+        for key in dict.fromkeys((*own, *other)):
             if key not in _IGNORED_ENTRIES:
-                yield from _differences(a.get(key), b.get(key), f"{place}.{key}".lstrip("."))
-    elif isinstance(a, list) and isinstance(b, list) and not (_are_numbers(a) and _are_numbers(b)):
-        for number, (own, other) in enumerate(zip_longest(a, b), start=1):
-            yield from _differences(own, other, f"{place}[{number}]")
+                below = f"{place}.{key}".lstrip(".").replace(".[", "[")
+                yield from _differences(own.get(key), other.get(key), below)
     elif not _is_equal(a, b):
         yield place, a, b
 
 
-def _by_limit(value: Any) -> Any:
-    """Return violations, which are sorted by size, by their limits."""
-    if not isinstance(value, list) or not all(isinstance(x, dict) and "limit" in x for x in value):
+def _by_key(value: Any) -> Any:
+    if not isinstance(value, list):
         return value
-    owners = [
-        f"joint {x['joint']}" if x.get("joint") else " and ".join(x.get("pair", ())) for x in value
-    ]
-    return {
-        f"{x['limit']} of {owner}" if owner else x["limit"]: x
-        for x, owner in zip(value, owners, strict=True)
-    }
+    return {_list_key(each, number): each for number, each in enumerate(value, start=1)}
 
 
-def _are_numbers(values: list[Any]) -> bool:
-    return all(isinstance(each, float | int) for each in values)
+def _list_key(value: Any, number: int) -> str:
+    """Return the number in a list; of violations, which are sorted by size, the limit."""
+    if not isinstance(value, dict) or "limit" not in value:
+        return f"[{number}]"
+    joint = value.get("joint")
+    owner = f"joint {joint}" if joint else " and ".join(value.get("pair", ()))
+    return f"{value['limit']} of {owner}" if owner else str(value["limit"])
+
+
+def _are_numbers(value: Any) -> bool:
+    return isinstance(value, list) and all(isinstance(each, float | int) for each in value)
 
 
 def _is_equal(a: Any, b: Any) -> bool:
@@ -144,13 +141,13 @@ def _format_value(value: Any, unit: str) -> str:
         return DASH
     if isinstance(value, float):
         return si(value, unit, 6)
-    if isinstance(value, dict):
-        return f"{len(value)} entries"
-    if isinstance(value, list) and (not value or not _are_numbers(value)):
-        value = ", ".join(map(str, value))
-    if isinstance(value, list):
+    if value and _are_numbers(value):
         least, most = (si(float(each), unit, 4) for each in (min(value), max(value)))
         return f"{len(value)} values, {least} to {most}"
+    if value and isinstance(value, list) and all(isinstance(each, str) for each in value):
+        value = ", ".join(value)
+    if isinstance(value, dict | list):
+        return f"{len(value)} entries"
     text = str(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 

@@ -14,6 +14,7 @@ import numpy as np
 from stiffopt.robot.body_tree import BodyTree, body_tree
 from stiffopt.robot.frames import LinkFrame
 from stiffopt.robot.urdf import LoadedUrdf
+from stiffopt.units import joint_unit
 
 # Largest plausible speed of the tool by one joint, of a prismatic joint (linear motors: 10) [m/s],
 # and of a revolute joint [rad/s] (spindle of the fastest SCARA: 52).
@@ -71,7 +72,7 @@ def torque_placeholders(
     stated = {name: each["effort"] for name, each in arm.joints.items()}
     reasons = {}
     for j, (name, torque) in enumerate(stated.items()):
-        alike, unit = demands[slides == slides[j]], "N" if slides[j] else "N m"
+        alike, unit = demands[slides == slides[j]], joint_unit("N m", slides[j])
         # A placeholder exceeds this multiple of the largest joint demand, and this torque [N m]
         # or, as prismatic joints also press, this force [N].
         most = max(15.0 * float(np.max(alike)), 2000.0 if slides[j] else 200.0)
@@ -96,14 +97,14 @@ def _describe_placeholders(
     shared = {
         stated[name]: name for name in reversed(list(reasons)) if _is_shared(stated[name], stated)
     }
-    bodies = body_tree(arm.model).bodies
-    units = {"velocity": ("rad/s", "m/s"), "effort": ("N m", "N")}[quantity]
+    unit = {"velocity": "rad/s", "effort": "N m"}[quantity]
+    slides = body_tree(arm.model).prismatic
     return tuple(
         Placeholder(
             joint=name,
             quantity=quantity,
             value=value,
-            unit=units[bodies[j].prismatic],
+            unit=joint_unit(unit, slides[j]),
             why=reasons.get(name) or f"a placeholder as for {shared[value]}",
             format=arm.format,
         )
@@ -139,13 +140,10 @@ def open_questions(
     may be too heavy for a weak drive.
     """
     torques = {name: stated["effort"] for name, stated in arm.joints.items()}
-    if (
-        len(torques) >= _MIN_EQUAL_LIMITS
-        and len(set(torques.values())) == 1
-        and any(torques.values())
-    ):
+    values = set(torques.values())
+    if len(torques) >= _MIN_EQUAL_LIMITS and len(values) == 1 and any(values):
         yield (
-            f"QUESTION: the {arm.format} has the torque {next(iter(torques.values())):g} N m for"
+            f"QUESTION: the {arm.format} has the torque {values.pop():g} N m for"
             f" all {len(torques)} joints. Arms have a tenth at the wrist: is it a placeholder? Put"
             " torque_max of the data sheet."
         )

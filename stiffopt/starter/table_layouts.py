@@ -22,16 +22,18 @@ def join_signal_files(tables: Mapping[Path, Table], robot: Robot) -> dict[Path, 
 
     The columns of a file are named after it, "tau[0]", in the order of the joints where their own
     names tell it; those of a file of several signals keep their names. The clock is that of the
-    first file.
+    first file. Raises `InputFileError`: together they are a run, but differ in their rows.
     """
     complete = any(
         _holds_position_and_cause(list(table), robot)
         or (is_unnamed(table) and len(table) > robot.n + 1)
         for table in tables.values()
     )
-    lengths = {len(next(iter(table.values()))) for table in tables.values()}
-    if complete or len(tables) < 2 or len(lengths) != 1:
+    if complete or len(tables) < 2:
         return dict(tables)
+    lengths = {path: len(next(iter(table.values()))) for path, table in tables.items()}
+    first = next(iter(tables))
+    other = next((path for path, rows in lengths.items() if rows != lengths[first]), None)
     joined: Table = {}
     for path, table in tables.items():
         clock = list(table)[: len(table) % robot.n] if len(table) > 1 else []
@@ -45,7 +47,13 @@ def join_signal_files(tables: Mapping[Path, Table], robot: Robot) -> dict[Path, 
         ordered = order_by_joint(signals, robot.joint_names) if len(signals) == robot.n else None
         for k, name in enumerate(ordered or signals):
             joined[path.stem if len(signals) == 1 else f"{path.stem}[{k}]"] = table[name]
-    first = next(iter(tables))
+    if other is not None:
+        if not _holds_position_and_cause(list(joined), robot):
+            return dict(tables)
+        raise InputFileError(
+            other, "", f"has {lengths[other]} rows, {first.name} {lengths[first]}: files of one"
+            " signal each are a run if they have equally many. Resample them at the same times."
+        )  # fmt: skip
     return {first.parent / f"{first.parent.name}.npz": joined}
 
 

@@ -162,7 +162,7 @@ def test_opposite_axis_with_a_quarter_turn_is_told(folder, tmp_path):
 
 
 def test_torque_of_another_joint_in_a_reading_has_its_friction(folder):
-    """What leaks is the torque that the other joint has, not the one that its model predicts."""
+    """The other joint's torque leaks as it is, not as its model predicts it."""
     recordings = load_recordings(folder)
     robot = RobotModel(recordings)
     (recorded, *_) = open_training_runs(recordings, lambda text: None)

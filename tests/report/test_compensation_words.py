@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -10,6 +11,8 @@ import pytest
 
 from stiffopt.command.compensation import _explain_refusal
 from stiffopt.elastic.uncertainty import AssumedUncertainty, Uncertainty
+from stiffopt.report.common.svg import to_svg
+from stiffopt.report.solve.compensation import compensation_figure, compensation_section
 from stiffopt.report.solve.wording import rival_text
 from stiffopt.result.assessment import Violation
 from stiffopt.result.compensation import (
@@ -138,3 +141,18 @@ def test_refusal_of_a_fastest_motion_advises_what_is_not_stated_yet(uncertainty)
     )
     assert "limits.scale.jerk" in told
     assert ("State [uncertainty]" in told) is not uncertainty.stated
+
+
+@pytest.mark.parametrize(("after", "ticks"), [(2e-5, {"0.02", "0.03"}), (2e-8, {"0.0001", "0.01"})])
+def test_ticks_of_deviations_over_decades_are_numbers(after, ticks):
+    found = compensation(motion("optimised", 5e-5, after), motion("quintic", 6e-5, 3e-5))
+    drawn = to_svg(compensation_figure(found), "compensation", "Deviations")
+    assert "mathdefault" not in drawn
+    assert ticks <= set(re.findall(r">([0-9.]+)<", drawn))
+
+
+def test_a_stored_command_is_not_said_to_be_slowed():
+    found = compensation(motion("optimised", 1e-4, 3e-5), motion("quintic", 2e-4, 2e-5, 0.6))
+    assert "slowed" in " ".join(compensation_section(found).lines)
+    stored = compensation_section(replace(found, file="command.csv"))
+    assert "slowed" not in " ".join(stored.lines)

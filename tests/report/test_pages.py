@@ -237,10 +237,12 @@ def test_numbers_of_a_list_and_what_one_result_lacks_are_one_compared_entry(tmp_
             "draws": [1.0, 2.0, 4.0],
             "rivals": {"quintic": 1, "toppra": 2},
             "v": [torque, jerk, arm, post],
+            "findings": [],
         },
         "two": {
             "draws": [1.0, 2.5, 4.0],
             "v": [{**jerk, "value": -0.2}, torque, {**arm, "value": 0.3}, post],
+            "findings": [{"effect": "viscous", "joint": 2}],
         },
     }
     for name, answer in answers.items():
@@ -252,6 +254,7 @@ def test_numbers_of_a_list_and_what_one_result_lacks_are_one_compared_entry(tmp_
         ("rivals", "2 entries", "–", ""),
         ("v, jerk of joint 1, value", "-0.1", "-0.2", "+100 %"),
         ("v, clearance of hand and arm, value", "0.2", "0.3", "+50 %"),
+        ("findings 1", "–", "2 entries", ""),
     ]
 
 

@@ -135,7 +135,7 @@ def test_quasi_static_error_is_that_of_simulated_arms_in_a_slow_motion(problem, 
 
 
 def test_worst_error_is_the_lateness_of_the_servo_plus_the_errors_of_the_other_parameters(problem):
-    """Of the default servo and of one with a delay, far above where small errors are smoothed."""
+    """Default servo and one with a delay, far above where small errors are smoothed."""
     motion = resolve(problem)
     rates = [ca.SX.sym(f"d{k}", 2) for k in range(6)]
     model = MotorModel(

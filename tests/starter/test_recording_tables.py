@@ -13,7 +13,7 @@ import pytest
 from small_arms import ROOT
 
 from stiffopt.cli import run
-from stiffopt.errors import InputError
+from stiffopt.errors import InputError, InputFileError
 from stiffopt.recording.readers.clocks import parse_stamps
 from stiffopt.recording.readers.read import read_tables
 from stiffopt.recording.recording_set import load_recordings
@@ -259,6 +259,21 @@ def test_files_of_one_signal_are_joined_in_the_order_of_the_joints():
     assert list(joined) == ["t", "q[0]", "q[1]", "tau[0]", "tau[1]"]
     for name, values in zip(list(joined)[1:], VALUES, strict=True):
         np.testing.assert_array_equal(joined[name], values)
+
+
+def test_signal_files_of_one_run_with_unequal_rows_are_refused():
+    robot = load_robot(URDF)
+    names = ["t", *robot.joint_names]
+    tables = {
+        Path(f"logs/{file}.csv"): dict.fromkeys(names, TIME[:rows])
+        for file, rows in (("q", 90), ("tau", 80))
+    }
+    with pytest.raises(InputFileError, match=r"tau.csv: has 80 rows, q.csv 90") as error:
+        join_signal_files(tables, robot)
+    assert "Resample" in str(error.value)
+    # Without torques they may be runs of their own.
+    runs = {path.with_stem(f"x{k}"): table for k, (path, table) in enumerate(tables.items())}
+    assert join_signal_files(runs, robot) == runs
 
 
 def test_a_joined_file_of_several_signals_loses_none():

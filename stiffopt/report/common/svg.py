@@ -85,6 +85,22 @@ def line_style(index: int) -> dict[str, Any]:
     return {"color": PALETTE[colour], "linestyle": DASHES[(colour + round_) % len(DASHES)]}
 
 
+def set_log_scale(axes: Axes, name: str) -> None:
+    """Scale the axis "x" or "y" by decades, with numbers where the default ticks have mathtext."""
+    axes.set(**{f"{name}scale": "log"})
+    axis = getattr(axes, f"{name}axis")
+
+    def label(value: float, _: int) -> str:
+        low, high = axis.get_view_interval()
+        # Numbers between decades would overlap on an axis of more than two.
+        shown = (1,) if high > 100.0 * low else (1, 2, 3, 5)
+        digit = value / 10 ** np.floor(np.log10(value) + 1e-9)
+        return f"{value:g}" if round(digit) in shown else ""
+
+    axis.set_major_formatter(label)
+    axis.set_minor_formatter(label)
+
+
 def decimate_curve(time: np.ndarray, values: np.ndarray, points: int = POINTS) -> tuple[Any, Any]:
     """Decimate a curve to at most `points` samples: ends, lowest and highest of each piece."""
     if len(time) <= points:

@@ -12,11 +12,7 @@ from stiffopt.discovery.judging.noise_ceiling import SHOWN_SHARE
 from stiffopt.discovery.settings import MAX_NOMINAL_DEVIATIONS
 from stiffopt.report.common.text import listed, significant
 from stiffopt.report.diagnosis.overview import moved_values
-from stiffopt.report.diagnosis.words import (
-    channel_words,
-    joints_in_words,
-    regressor_words,
-)
+from stiffopt.report.diagnosis.words import channel_words, joints_in_words, regressor_words
 from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:

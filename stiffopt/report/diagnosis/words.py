@@ -155,12 +155,10 @@ def verdict_words(diagnosis: Diagnosis) -> str:
     """Return the verdict in words that fit the probability of the leading finding."""
     if diagnosis.verdict == "nothing_missing":
         return "nothing missing"
-    own = statements(diagnosis)
-    # As in the headline, effects come before values that every arm has.
-    new = [s for s in own if not s.finding.located.calibrated and s.certainty != "possible"]
-    first = next(iter(new or own), None)
-    if first is None or first.certainty == "possible":
+    leading = _leading_statements(diagnosis)
+    if not leading:
         return "outside the catalogue"
+    first = leading[0]
     if diagnosis.verdict == "law_found" and first.certainty == "found":
         return "law found that no catalogue has"
     name = {
@@ -171,19 +169,24 @@ def verdict_words(diagnosis: Diagnosis) -> str:
     return f"{name}, large unexplained residual" if is_partly_unexplained(diagnosis) else name
 
 
+def _leading_statements(diagnosis: Diagnosis) -> list[Statement]:
+    """Return the named effects, or, as in the headline after them, values that every arm has."""
+    named = [each for each in statements(diagnosis) if each.certainty != "possible"]
+    return [each for each in named if not each.finding.located.calibrated] or named
+
+
 def paragraph(diagnosis: Diagnosis) -> str:
     """Return the paragraph to forward: set, missing physics, surety, validation, what to do."""
     parts = [f"{diagnosis.recordings.title}: {headline(diagnosis)}."]
-    named = [each for each in statements(diagnosis) if each.certainty != "possible"]
+    leading = _leading_statements(diagnosis)
     if diagnosis.verdict == "nothing_missing":
         most = significant(worst_ratio(diagnosis.search.after), 2)
         parts.append(
             f"No effect of the catalogue is needed: the worst channel of the training runs is at"
             f" {most} times its noise."
         )
-    elif named:
-        new = [each for each in named if not each.finding.located.calibrated]
-        parts.append(_surety_sentence(new or named))
+    elif leading:
+        parts.append(_surety_sentence(leading))
     parts += [
         proof_sentence(diagnosis),
         unexplained_sentence(diagnosis),
@@ -194,9 +197,8 @@ def paragraph(diagnosis: Diagnosis) -> str:
             "Findings beside so large a residual may be misattributed: check unit, torque constant"
             " and masses first."
         )
-    text = action(diagnosis)
-    if named:
-        parts.append(f"To do: {text}")
+    if leading:
+        parts.append(f"To do: {action(diagnosis)}")
     return " ".join(part for part in parts if part)
 
 

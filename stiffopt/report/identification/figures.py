@@ -16,7 +16,7 @@ from stiffopt.report.common.svg import (
     WIDTH,
     figure_style,
 )
-from stiffopt.report.common.text import scale
+from stiffopt.report.common.text import decades, scale
 
 _MARKER_STYLES = (
     ("stiffness", "identified, 95 % confidence interval", "o", BLUE, 6),
@@ -54,7 +54,7 @@ def stiffness_figure(result: StaticStiffness) -> Figure:
                 axes.text(low * 1.03, joint.joint, text, va="center", fontsize=8, color=GREY)
         axes.set_xscale("log")
         axes.set_xlim(low, high)
-        axes.xaxis.set_major_formatter(lambda x, _: f"{x:.0e}".replace("e+0", "e"))
+        axes.xaxis.set_major_formatter(lambda x, _: decades(x, 1))
         axes.xaxis.set_minor_formatter("")
         axes.set_yticks([j.joint for j in result.joints], [f"J{j.joint}" for j in result.joints])
         axes.set_ylim(len(result.joints) + 0.6, 0.4)
@@ -168,9 +168,7 @@ def secant_figure(result: StaticStiffness) -> Figure:
         axes.set_xscale("log")
         axes.set_yscale("log")
         for each in (axes.xaxis, axes.yaxis):
-            each.set_major_formatter(
-                lambda x, _: f"{x:.0e}".replace("e+0", "e").replace("e-0", "e-")
-            )
+            each.set_major_formatter(lambda x, _: decades(x, 1))
             each.set_minor_formatter("")
         axes.set_xlabel("torque [N m], at the 5, 50 and 95 % quantiles of the poses")
         axes.set_ylabel("secant stiffness [N m/rad]")

@@ -161,26 +161,18 @@ def print_comparison(names: Sequence[str], joints: Sequence[JointComparison]) ->
     """Print the joints of several sets side by side, and beside the drivetrains' model."""
     several = ("all sets",) if len(names) > 1 else ()
     columns = (*names, *several, "model")
-    rows = []
+    rows, tilts = [], []
     for joint in joints:
-        pooled = [(joint.pooled, joint.pooled_sd)] if several else []
-        values = [*zip(joint.stiffness, joint.sd, strict=True), *pooled]
+        name, pooled = f"J{joint.joint}", [(joint.pooled, joint.pooled_sd) for _ in several]
         cells = (
             DASH if value is None or sd is None else f"{decades(value)} ± {decades(sd, 2)}"
-            for value, sd in values
+            for value, sd in [*zip(joint.stiffness, joint.sd, strict=True), *pooled]
         )
-        rows.append((f"J{joint.joint}", *cells, decades(joint.model)))
-    rows += [
-        (
-            f"J{joint.joint}, tilt",
-            *map(decades, joint.tilt),
-            *(DASH for _ in several),
-            decades(joint.modelled_tilt),
-        )
-        for joint in joints
-        if any(joint.tilt) or joint.modelled_tilt is not None
-    ]
-    print_table(("", *columns), rows, title="Joint stiffness side by side", numbers=columns)
+        rows.append((name, *cells, decades(joint.model)))
+        if any(joint.tilt) or joint.modelled_tilt is not None:
+            cells = (decades(each) for each in (*joint.tilt, *(None for _ in several)))
+            tilts.append((f"{name}, tilt", *cells, decades(joint.modelled_tilt)))
+    print_table(("", *columns), rows + tilts, title="Joint stiffness side by side", numbers=columns)
     print_lines(
         f"J{joint.joint}: {told}." for joint in joints if (told := describe_difference(joint))
     )

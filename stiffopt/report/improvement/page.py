@@ -10,14 +10,7 @@ from matplotlib.figure import Figure
 
 from stiffopt.improvement.improvement import JOINT_LIMITS, Improvement, LimitUse
 from stiffopt.report.common.page import PageFigures, write_page
-from stiffopt.report.common.svg import (
-    BLUE,
-    GREY,
-    VERMILLION,
-    WIDTH,
-    decimate_curve,
-    figure_style,
-)
+from stiffopt.report.common.svg import BLUE, GREY, VERMILLION, WIDTH, decimate_curve, figure_style
 from stiffopt.report.common.terminal import ReportSection, print_lines, print_section
 from stiffopt.report.common.text import MAX_LISTED, scale, si
 from stiffopt.result.compensation import COMMAND_FILE

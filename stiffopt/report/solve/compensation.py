@@ -114,6 +114,8 @@ def _compensation_notes(compensation: Compensation) -> list[str]:
         else f"Splines with knots every {si(own.spacing, 's', 2)} smooth the plan"
     )
     loop = compensation.loop
+    # A stored command is not slowed.
+    slowed = "" if compensation.file else "; slowed beside a slower rival that is better in one"
     return [
         *([f"The motors of every arm follow in position loops of {loop}."] if loop else []),
         f"Uncertain: {listed(compensation.uncertainty)}. The worst"
@@ -121,9 +123,8 @@ def _compensation_notes(compensation: Compensation) -> list[str]:
         f"{compensation.draws} arms are drawn uniformly within the bounds. The problem's limits, "
         "settling included, are checked on the nominal arm only.",
         f"Worst arm of the optimised motion in flight: {own.compensated.flight.worst_case}.",
-        "Optimised over a rival: worst errors in flight / after arrival / across the path in "
-        "flight, at equal duration: beside a slower rival that is better in one of them the "
-        "optimised motion is slowed.",
+        "Optimised motion over a rival: worst errors in flight / after arrival / across the path "
+        f"in flight{slowed}.",
         f"{made}; the feedforward lead is {100 * own.share:.0f} % of the nominal wind-up, "
         f"{'as chosen by the solve' if compensation.file else 'chosen for the worst case'}.",
     ]
@@ -141,20 +142,20 @@ def compensation_figure(compensation: Compensation) -> Figure:
     # matplotlib loads slowly, and the texts do without it.
     from matplotlib.figure import Figure
 
-    from stiffopt.report.common.svg import BLUE, GREY, VERMILLION, WIDTH, figure_style
+    from stiffopt.report.common import svg
 
     rows = [
         (f"{motion.name}, {how}", color, spreads)
         for motion in compensation.motions
         for how, color, spreads in (
-            (_PLANNED_LABEL, VERMILLION, motion.planned),
-            (_COMPENSATED_LABEL, BLUE, motion.compensated),
+            (_PLANNED_LABEL, svg.VERMILLION, motion.planned),
+            (_COMPENSATED_LABEL, svg.BLUE, motion.compensated),
         )
     ]
     sizes = [s.worst for _, _, each in rows for s in (each.flight, each.after)]
     factor, unit = scale(max(sizes), "m")
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, 0.9 + 0.42 * len(rows)))
+    with svg.figure_style():
+        figure = Figure(figsize=(svg.WIDTH, 0.9 + 0.42 * len(rows)))
         panels = figure.subplots(1, 2, sharey=True)
         for axes, phase in zip(panels, ("flight", "after"), strict=True):
             for place, (_, color, spreads) in enumerate(rows):
@@ -165,8 +166,8 @@ def compensation_figure(compensation: Compensation) -> Figure:
                 axes.plot(factor * spread.nominal, place, "D", color=color, markersize=6)
                 axes.plot(factor * spread.worst, place, "|", color=color, markersize=16)
             if any(getattr(each, phase).worst > 0.0 for _, _, each in rows):
-                axes.set_xscale("log")
-            axes.grid(axis="x", color=GREY, linewidth=0.4)
+                svg.set_log_scale(axes, "x")
+            axes.grid(axis="x", color=svg.GREY, linewidth=0.4)
             where = "in flight" if phase == "flight" else "after arrival"
             axes.set_xlabel(f"peak deviation {where} [{unit}]")
         panels[0].set_yticks(range(len(rows)), [name for name, _, _ in rows])

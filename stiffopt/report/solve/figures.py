@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
 
 from stiffopt.report.common.robot import JointUnits, common_unit, joint_units
 from stiffopt.report.common.svg import (
@@ -26,6 +25,7 @@ from stiffopt.report.common.svg import (
     decimate_curve,
     figure_style,
     line_style,
+    set_log_scale,
     shade_limits,
 )
 from stiffopt.report.common.text import scale, si, significant
@@ -254,9 +254,7 @@ def stiffness_figure(problem: TrajectoryProblem, motion: Assessment) -> Figure:
             axes.plot(low.time, low.value, "o", color=style["color"], markersize=5)
             if j + 1 in floors:
                 axes.axhline(floors[j + 1], color=style["color"], linewidth=0.8, linestyle="--")
-        axes.set_yscale("log")
-        for ticks in (axes.yaxis.set_major_formatter, axes.yaxis.set_minor_formatter):
-            ticks(FuncFormatter(_leading_digit))
+        set_log_scale(axes, "y")
         axes.set_xlabel("time [s]")
         axes.set_ylabel(f"tangent stiffness [{common_unit([u.stiffness for u in units])}]")
         axes.margins(x=0.01)
@@ -265,9 +263,3 @@ def stiffness_figure(problem: TrajectoryProblem, motion: Assessment) -> Figure:
             place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (0.0, -0.16)}
             axes.legend(ncols=2 if len(units) < 4 else 3, **place)
         return figure
-
-
-def _leading_digit(value: float, _: int) -> str:
-    """Format ticks 1, 2, 3 and 5 of every decade of a logarithmic axis, others as ""."""
-    digit = value / 10 ** np.floor(np.log10(value) + 1e-9)
-    return f"{value:g}" if round(digit) in (1, 2, 3, 5) else ""

@@ -21,6 +21,7 @@ from stiffopt.report.common.svg import (
     WIDTH,
     figure_style,
     line_style,
+    set_log_scale,
     to_svg,
 )
 from stiffopt.report.common.terminal import print_lines, print_table
@@ -32,10 +33,7 @@ from stiffopt.report.solve.compensation import (
     COMPENSATION_FILTERS,
     compensation_figure,
 )
-from stiffopt.report.solve.wording import (
-    assumed_damping_note,
-    simulation_section,
-)
+from stiffopt.report.solve.wording import assumed_damping_note, simulation_section
 
 if TYPE_CHECKING:
     from stiffopt.elastic.arm import ElasticArm
@@ -104,7 +102,7 @@ def write_modes_figure(rows: Sequence[PoseModes], path: Path) -> Path:
         for k in range(len(rows[0].modes)):
             frequencies = [row.modes[k].frequency for row in rows]
             axes.plot(times, frequencies, label=f"mode {k + 1}", **line_style(k))
-        axes.set_yscale("log")
+        set_log_scale(axes, "y")
         axes.set_xlabel("time [s]")
         axes.set_ylabel("frequency [Hz]")
         axes.margins(x=0.01)

@@ -12,10 +12,7 @@ from rich.text import Text
 
 from stiffopt.report.common.terminal import print_lines, print_section, print_table
 from stiffopt.report.common.text import si
-from stiffopt.report.solve.compensation import (
-    compensation_section,
-    compensation_text,
-)
+from stiffopt.report.solve.compensation import compensation_section, compensation_text
 from stiffopt.report.solve.wording import (
     comparison,
     difference_text,

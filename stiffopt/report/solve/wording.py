@@ -14,11 +14,7 @@ from stiffopt.problem.objective import OBJECTIVES, ObjectiveKind
 from stiffopt.report.common.terminal import ReportSection
 from stiffopt.report.common.text import DASH, listed, percent, si, significant, words
 from stiffopt.result.assessment import Violation
-from stiffopt.result.compensation import (
-    MIN_SLOWDOWN,
-    RIVAL_COMMAND_FILE,
-    RIVAL_TRAJECTORY_FILE,
-)
+from stiffopt.result.compensation import MIN_SLOWDOWN, RIVAL_COMMAND_FILE, RIVAL_TRAJECTORY_FILE
 from stiffopt.result.simulation import ElasticMotion, Simulation
 from stiffopt.result.solution import ObjectiveValue, Solution
 

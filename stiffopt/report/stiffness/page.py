@@ -21,7 +21,15 @@ from stiffopt.report.common.robot import (
     estimated_inputs,
     joint_units,
 )
-from stiffopt.report.common.svg import BLUE, GREY, VERMILLION, WIDTH, figure_style, line_style
+from stiffopt.report.common.svg import (
+    BLUE,
+    GREY,
+    VERMILLION,
+    WIDTH,
+    figure_style,
+    line_style,
+    set_log_scale,
+)
 from stiffopt.report.common.text import listed, percent
 
 if TYPE_CHECKING:
@@ -225,8 +233,7 @@ def _draw_tangent_panel(axes: Axes, readings: Sequence[StiffnessCurve], low_torq
     )
     axes.plot(own.ratio, own.tangent, color=BLUE, linewidth=2.0, label=f"with contacts{keys}")
     if low_torque:
-        axes.set_xscale("log")
-        axes.xaxis.set_major_formatter("{x:g}")
+        set_log_scale(axes, "x")
     axes.set_ylim(bottom=0.0)
     axes.margins(x=0.01)
     axes.locator_params(axis="y", nbins=5)
@@ -248,13 +255,11 @@ def loss_figure(
             losses.append(100.0 * own.loss)
             style = line_style(joint - 1)
             axes.plot(own.ratio, losses[-1], label=units[joint - 1].label, **style)
-        axes.set_xscale("log")
-        axes.xaxis.set_major_formatter("{x:g}")
+        set_log_scale(axes, "x")
         highest = [float(np.max(each)) for each in losses]
         # Ratio of the joints' largest losses above which the axis is logarithmic.
         if min(highest) > 0.0 and max(highest) > 10.0 * min(highest):
-            axes.set_yscale("log")
-            axes.yaxis.set_major_formatter("{x:g}")
+            set_log_scale(axes, "y")
         else:
             axes.set_ylim(bottom=0.0)
         axes.set_xlabel("torque over largest torque")

@@ -10,12 +10,7 @@ from matplotlib.figure import Figure
 from stiffopt.report.common.page import PageFigures, write_page
 from stiffopt.report.common.svg import BLUE, GREY, VERMILLION, WIDTH, figure_style
 from stiffopt.report.common.text import scale, si, words
-from stiffopt.report.sweep.terminal import (
-    headline,
-    knee_sentence,
-    shared_section,
-    spread_sentence,
-)
+from stiffopt.report.sweep.terminal import headline, knee_sentence, shared_section, spread_sentence
 from stiffopt.sweep.run import is_unusable
 from stiffopt.sweep.summary import Cell, Front, SweepSummary
 from stiffopt.units import number_and_unit

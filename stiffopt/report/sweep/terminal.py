@@ -5,13 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from stiffopt.formatting import pm
-from stiffopt.report.common.terminal import (
-    ReportSection,
-    StatusLine,
-    print_lines,
-    print_section,
-)
-from stiffopt.report.common.text import listed, si, words
+from stiffopt.report.common.terminal import ReportSection, StatusLine, print_lines, print_section
+from stiffopt.report.common.text import DASH, listed, si, words
 from stiffopt.sweep.run import SweepProgress
 from stiffopt.sweep.shared_values import SharedValue
 from stiffopt.sweep.summary import TABLE_FILE, SweepSummary
@@ -97,16 +92,16 @@ def shared_section(summary: SweepSummary) -> ReportSection:
         if not each.common or abs(each.value) > _MIN_DEVIATIONS * each.sd
     ]
     names = list(dict.fromkeys(name for each in values for name, _, _ in each.arms))
-    rows: list[list[str]] = []
-    own: list[str] = []
-    shared: list[str] = []
+    rows = []
     for each in values:
         told = {name: pm(value, sd, each.unit) for name, value, sd in each.arms}
         common = pm(each.value, each.sd, each.unit) if each.common else "each arm's own"
-        rows.append([_place_words(each), *(told.get(name, "–") for name in names), common])
-        (shared if each.common else own).append(_place_words(each))
-    lines = [f"Common to all arms: {'; '.join(shared)}."] if shared else []
-    lines += [f"Each arm's own: {'; '.join(own)}."] if own else []
+        rows.append([_place_words(each), *(told.get(name, DASH) for name in names), common])
+    lines = [
+        f"{title}: {'; '.join(places)}."
+        for title, common in (("Common to all arms", True), ("Each arm's own", False))
+        if (places := [_place_words(each) for each in values if each.common == common])
+    ]
     head = ["value", *names, "of all arms"]
     return ReportSection(title="Values of several arms", head=head, rows=rows, lines=lines)
 
