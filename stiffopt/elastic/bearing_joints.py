@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stiffopt.elastic.arm import ASSUMED_DAMPING, ElasticArm
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.springs import JointSpring
+from stiffopt.elastic.uncertainty import Departure
+from stiffopt.result.trajectory import JointMotion
 from stiffopt.robot.bearing_joints import with_bearing_joints
-
-if TYPE_CHECKING:
-    from stiffopt.elastic.uncertainty import Departure
-    from stiffopt.result.trajectory import JointMotion
 
 
 class BearingJoints:

@@ -6,16 +6,12 @@ they reach, so that six joints correct position and orientation.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.smooth_motion import smooth_motion
+from stiffopt.result.trajectory import JointMotion, Trajectory
 from stiffopt.robot.bearing_deflection import correcting_joints, dynamic_bearing_deflections
-
-if TYPE_CHECKING:
-    from stiffopt.elastic.arm import ElasticArm
-    from stiffopt.result.trajectory import JointMotion, Trajectory
 
 # Knot spacing of the lead [s]: slow beside the bearings' modes, for which it does not account. With
 # 10 ms a quintic motion of the ER3A rings three times as much after arrival, with 40 ms an arm

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import BPoly
@@ -24,10 +24,8 @@ from stiffopt.export.motion_checks import SampledRows, judge_samples, solved_leg
 from stiffopt.files import load_json
 from stiffopt.folders import check_result
 from stiffopt.improvement.improvement_files import IMPROVEMENT_FILE
+from stiffopt.result.assessment import Violation
 from stiffopt.result.cycle import CYCLE_FILE, JoinedMotion, leg_folder
-
-if TYPE_CHECKING:
-    from stiffopt.result.assessment import Violation
 
 
 @dataclass(frozen=True, kw_only=True)

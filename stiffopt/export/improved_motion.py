@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import BPoly, CubicSpline
@@ -23,13 +23,11 @@ from stiffopt.folders import check_result
 from stiffopt.improvement.improvement import problem_of_motion
 from stiffopt.improvement.improvement_files import IMPROVEMENT_FILE
 from stiffopt.problem.files import load_problem
+from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.recipe.stored_result import read_changes
 from stiffopt.result.compensation import COMMAND_FILE
 from stiffopt.result.store import TRAJECTORY_FILE, read_joints
 from stiffopt.robot.files import load_robot
-
-if TYPE_CHECKING:
-    from stiffopt.problem.trajectory import TrajectoryProblem
 
 
 def read_improved(folder: Path, which: Which, given: Path | None) -> StoredMotion:

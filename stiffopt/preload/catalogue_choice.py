@@ -6,7 +6,6 @@ import math
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -41,10 +40,7 @@ from stiffopt.preload.optimise import (
 from stiffopt.preload.problem import Choice, PreloadProblem
 from stiffopt.preload.solution import PreloadSolution, evaluate_design
 from stiffopt.result.status import SolveStatus
-
-if TYPE_CHECKING:
-    from stiffopt.robot.robot import Robot
-
+from stiffopt.robot.robot import Robot
 
 NO_BETTER = "bound: no better than the best found"
 NONE_KEEPS_ALL = "bound: no combination keeps all requirements"

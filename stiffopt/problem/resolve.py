@@ -7,21 +7,18 @@ reach, a pose that the drives cannot hold at rest.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stiffopt.dynamics.inverse_kinematics import solve_pose
 from stiffopt.errors import ProblemError
 from stiffopt.problem.input_checks import check_plausible
+from stiffopt.problem.limit import Limits
 from stiffopt.problem.rest_poses import gravity_torque
 from stiffopt.problem.trajectory import ResolvedMotion, Target, TrajectoryProblem
 from stiffopt.robot.frames import interpolate_rotation, rotation_from_rpy, rpy_from_rotation
+from stiffopt.robot.robot import Robot
 from stiffopt.units import joint_unit
-
-if TYPE_CHECKING:
-    from stiffopt.problem.limit import Limits
-    from stiffopt.robot.robot import Robot
 
 
 def resolve(problem: TrajectoryProblem) -> ResolvedMotion:

@@ -8,17 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from stiffopt.problem.cycle import Cycle
+from stiffopt.report.common import svg
 from stiffopt.report.common.page import PageFigures, write_page
-from stiffopt.report.common.svg import (
-    GREY,
-    PALE,
-    PALETTE,
-    VERMILLION,
-    WIDTH,
-    decimate_curve,
-    figure_style,
-    line_style,
-)
 from stiffopt.report.common.terminal import print_lines, print_table
 from stiffopt.report.common.text import DASH, capital, percent, scale, si, significant, words
 from stiffopt.report.solve.wording import objective_amount, objective_phrase
@@ -253,21 +244,21 @@ def _mark_legs(axes: object, solution: CycleSolution, labelled: bool = False) ->
     """Shade the rests and mark the events."""
     for leg in solution.legs:
         if leg.dwell > 0.0:
-            axes.axvspan(leg.arrival, leg.departure, color=PALE, alpha=0.7, zorder=0)  # type: ignore[attr-defined]
+            axes.axvspan(leg.arrival, leg.departure, color=svg.PALE, alpha=0.7, zorder=0)  # type: ignore[attr-defined]
         if leg.event:
-            axes.axvline(leg.arrival, color=VERMILLION, linewidth=0.9, linestyle="--")  # type: ignore[attr-defined]
+            axes.axvline(leg.arrival, color=svg.VERMILLION, linewidth=0.9, linestyle="--")  # type: ignore[attr-defined]
             if labelled:
                 axes.annotate(  # type: ignore[attr-defined]
                     words(leg.event), (leg.arrival, 1.0), xycoords=("data", "axes fraction"),
-                    xytext=(2, -9), textcoords="offset points", fontsize=7.5, color=VERMILLION,
+                    xytext=(2, -9), textcoords="offset points", fontsize=7.5, color=svg.VERMILLION,
                 )  # fmt: skip
 
 
 def motion_figure(cycle: Cycle, solution: CycleSolution) -> Figure:
     """Plot the joint velocities over the cycle, as shares of their limits."""
     limit = cycle.first.active_limits.velocity
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, 3.2))
+    with svg.figure_style():
+        figure = Figure(figsize=(svg.WIDTH, 3.2))
         axes = figure.subplots()
         for j, name in enumerate(cycle.first.robot.joint_names):
             times, values = [], []
@@ -276,8 +267,8 @@ def motion_figure(cycle: Cycle, solution: CycleSolution) -> Figure:
                 assert motion is not None
                 times.append(leg.start + motion.time)
                 values.append(100.0 * motion.velocity[:, j] / limit[j])
-            curve = decimate_curve(np.concatenate(times), np.concatenate(values))
-            axes.plot(*curve, label=name, **line_style(j))
+            curve = svg.decimate_curve(np.concatenate(times), np.concatenate(values))
+            axes.plot(*curve, label=name, **svg.line_style(j))
         _mark_legs(axes, solution, labelled=True)
         axes.set_ylabel("velocity over limit [%]")
         axes.set_xlabel("time [s]")
@@ -292,12 +283,12 @@ def error_figure(solution: CycleSolution) -> Figure:
     found = solution.simulation.simulated
     inside = found.time <= solution.duration
     factor, unit = scale(float(found.distance[inside].max()), "m")
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, 2.8))
+    with svg.figure_style():
+        figure = Figure(figsize=(svg.WIDTH, 2.8))
         axes = figure.subplots()
-        axes.plot(*decimate_curve(found.time[inside], factor * found.distance[inside]),
-                  color=PALETTE[0])  # fmt: skip
-        axes.axhline(factor * found.band, color=GREY, linewidth=0.9)
+        axes.plot(*svg.decimate_curve(found.time[inside], factor * found.distance[inside]),
+                  color=svg.PALETTE[0])  # fmt: skip
+        axes.axhline(factor * found.band, color=svg.GREY, linewidth=0.9)
         _mark_legs(axes, solution, labelled=True)
         axes.set_ylabel(f"tool error [{unit}]")
         axes.set_xlabel("time [s]")
@@ -310,8 +301,8 @@ def torque_speed_figure(cycle: Cycle, solution: CycleSolution) -> Figure:
     """Plot the torque of each drive over its speed, as shares of the limits."""
     limits = cycle.first.active_limits
     robot = cycle.first.robot
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, 1.9 * -(-robot.n // 4)))
+    with svg.figure_style():
+        figure = Figure(figsize=(svg.WIDTH, 1.9 * -(-robot.n // 4)))
         panels = np.atleast_1d(figure.subplots(-(-robot.n // 4), min(robot.n, 4))).ravel()
         for j, axes in enumerate(panels):
             if j >= robot.n:
@@ -324,7 +315,7 @@ def torque_speed_figure(cycle: Cycle, solution: CycleSolution) -> Figure:
                 axes.plot(
                     100.0 * motion.velocity[::step, j] / limits.velocity[j],
                     100.0 * motion.torque[::step, j] / limits.torque[j],
-                    color=PALETTE[0],
+                    color=svg.PALETTE[0],
                     linewidth=0.9,
                 )
             axes.set_xlim(-105, 105)

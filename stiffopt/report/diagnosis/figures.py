@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,30 +11,17 @@ from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
 
 from stiffopt.discovery.channel import Channel
+from stiffopt.discovery.diagnosis import Diagnosis
+from stiffopt.discovery.position_fit import PositionRun
+from stiffopt.discovery.prediction import ChannelError, RunProof
 from stiffopt.discovery.settings import MIN_MOVING_SPEED
 from stiffopt.recording.joint_facts import velocities
-from stiffopt.report.common.svg import (
-    BLUE,
-    GREY,
-    INK,
-    ORANGE,
-    PALE,
-    VERMILLION,
-    WIDTH,
-    decimate_curve,
-    figure_style,
-)
+from stiffopt.report.common import svg
 from stiffopt.report.common.text import scale, significant
 from stiffopt.report.diagnosis.words import channels_in_words, regressor_words
 from stiffopt.units import joint_unit
 
-if TYPE_CHECKING:
-    from stiffopt.discovery.diagnosis import Diagnosis
-    from stiffopt.discovery.position_fit import PositionRun
-    from stiffopt.discovery.prediction import ChannelError, RunProof
-
-
-HEAT = LinearSegmentedColormap.from_list("heat", ["#f5f7f9", "#f7d99a", ORANGE, "#a33b00"])
+HEAT = LinearSegmentedColormap.from_list("heat", ["#f5f7f9", "#f7d99a", svg.ORANGE, "#a33b00"])
 # Units of the signals that a residual may depend on.
 _SIGNAL_UNITS = {"q": "rad", "qd": "rad/s", "qdd": "rad/s^2", "torque": "N m"}
 _ROLE_TITLES = (("test", "test runs"), ("extrapolate", "extrapolation runs"))
@@ -58,8 +44,8 @@ def residual_figure(diagnosis: Diagnosis) -> Figure:
     known = every[np.isfinite(every)]
     # Least residual over noise of the darkest colour.
     top = max(10.0, float(known.max()) if known.size else 0.0)
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, 1.0 + 0.36 * n))
+    with svg.figure_style():
+        figure = Figure(figsize=(svg.WIDTH, 1.0 + 0.36 * n))
         grid = figure.subplots(1, len(stages), squeeze=False)[0]
         for axes, (title, ratios) in zip(grid, stages, strict=True):
             table = ratios.reshape(2, n).T
@@ -69,7 +55,7 @@ def residual_figure(diagnosis: Diagnosis) -> Figure:
                 for kind, value in enumerate(row):
                     dark = np.isfinite(value) and np.log(max(value, 1.0)) > 0.7 * np.log(top)
                     text = significant(value, 2) if np.isfinite(value) else "not recorded"
-                    colour = "white" if dark else GREY if text == "not recorded" else "black"
+                    colour = "white" if dark else svg.GREY if text == "not recorded" else "black"
                     axes.text(kind, joint, text, ha="center", va="center", color=colour, size=8.5)
             axes.set_title(title)
             axes.set_xticks([0, 1], ["torque", "link encoder"])
@@ -88,15 +74,15 @@ def residual_figure(diagnosis: Diagnosis) -> Figure:
 def held_out_figure(diagnosis: Diagnosis) -> Figure:
     """Plot residual over noise of every channel of the held-out runs, before and after."""
     roles = [(role, words) for role, words in _ROLE_TITLES if diagnosis.proofs(role)]
-    with figure_style():
+    with svg.figure_style():
         names = list(dict.fromkeys(c.name for p in diagnosis.held_out for c in p.channels))
         names.sort(key=lambda name: Channel.read(name).number(diagnosis.recordings.n))
-        figure = Figure(figsize=(WIDTH, 1.0 + 0.24 * max(len(names), 3)))
+        figure = Figure(figsize=(svg.WIDTH, 1.0 + 0.24 * max(len(names), 3)))
         grid = figure.subplots(1, max(len(roles), 1), squeeze=False, sharey=True)[0]
         for axes, (role, words) in zip(grid, roles, strict=False):
             for row, name in enumerate(names):
                 _draw_ratio(axes, row, channel_ratio(diagnosis.proofs(role), name))
-            axes.axvline(1.0, color=GREY, linewidth=1.0, zorder=0)
+            axes.axvline(1.0, color=svg.GREY, linewidth=1.0, zorder=0)
             axes.set_xscale("log")
             low, high = axes.get_xlim()
             axes.set_xlim(min(low, 0.8), max(high, 4.0))
@@ -108,9 +94,9 @@ def held_out_figure(diagnosis: Diagnosis) -> Figure:
         grid[0].set_yticks(range(len(names)), [_channel_label(name) for name in names])
         grid[0].set_ylim(len(names) - 0.4, -0.6)
         handles = [
-            grid[0].plot([], [], "o", mfc="white", mec=VERMILLION, mew=1.5, ms=6)[0],
-            grid[0].plot([], [], "o", color=BLUE, ms=5)[0],
-            grid[0].plot([], [], color=GREY, linewidth=1.0)[0],
+            grid[0].plot([], [], "o", mfc="white", mec=svg.VERMILLION, mew=1.5, ms=6)[0],
+            grid[0].plot([], [], "o", color=svg.BLUE, ms=5)[0],
+            grid[0].plot([], [], color=svg.GREY, linewidth=1.0)[0],
         ]
         below = 0.11 - 0.42 / figure.get_figheight()
         figure.legend(
@@ -128,14 +114,14 @@ def noise_ceiling_figure(diagnosis: Diagnosis) -> Figure:
     """Plot the black-box fit of the remaining residual along its most important signals."""
     assert diagnosis.noise_ceiling is not None
     depends = diagnosis.noise_ceiling.depends
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, 2.4))
+    with svg.figure_style():
+        figure = Figure(figsize=(svg.WIDTH, 2.4))
         grid = figure.subplots(1, len(depends), squeeze=False, sharey=True)[0]
         for axes, each in zip(grid, depends, strict=True):
             kind, _, number = each.signal.rpartition("_")
             slides = diagnosis.training.constants.joints[int(number) - 1].prismatic
-            axes.plot(each.at, each.mean, color=BLUE)
-            axes.axhline(0.0, color=GREY, linewidth=1.0, zorder=0)
+            axes.plot(each.at, each.mean, color=svg.BLUE)
+            axes.axhline(0.0, color=svg.GREY, linewidth=1.0, zorder=0)
             unit = joint_unit(_SIGNAL_UNITS[kind], slides)
             axes.set_xlabel(f"{regressor_words(each.signal).removeprefix('the ')} [{unit}]")
         own = Channel.read(depends[0].channel).joint - 1
@@ -146,9 +132,9 @@ def noise_ceiling_figure(diagnosis: Diagnosis) -> Figure:
 
 def _draw_ratio(axes: Axes, row: int, ratio: tuple[float, float]) -> None:
     """Draw residual over noise before and after, and the line between them."""
-    axes.plot(ratio, [row, row], color=PALE, linewidth=3.0, zorder=1)
-    axes.plot(ratio[0], row, "o", mfc="white", mec=VERMILLION, mew=1.5, ms=6)
-    axes.plot(ratio[1], row, "o", color=BLUE, ms=5)
+    axes.plot(ratio, [row, row], color=svg.PALE, linewidth=3.0, zorder=1)
+    axes.plot(ratio[0], row, "o", mfc="white", mec=svg.VERMILLION, mew=1.5, ms=6)
+    axes.plot(ratio[1], row, "o", color=svg.BLUE, ms=5)
 
 
 def channel_ratio(proofs: Iterable[RunProof], name: str) -> tuple[float, float]:
@@ -237,14 +223,16 @@ def proof_figure(shown: Trace) -> Figure:
     rest = float(np.nanquantile(np.abs(shown.measured - shown.before), 0.99))
     factor, unit = scale(rest, shown.unit)
     noise = factor * shown.error.noise
-    with figure_style():
+    with svg.figure_style():
         # A screen of 390 px shows this width whole [inch].
         figure = Figure(figsize=(4.2, 2.8))
         axes = figure.subplots()
-        axes.axhspan(-2 * noise, 2 * noise, color=PALE, zorder=0, linewidth=0, label="sensor noise")
+        axes.axhspan(
+            -2 * noise, 2 * noise, color=svg.PALE, zorder=0, linewidth=0, label="sensor noise"
+        )
         for predicted, colour, label in (
-            (shown.before, VERMILLION, "model as it was"),
-            (shown.after, BLUE, "model as found"),
+            (shown.before, svg.VERMILLION, "model as it was"),
+            (shown.after, svg.BLUE, "model as found"),
         ):
             left = np.where(shown.used, factor * (shown.measured - predicted), np.nan)
             _draw_curve(axes, shown.time, left, colour, label, 0.9)
@@ -265,14 +253,14 @@ def overlay_figure(shown: Trace) -> Figure:
     factor, unit = scale(largest, shown.unit)
     fine, small = scale(rest, shown.unit)
     count, noise = shown.error.samples, shown.error.noise
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, 4.6))
+    with svg.figure_style():
+        figure = Figure(figsize=(svg.WIDTH, 4.6))
         top, below = figure.subplots(2, 1, sharex=True, height_ratios=(1.2, 1.0))
-        _draw_curve(top, shown.time, factor * shown.measured, INK, "measured", 0.9)
-        below.axhspan(-2 * fine * noise, 2 * fine * noise, color=PALE, zorder=0, linewidth=0)
+        _draw_curve(top, shown.time, factor * shown.measured, svg.INK, "measured", 0.9)
+        below.axhspan(-2 * fine * noise, 2 * fine * noise, color=svg.PALE, zorder=0, linewidth=0)
         for name, colour, squares in (
-            ("before", VERMILLION, shown.error.before),
-            ("after", BLUE, shown.error.after),
+            ("before", svg.VERMILLION, shown.error.before),
+            ("after", svg.BLUE, shown.error.after),
         ):
             predicted = getattr(shown, name)
             _draw_curve(top, shown.time, factor * predicted, colour, name, 1.2)
@@ -290,7 +278,7 @@ def overlay_figure(shown: Trace) -> Figure:
             axes.legend(loc="upper right", ncols=columns)
         below.set_xlim(shown.time[0], shown.time[-1])
         band = f"band: ±2 standard deviations of the noise, {significant(fine * noise, 2)} {small}"
-        below.text(0.005, 0.97, band, transform=below.transAxes, va="top", size=8, color=INK)
+        below.text(0.005, 0.97, band, transform=below.transAxes, va="top", size=8, color=svg.INK)
         figure.subplots_adjust(left=0.065, right=0.99, hspace=0.08)
         return figure
 
@@ -302,7 +290,7 @@ def _draw_curve(
     known = np.flatnonzero(np.isfinite(values))
     if not len(known):
         return
-    x, y = decimate_curve(time[known], values[known])
+    x, y = svg.decimate_curve(time[known], values[known])
     # So many missing samples are bridged in a plotted curve.
     gap = np.flatnonzero(np.diff(known) > 10)
     # A nan in the middle of every gap interrupts the line.
@@ -355,15 +343,15 @@ def _run_windows(run: str, shown: Trace) -> list[Window]:
 
 def state_figure(diagnosis: Diagnosis) -> Figure:
     """Plot residual over noise of held-out runs by channel and state, before and after the fit."""
-    with figure_style():
+    with svg.figure_style():
         names = list(dict.fromkeys(c.name for p in diagnosis.held_out for c in p.channels))
-        figure = Figure(figsize=(WIDTH, 1.0 + 0.24 * max(len(names), 3)))
+        figure = Figure(figsize=(svg.WIDTH, 1.0 + 0.24 * max(len(names), 3)))
         grid = figure.subplots(1, 2, sharey=True)
         for axes, state in zip(grid, ("before", "after"), strict=True):
             proofs = [p for p in diagnosis.held_out if p.run.name.startswith(f"{state}_")]
             for row, name in enumerate(names):
                 _draw_ratio(axes, row, channel_ratio(proofs, name))
-            axes.axvline(1.0, color=GREY, linewidth=1.0, zorder=0)
+            axes.axvline(1.0, color=svg.GREY, linewidth=1.0, zorder=0)
             axes.set_title(f"held-out runs {state} the change")
             axes.set_xlabel("residual over noise")
             axes.grid(visible=False, axis="y")
@@ -375,21 +363,21 @@ def state_figure(diagnosis: Diagnosis) -> Figure:
 def position_figure(run: PositionRun, joints: Sequence[str], prismatic: np.ndarray) -> Figure:
     """Plot command, measured and simulated position of each joint over time, and the errors."""
     n, time = len(joints), run.time - run.time[0]
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, 0.7 + 1.45 * n))
+    with svg.figure_style():
+        figure = Figure(figsize=(svg.WIDTH, 0.7 + 1.45 * n))
         grid = figure.subplots(n, 2, squeeze=False, sharex=True)
         for j, (left, right) in enumerate(grid):
             for values, colour, label, width in (
-                (run.command, GREY, "command", 0.9),
-                (run.measured, INK, "measured", 1.8),
-                (run.before, VERMILLION, "before", 1.1),
-                (run.after, BLUE, "after", 1.1),
+                (run.command, svg.GREY, "command", 0.9),
+                (run.measured, svg.INK, "measured", 1.8),
+                (run.before, svg.VERMILLION, "before", 1.1),
+                (run.after, svg.BLUE, "after", 1.1),
             ):
-                shown = decimate_curve(time, np.nan_to_num(values[:, j]))
+                shown = svg.decimate_curve(time, np.nan_to_num(values[:, j]))
                 left.plot(*shown, color=colour, label=label, linewidth=width)
-            for values, colour in ((run.before, VERMILLION), (run.after, BLUE)):
+            for values, colour in ((run.before, svg.VERMILLION), (run.after, svg.BLUE)):
                 error = 1e3 * np.nan_to_num(values[:, j] - run.measured[:, j])
-                right.plot(*decimate_curve(time, error), color=colour, linewidth=1.1)
+                right.plot(*svg.decimate_curve(time, error), color=colour, linewidth=1.1)
             left.set_title(f"J{j + 1} {joints[j]}")
             left.set_ylabel("m" if prismatic[j] else "rad")
             right.set_title("simulated less measured")

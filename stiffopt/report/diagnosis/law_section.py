@@ -6,11 +6,12 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from stiffopt.discovery.comparison.prepared_run import PreparedRun
+from stiffopt.discovery.diagnosis import Diagnosis, Finding
 from stiffopt.discovery.laws.law import Law, describe_test, law_of, resembled
 from stiffopt.discovery.laws.sources import LawSource
 from stiffopt.report.common.svg import PALE, WIDTH, figure_style
@@ -24,10 +25,6 @@ from stiffopt.report.diagnosis.regimes import (
     motion_direction,
 )
 from stiffopt.report.diagnosis.words import channel_words
-
-if TYPE_CHECKING:
-    from stiffopt.discovery.comparison.prepared_run import PreparedRun
-    from stiffopt.discovery.diagnosis import Diagnosis, Finding
 
 # Definitions of what an equation of a law may contain, for samples x_0, x_1, ... every dt seconds.
 _OPERATOR_DEFINITIONS = {

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from stiffopt.discovery.answer import format_probability, place
 from stiffopt.discovery.channel import Channel
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.diagnosis import Diagnosis
+from stiffopt.discovery.judging.explained_shares import MismatchShare
 from stiffopt.discovery.judging.noise_ceiling import SHOWN_SHARE
+from stiffopt.discovery.judging.run_deviations import Drift
 from stiffopt.discovery.settings import MAX_NOMINAL_DEVIATIONS
 from stiffopt.report.common.text import listed, significant
 from stiffopt.report.diagnosis.overview import moved_values
 from stiffopt.report.diagnosis.words import channel_words, joints_in_words, regressor_words
 from stiffopt.units import joint_unit
-
-if TYPE_CHECKING:
-    from stiffopt.discovery.comparison.located_effect import LocatedEffect
-    from stiffopt.discovery.diagnosis import Diagnosis
-    from stiffopt.discovery.judging.explained_shares import MismatchShare
-    from stiffopt.discovery.judging.run_deviations import Drift
 
 # Share of the mismatch that is written as none; all but that is written as all.
 _MIN_SHARE = 0.005

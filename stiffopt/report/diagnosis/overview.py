@@ -7,20 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stiffopt.discovery.answer import MIN_LISTED_PROBABILITY
 from stiffopt.discovery.comparison.inertial_parameters import INERTIAL_PARAMETER_NAMES
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.value_name import ValueName
+from stiffopt.discovery.diagnosis import Diagnosis, Finding
+from stiffopt.discovery.identifiable import EffectCheck
+from stiffopt.discovery.judging.detection_limits import DetectionLimit
 from stiffopt.report.common.text import MAX_LISTED, percent
-
-if TYPE_CHECKING:
-    from stiffopt.discovery.comparison.located_effect import LocatedEffect
-    from stiffopt.discovery.diagnosis import Diagnosis, Finding
-    from stiffopt.discovery.identifiable import EffectCheck
-    from stiffopt.discovery.judging.detection_limits import DetectionLimit
 
 _INERTIAL_UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 6)
 

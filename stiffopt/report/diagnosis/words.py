@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,14 +17,12 @@ from stiffopt.discovery.answer import (
     statements,
 )
 from stiffopt.discovery.channel import Channel, channel_name
+from stiffopt.discovery.diagnosis import Diagnosis, Finding
+from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.judging.tool_force import ToolForce
+from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.discovery.thresholds import OPEN_RATIO
 from stiffopt.report.common.text import capital, listed, significant, words
-
-if TYPE_CHECKING:
-    from stiffopt.discovery.diagnosis import Diagnosis, Finding
-    from stiffopt.discovery.effect import Effect
-    from stiffopt.discovery.judging.tool_force import ToolForce
-    from stiffopt.discovery.judging.unexplained import Unexplained
 
 CHANNEL_OUTCOMES = {
     "named": "explained by findings",

@@ -6,21 +6,19 @@ Preloads in kN, stiffness in N m/rad (prismatic joints: N/m), shares in percent.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
+from stiffopt.preload.pareto import ParetoFront
+from stiffopt.preload.sensitivity import WindupShare
 from stiffopt.report.common.robot import JointUnits, element_colour
 from stiffopt.report.common.svg import BLUE, GREEN, ORANGE, VERMILLION, WIDTH, figure_style
 from stiffopt.report.common.text import percent, significant
 from stiffopt.report.preload.words import readable
-
-if TYPE_CHECKING:
-    from stiffopt.preload.pareto import ParetoFront
-    from stiffopt.preload.sensitivity import WindupShare
 
 
 def front_figure(front: ParetoFront, units: Sequence[JointUnits], joints: Sequence[int]) -> Figure:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from stiffopt.drivetrain.tables import with_own
 from stiffopt.fastening.utilisation import SAFETY_FACTORS
 from stiffopt.preload.bolt_sheet import bolt_sheets
 from stiffopt.preload.model import PreloadModel
-from stiffopt.preload.problem import OBJECTIVES
+from stiffopt.preload.problem import OBJECTIVES, FreeElement
+from stiffopt.preload.study import PreloadStudy
 from stiffopt.report.common.citations import preload_references
 from stiffopt.report.common.page import Filters, PageFigures, write_page
 from stiffopt.report.common.robot import joint_units
@@ -47,10 +47,6 @@ from stiffopt.report.preload.words import (
     stiffness_sentence,
     weakest_sentence,
 )
-
-if TYPE_CHECKING:
-    from stiffopt.preload.problem import FreeElement
-    from stiffopt.preload.study import PreloadStudy
 
 REPORT_FILE = "report.html"
 _CONNECTION_COLUMNS = (

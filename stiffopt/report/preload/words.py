@@ -6,22 +6,19 @@ import itertools
 import math
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stiffopt.connection import BoltedFlange, ClampingPins
 from stiffopt.drivetrain import catalogue
 from stiffopt.errors import is_factor
+from stiffopt.fastening.utilisation import UtilisationRow
+from stiffopt.preload.pareto import ParetoFront
+from stiffopt.preload.problem import FreeElement, PreloadProblem
+from stiffopt.preload.sensitivity import WindupShare
+from stiffopt.preload.solution import PreloadSolution
+from stiffopt.preload.study import PreloadStudy
 from stiffopt.report.common.text import UNCHANGED, change, listed, percent, si, words
-
-if TYPE_CHECKING:
-    from stiffopt.fastening.utilisation import UtilisationRow
-    from stiffopt.preload.pareto import ParetoFront
-    from stiffopt.preload.problem import FreeElement, PreloadProblem
-    from stiffopt.preload.sensitivity import WindupShare
-    from stiffopt.preload.solution import PreloadSolution
-    from stiffopt.preload.study import PreloadStudy
 
 # Relative change of stiffness below which stiffness does not determine the preload.
 _SMALL_STIFFNESS_GAIN = 0.02

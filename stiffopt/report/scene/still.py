@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
@@ -22,11 +22,9 @@ from stiffopt.report.scene.poses import Poses
 from stiffopt.report.solve.space_figures import exaggeration
 from stiffopt.robot.batched_kinematics import frame_positions
 from stiffopt.robot.body_tree import BodyTree, joint_radii, link_capsules
+from stiffopt.robot.cell import Cell
 from stiffopt.robot.frames import LinkFrame
-
-if TYPE_CHECKING:
-    from stiffopt.robot.cell import Cell
-    from stiffopt.robot.robot import Robot
+from stiffopt.robot.robot import Robot
 
 _HEIGHT_INCH = 4.6
 # Elevation of the viewpoint above the horizon [rad].

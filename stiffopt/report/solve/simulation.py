@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.modes import PoseModes
 from stiffopt.files import atomic_write
+from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.report.common.page import PageFigures, write_page
 from stiffopt.report.common.svg import (
     BLACK,
@@ -34,12 +36,8 @@ from stiffopt.report.solve.compensation import (
     compensation_figure,
 )
 from stiffopt.report.solve.wording import assumed_damping_note, simulation_section
-
-if TYPE_CHECKING:
-    from stiffopt.elastic.arm import ElasticArm
-    from stiffopt.problem.trajectory import TrajectoryProblem
-    from stiffopt.result.compensation import Compensation
-    from stiffopt.result.simulation import SimulatedMotion, Simulation
+from stiffopt.result.compensation import Compensation
+from stiffopt.result.simulation import SimulatedMotion, Simulation
 
 _MOTION_STYLES: tuple[dict[str, Any], ...] = (
     {"color": BLUE, "linewidth": 2.2},

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.report.common.robot import common_unit, element_colour, joint_units, windup_by_kind
 from stiffopt.report.common.svg import BLACK, GREY, WIDTH, figure_style
 from stiffopt.report.common.text import number, si
 from stiffopt.report.solve.figures import ComparedMotion, motion_style
 from stiffopt.result.assessment import Assessment
-
-if TYPE_CHECKING:
-    from stiffopt.problem.trajectory import TrajectoryProblem
 
 
 def path_figure(problem: TrajectoryProblem, motions: Sequence[ComparedMotion], part: str) -> Figure:

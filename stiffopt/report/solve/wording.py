@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,17 +10,19 @@ from stiffopt.baseline.baselines import better_baseline
 from stiffopt.certificate.objective_value import is_maximised
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.problem.objective import OBJECTIVES, ObjectiveKind
+from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.report.common.terminal import ReportSection
 from stiffopt.report.common.text import DASH, listed, percent, si, significant, words
 from stiffopt.result.assessment import Violation
-from stiffopt.result.compensation import MIN_SLOWDOWN, RIVAL_COMMAND_FILE, RIVAL_TRAJECTORY_FILE
+from stiffopt.result.compensation import (
+    MIN_SLOWDOWN,
+    RIVAL_COMMAND_FILE,
+    RIVAL_TRAJECTORY_FILE,
+    CompensatedMotion,
+    Compensation,
+)
 from stiffopt.result.simulation import ElasticMotion, Simulation
 from stiffopt.result.solution import ObjectiveValue, Solution
-
-if TYPE_CHECKING:
-    from stiffopt.problem.trajectory import TrajectoryProblem
-    from stiffopt.result.compensation import CompensatedMotion, Compensation
-
 
 # Ratio below which a gain is written as "3.4 times less", above it as a percentage.
 _MAX_FACTOR_RATIO = 0.6

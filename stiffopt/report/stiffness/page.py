@@ -6,12 +6,13 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from stiffopt.report.common import svg
 from stiffopt.report.common.citations import robot_references
 from stiffopt.report.common.page import PageFigures, write_page
 from stiffopt.report.common.robot import (
@@ -21,20 +22,9 @@ from stiffopt.report.common.robot import (
     estimated_inputs,
     joint_units,
 )
-from stiffopt.report.common.svg import (
-    BLUE,
-    GREY,
-    VERMILLION,
-    WIDTH,
-    figure_style,
-    line_style,
-    set_log_scale,
-)
 from stiffopt.report.common.text import listed, percent
-
-if TYPE_CHECKING:
-    from stiffopt.robot.robot import Robot
-    from stiffopt.robot.stiffness_study import StiffnessRow
+from stiffopt.robot.robot import Robot
+from stiffopt.robot.stiffness_study import StiffnessRow
 
 PAGE_FILE = "stiffness.html"
 SHARE_RATIOS = (0.001, 0.01, 0.1, 1.0)
@@ -201,10 +191,10 @@ def tangent_figure(
 
     `low_torque`: logarithmic torque axis, which resolves the range near zero torque.
     """
-    with figure_style():
+    with svg.figure_style():
         columns = min(3, len(curves))
         rows = -(-len(curves) // columns)
-        figure = Figure(figsize=(WIDTH, 0.9 + 2.0 * rows))
+        figure = Figure(figsize=(svg.WIDTH, 0.9 + 2.0 * rows))
         grid = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes in grid[len(curves) :]:
             axes.set_visible(False)
@@ -225,15 +215,15 @@ def _draw_tangent_panel(axes: Axes, readings: Sequence[StiffnessCurve], low_torq
     own = readings[0]
     for other in readings[1:]:
         label = f"with contacts, flanks in {other.flanks}"
-        axes.plot(other.ratio, other.tangent, color=GREY, linewidth=1.0, label=label)
+        axes.plot(other.ratio, other.tangent, color=svg.GREY, linewidth=1.0, label=label)
     keys = f", flanks in {own.flanks} (this robot)" if own.flanks in ("series", "parallel") else ""
     dashes = (0, (5, 1.5))
     axes.plot(
-        own.ratio, own.reducer_only, color=VERMILLION, linestyle=dashes, label="reducer alone"
+        own.ratio, own.reducer_only, color=svg.VERMILLION, linestyle=dashes, label="reducer alone"
     )
-    axes.plot(own.ratio, own.tangent, color=BLUE, linewidth=2.0, label=f"with contacts{keys}")
+    axes.plot(own.ratio, own.tangent, color=svg.BLUE, linewidth=2.0, label=f"with contacts{keys}")
     if low_torque:
-        set_log_scale(axes, "x")
+        svg.set_log_scale(axes, "x")
     axes.set_ylim(bottom=0.0)
     axes.margins(x=0.01)
     axes.locator_params(axis="y", nbins=5)
@@ -246,20 +236,20 @@ def loss_figure(
 
     The axis is logarithmic where the joints' losses differ by more than a decade.
     """
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, 3.8))
+    with svg.figure_style():
+        figure = Figure(figsize=(svg.WIDTH, 3.8))
         axes = figure.subplots()
         losses = []
         for joint, readings in curves.items():
             own = readings[0]
             losses.append(100.0 * own.loss)
-            style = line_style(joint - 1)
+            style = svg.line_style(joint - 1)
             axes.plot(own.ratio, losses[-1], label=units[joint - 1].label, **style)
-        set_log_scale(axes, "x")
+        svg.set_log_scale(axes, "x")
         highest = [float(np.max(each)) for each in losses]
         # Ratio of the joints' largest losses above which the axis is logarithmic.
         if min(highest) > 0.0 and max(highest) > 10.0 * min(highest):
-            set_log_scale(axes, "y")
+            svg.set_log_scale(axes, "y")
         else:
             axes.set_ylim(bottom=0.0)
         axes.set_xlabel("torque over largest torque")
@@ -273,8 +263,8 @@ def loss_figure(
 def shares_figure(robot: Robot, units: Sequence[JointUnits]) -> Figure:
     """Plot the share of each kind of element in the tangent compliance at several torque ratios."""
     jointed = [j for j, chain in enumerate(robot.chains) if chain is not None]
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, 0.9 + max(0.34 * len(jointed), 1.0)))
+    with svg.figure_style():
+        figure = Figure(figsize=(svg.WIDTH, 0.9 + max(0.34 * len(jointed), 1.0)))
         grid = figure.subplots(1, len(SHARE_RATIOS), sharey=True)
         named: dict[str, Any] = {}
         for axes, ratio in zip(grid, SHARE_RATIOS, strict=True):
