@@ -17,7 +17,7 @@ import scipy
 
 from stiffopt.elastic import native
 from stiffopt.elastic.arm import MIN_FOLLOWING_FREQUENCY, ElasticArm
-from stiffopt.elastic.bearing_joints import BearingJoints
+from stiffopt.elastic.bearings import BearingJoints
 from stiffopt.elastic.modes import modes
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.servo import Servo

@@ -23,8 +23,16 @@ from stiffopt.problem.branches import (
     solutions_of_pose,
     within_limits,
 )
-from stiffopt.problem.cycle import MIN_LEG_TIME, Cycle, CycleEvent, Leg, Posture, Stop
-from stiffopt.problem.cycle_loads import CarriedLoad, follow_loads
+from stiffopt.problem.cycle import (
+    MIN_LEG_TIME,
+    CarriedLoad,
+    Cycle,
+    CycleEvent,
+    Leg,
+    Posture,
+    Stop,
+    follow_loads,
+)
 from stiffopt.problem.files import (
     PoseReader,
     check_expected_unit,

@@ -14,7 +14,7 @@ from stiffopt.dynamics.deflection import spring_torques, tool_deflection
 from stiffopt.dynamics.inverse_kinematics import LENGTH_PER_RADIAN
 from stiffopt.dynamics.kinematics import frame_jacobian, frame_pose
 from stiffopt.errors import ProblemError
-from stiffopt.problem.path_deflection import COUNTED_AXES
+from stiffopt.problem.path_force import COUNTED_AXES
 from stiffopt.problem.path_freedom import PathFreedom, TurnBasis
 from stiffopt.problem.pose_following import MIN_CONDITION
 from stiffopt.symbolic import Quantity

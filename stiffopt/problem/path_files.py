@@ -16,8 +16,12 @@ from stiffopt.problem.freedom_choice import choose_freedom
 from stiffopt.problem.freedom_task import FreedomTask
 from stiffopt.problem.joint_lists import JointLists
 from stiffopt.problem.limit import Limits
-from stiffopt.problem.path_deflection import with_limited_deflection
-from stiffopt.problem.path_force import PathForce, check_path_force, path_force
+from stiffopt.problem.path_force import (
+    PathForce,
+    check_path_force,
+    path_force,
+    with_limited_deflection,
+)
 from stiffopt.problem.schema import PathForceSection, PathSection, PathTableSection, SegmentSection
 from stiffopt.problem.tool_path import (
     ToolPath,

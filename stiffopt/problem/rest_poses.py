@@ -12,7 +12,7 @@ import numpy as np
 
 from stiffopt.exact.chain import exact_compliance, exact_windup
 from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
-from stiffopt.robot.bearing_deflection import bearing_deflections
+from stiffopt.robot.bearings import bearing_deflections
 from stiffopt.units import joint_unit
 
 

@@ -16,8 +16,7 @@ import numpy as np
 import scipy
 
 from stiffopt.errors import ProblemError
-from stiffopt.problem.path_fit import fit_joint_path
-from stiffopt.problem.pose_following import PoseFollower
+from stiffopt.problem.pose_following import PoseFollower, fit_joint_path
 from stiffopt.problem.tool_curves import Arc, Curve, Line, ToolCurve, blend_curve
 from stiffopt.result.joint_path import JointPath
 

@@ -198,7 +198,7 @@ def write_cycle_report(cycle: Cycle, solution: CycleSolution, folder: Path) -> P
             solution, None if solution.objective is None else solution.objective.value
         ),
     }
-    return write_page("cycle/page.html.j2", folder / "report.html", context, figures)
+    return write_page("pages/cycle.html.j2", folder / "report.html", context, figures)
 
 
 def _rival_amount(solution: CycleSolution, value: float | None) -> str:

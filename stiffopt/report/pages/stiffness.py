@@ -65,7 +65,7 @@ def write_stiffness_report(
         "estimated": estimated_inputs(robot),
         "references": robot_references(robot),
     }
-    return write_page("stiffness/page.html.j2", Path(directory) / PAGE_FILE, context, figures)
+    return write_page("pages/stiffness.html.j2", Path(directory) / PAGE_FILE, context, figures)
 
 
 def where_contacts_matter(

@@ -42,7 +42,7 @@ def write_budget_report(
         "volume": volume,
         "assumptions": assumptions,
     }
-    return write_page("budget/page.html.j2", folder / "report.html", context, figures)
+    return write_page("pages/budget.html.j2", folder / "report.html", context, figures)
 
 
 def headline(budget: ErrorBudget, volume: VolumeBudget) -> str:

@@ -37,7 +37,7 @@ def write_improvement_report(
         "notes": [*reasons, *notes(found)],
         "file": COMMAND_FILE if found.kept else "",
     }
-    return write_page("improvement/page.html.j2", folder / "report.html", context, figures)
+    return write_page("pages/improvement.html.j2", folder / "report.html", context, figures)
 
 
 def headline(found: Improvement) -> str:

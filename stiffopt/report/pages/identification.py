@@ -13,7 +13,7 @@ from stiffopt.identification.result import JointStiffness, StaticStiffness
 from stiffopt.report.common.page import Filters, PageFigures, write_page
 from stiffopt.report.common.terminal import print_lines, print_table
 from stiffopt.report.common.text import DASH, decades, si
-from stiffopt.report.identification.figures import (
+from stiffopt.report.pages.identification_figures import (
     models_figure,
     poses_figure,
     prediction_figure,
@@ -62,7 +62,7 @@ def write_static_report(result: StaticStiffness, folder: Path) -> Path:
     }
     filters: Filters = {"status_words": status_words, "confidence_interval": confidence_interval}
     path = folder / PAGE_FILE
-    return write_page("identification/page.html.j2", path, context, figures, filters)
+    return write_page("pages/identification.html.j2", path, context, figures, filters)
 
 
 def headline(result: StaticStiffness) -> str:

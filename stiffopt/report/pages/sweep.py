@@ -10,7 +10,12 @@ from matplotlib.figure import Figure
 from stiffopt.report.common.page import PageFigures, write_page
 from stiffopt.report.common.svg import BLUE, GREY, VERMILLION, WIDTH, figure_style
 from stiffopt.report.common.text import scale, si, words
-from stiffopt.report.sweep.terminal import headline, knee_sentence, shared_section, spread_sentence
+from stiffopt.report.pages.sweep_terminal import (
+    headline,
+    knee_sentence,
+    shared_section,
+    spread_sentence,
+)
 from stiffopt.sweep.run import is_unusable
 from stiffopt.sweep.summary import Cell, Front, SweepSummary
 from stiffopt.units import number_and_unit
@@ -52,7 +57,7 @@ def write_sweep_report(summary: SweepSummary, folder: Path) -> Path:
         ],
         "more": max(len(rows) - _MAX_ROWS, 0),
     }
-    return write_page("sweep/page.html.j2", folder / PAGE_FILE, context, figures)
+    return write_page("pages/sweep.html.j2", folder / PAGE_FILE, context, figures)
 
 
 def _format_cell(cell: Cell, unit: str) -> str:
