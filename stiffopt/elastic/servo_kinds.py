@@ -16,9 +16,9 @@ class ServoKind:
 
     bandwidth: float  # of the position loop [Hz]
     # Shares of the commanded velocity and of the torque of the commanded acceleration.
-    feed_forward: float
+    feed_forward: float = 1.0
     torque_feed_forward: float
-    delay: float  # dead time of the loop [s]
+    delay: float = 0.0  # dead time of the loop [s]
     rate: float | None  # of the set-points [Hz]; None for continuous ones
     source: str  # of the rate
 
@@ -26,41 +26,31 @@ class ServoKind:
 SERVO_KINDS = {
     "ideal": ServoKind(
         bandwidth=20.0,
-        feed_forward=1.0,
         torque_feed_forward=1.0,
-        delay=0.0,
         rate=None,
         source="Follows exactly.",
     ),
     "industrial": ServoKind(
         bandwidth=20.0,
-        feed_forward=1.0,
         torque_feed_forward=0.9,
-        delay=0.0,
         rate=250.0,
         source="KUKA.RobotSensorInterface: 4 ms cycle.",
     ),
     "collaborative": ServoKind(
         bandwidth=15.0,
-        feed_forward=1.0,
         torque_feed_forward=0.9,
-        delay=0.0,
         rate=500.0,
         source="Universal Robots e-Series, The URScript Programming Language: 2 ms cycle.",
     ),
     "research": ServoKind(
         bandwidth=40.0,
-        feed_forward=1.0,
         torque_feed_forward=0.95,
-        delay=0.0,
         rate=1000.0,
         source="Franka Control Interface: 1 ms cycle.",
     ),
     "cb_series": ServoKind(
         bandwidth=15.0,
-        feed_forward=1.0,
         torque_feed_forward=0.8,
-        delay=0.0,
         rate=125.0,
         source="Universal Robots CB-Series, The URScript Programming Language: 8 ms cycle.",
     ),

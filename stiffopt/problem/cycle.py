@@ -10,17 +10,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
 from stiffopt.errors import InputFileError
 from stiffopt.problem.schema import PayloadSection, ProblemFile, ToolPointSection
+from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.duty import DutyLimits
-
-if TYPE_CHECKING:
-    from stiffopt.problem.trajectory import TrajectoryProblem
-    from stiffopt.robot.robot import Robot
+from stiffopt.robot.robot import Robot
 
 EventKind = Literal["grip", "release", "tool_change"]
 # Smallest time that a leg may be given by the split of the cycle's time [s].

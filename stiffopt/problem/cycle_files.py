@@ -309,11 +309,7 @@ class _CycleReader:
         target = step.target
         with locate_errors(self._path, step.where):
             loads = {self._loads[k] for each in visits for k in (max(each.move - 1, 0), each.move)}
-            robot = within_limits(
-                self._robot(self._loads[max(step.move - 1, 0)]),
-                limits.position_lower,
-                limits.position_upper,
-            )
+            robot = within_limits(self._robot(self._loads[max(step.move - 1, 0)]), limits)
             if target.joints is not None:
                 check_range(robot, limits, "joints", target.joints)
                 return [target.joints]

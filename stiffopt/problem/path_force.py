@@ -8,20 +8,18 @@ right-handed third.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 import scipy
 
 from stiffopt.errors import ProblemError
 from stiffopt.exact.chain import exact_windup
+from stiffopt.problem.path_freedom import ErrorDirection
+from stiffopt.problem.tool_path import ToolPath
+from stiffopt.result.joint_path import JointPath
 from stiffopt.robot.batched_kinematics import tool_jacobians
-
-if TYPE_CHECKING:
-    from stiffopt.problem.path_freedom import ErrorDirection
-    from stiffopt.problem.tool_path import ToolPath
-    from stiffopt.result.joint_path import JointPath
-    from stiffopt.robot.robot import Robot
+from stiffopt.robot.robot import Robot
 
 ForceFrame = Literal["base", "tool", "path"]
 

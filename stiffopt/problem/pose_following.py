@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
@@ -12,9 +11,7 @@ from stiffopt.dynamics.inverse_kinematics import LENGTH_PER_RADIAN, solve_pose
 from stiffopt.errors import ProblemError
 from stiffopt.result.joint_path import JointPath
 from stiffopt.robot.batched_kinematics import frame_positions, frame_rotations
-
-if TYPE_CHECKING:
-    from stiffopt.robot.robot import Robot
+from stiffopt.robot.robot import Robot
 
 # Steps within each piece of a path.
 _STEPS_PER_PIECE = 4

@@ -11,15 +11,13 @@ from stiffopt.declaration import Bounds, JointPosition, Ratio
 from stiffopt.errors import InputFileError
 from stiffopt.problem.limit import LIMITS, DriveLimit, LimitKey, LimitKind, Limits
 from stiffopt.problem.limits.joint_magnitude import worst_joint
-from stiffopt.problem.stage_terms import PathRows
 from stiffopt.result.assessment import DriveHistory, Violation
 from stiffopt.result.joint_path import JointPath
 
 if TYPE_CHECKING:
     from stiffopt.problem.joint_lists import JointLists
-    from stiffopt.problem.stage_model import StageModel
     from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
-    from stiffopt.result.assessment import Assessment, Violation
+    from stiffopt.result.assessment import Assessment
     from stiffopt.validation import Section
 
 
@@ -75,10 +73,6 @@ class Position(DriveLimit):
         inset = margin * np.where(np.isfinite(span), span, 0.0)
         return limits.position_lower + inset, limits.position_upper - inset
 
-    def rows(self, problem: TrajectoryProblem, model: StageModel, margin: float) -> list[PathRows]:
-        """No rows: states are bounded, and a fixed path is checked on reading."""
-        return []
-
     def violations(self, limits: Limits, motion: DriveHistory) -> list[Violation]:
         """Violation of the worst joint, relative to its range."""
         span = limits.position_upper - limits.position_lower
@@ -111,14 +105,6 @@ class Travel(LimitKind):
     def active(self, limits: Limits) -> bool:
         """Return False: limits of the position stand in its place."""
         return False
-
-    def read(self, section: Section, joints: JointLists) -> dict[str, Any]:
-        """Read the ratio; None where it is left out."""
-        return {"travel": section.travel}  # type: ignore[attr-defined]
-
-    def rows(self, problem: TrajectoryProblem, model: StageModel, margin: float) -> list[PathRows]:
-        """No rows."""
-        return []
 
     def violations(self, limits: Limits, motion: Assessment) -> list[Violation]:
         """No violations."""

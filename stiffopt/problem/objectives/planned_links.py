@@ -21,8 +21,6 @@ from stiffopt.problem.trajectory import check_arrival, check_link_planning
 
 if TYPE_CHECKING:
     from stiffopt.problem.motor_model import MotorModel
-    from stiffopt.problem.objective import Objective
-    from stiffopt.problem.stage_terms import ObjectiveTerms
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.assessment import Assessment
 

@@ -76,6 +76,17 @@ def figure_style() -> Iterator[None]:
         yield
 
 
+def panels(
+    count: int, columns: int, size: tuple[float, float], **shared: Any
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure [inch] and its `count` axes in rows of `columns`; the last may be shorter."""
+    figure = Figure(figsize=size)
+    grid = figure.subplots(-(-count // columns), columns, squeeze=False, **shared).ravel()
+    for axes in grid[count:]:
+        axes.set_visible(False)
+    return figure, list(grid[:count])
+
+
 def line_style(index: int) -> dict[str, Any]:
     """Return colour and dash pattern of curve number `index` (from 0); repeats after 28.
 

@@ -87,11 +87,15 @@ def held_out_figure(diagnosis: Diagnosis) -> Figure:
             low, high = axes.get_xlim()
             axes.set_xlim(min(low, 0.8), max(high, 4.0))
             axes.xaxis.set_major_formatter(lambda x, _: significant(x, 2))
-            axes.xaxis.set_minor_formatter(lambda x, _: _format_minor_tick(x))
+            # Minor ticks 2 and 5 of the logarithmic axis.
+            axes.xaxis.set_minor_formatter(
+                lambda x, _: significant(x, 1) if f"{x:.0e}"[0] in "25" else ""
+            )
             axes.set_xlabel("residual over noise (root mean squares)")
             axes.set_title(words)
             axes.grid(visible=False, axis="y")
-        grid[0].set_yticks(range(len(names)), [_channel_label(name) for name in names])
+        channels = map(Channel.read, names)
+        grid[0].set_yticks(range(len(names)), [f"J{each.joint} {each.sensor}" for each in channels])
         grid[0].set_ylim(len(names) - 0.4, -0.6)
         handles = [
             grid[0].plot([], [], "o", mfc="white", mec=svg.VERMILLION, mew=1.5, ms=6)[0],
@@ -148,17 +152,6 @@ def channel_ratio(proofs: Iterable[RunProof], name: str) -> tuple[float, float]:
         return float("nan"), float("nan")
     before = float(np.sqrt(sum(c.before / c.noise**2 for c in own) / count))
     return before, float(np.sqrt(sum(c.after / c.noise**2 for c in own) / count))
-
-
-def _channel_label(name: str) -> str:
-    channel = Channel.read(name)
-    return f"J{channel.joint} {channel.sensor}"
-
-
-def _format_minor_tick(value: float) -> str:
-    """Format minor ticks 2 and 5 of a logarithmic axis, others as ""."""
-    first = f"{value:.0e}"[0]
-    return significant(value, 1) if first in "25" else ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -146,14 +146,12 @@ def counterbalance_sentences(diagnosis: Diagnosis) -> list[str]:
             else "held-out recordings do not separate the two"
         )
         found.append(
-            f"Counterbalance of joint {joint} or weight of {link}: the"
-            " re-identified first moment of"
-            f" the link changes by {significant(each.change, 2)} kg m, from"
-            f" {significant(each.nominal, 2)} kg m, more than is"
-            " plausible; a counterbalance of up to"
-            f" {significant(each.torque, 2)} {unit} has the same effect, and {is_it}. The extended"
-            f" model includes it as mass. To separate them, accelerate joint {joint} strongly near"
-            " one position: only a mass has inertia."
+            f"Counterbalance of joint {joint} or weight of {link}: the re-identified first moment "
+            f"of the link changes by {significant(each.change, 2)} kg m, from "
+            f"{significant(each.nominal, 2)} kg m, more than is plausible; a counterbalance of up "
+            f"to {significant(each.torque, 2)} {unit} has the same effect, and {is_it}. The "
+            f"extended model includes it as mass. To separate them, accelerate joint {joint} "
+            "strongly near one position: only a mass has inertia."
         )
     return found
 
@@ -187,10 +185,9 @@ def transfer_sentences(diagnosis: Diagnosis) -> list[str]:
 def _drift_sentence(diagnosis: Diagnosis, each: Drift) -> str:
     slides = diagnosis.training.constants.joints[each.joint].prismatic
     return (
-        f"Friction of joint {each.joint + 1} differs from run to run:"
-        " predictions use the mean, with"
-        f" a standard deviation between runs of {significant(each.rms, 2)}"
-        f" {joint_unit('N m', slides)}."
+        f"Friction of joint {each.joint + 1} differs from run to run: predictions use the mean, "
+        f"with a standard deviation between runs of {significant(each.rms, 2)} "
+        f"{joint_unit('N m', slides)}."
     )
 
 

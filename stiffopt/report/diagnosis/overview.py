@@ -84,9 +84,8 @@ def sharpest_limits(diagnosis: Diagnosis) -> list[str]:
     for limit in sorted(known, key=lambda each: each.relative or 0.0):
         best.setdefault(limit.effect.nominal_words, limit)
     return [
-        f"A change of {name} by more than {percent(limit.relative)}"
-        f" at joint {limit.joint} would have "
-        "been detected."
+        f"A change of {name} by more than {percent(limit.relative)} at joint {limit.joint} would "
+        "have been detected."
         for name, limit in best.items()
     ]
 

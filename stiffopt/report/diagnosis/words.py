@@ -141,9 +141,8 @@ def saturation_sentences(diagnosis: Diagnosis) -> list[str]:
         if fault.kind == "saturated" and fault.joint is not None and fault.share > 0.05:
             worst[fault.joint] = max(worst.get(fault.joint, (0.0, "")), (fault.share, run))
     return [
-        f"The torque of joint {joint} is saturated in"
-        f" {100.0 * share:.0f} % of {run}, which hides the"
-        " true torque. Record it below its limit."
+        f"The torque of joint {joint} is saturated in {100.0 * share:.0f} % of {run}, which hides "
+        "the true torque. Record it below its limit."
         for joint, (share, run) in sorted(worst.items())
     ]
 

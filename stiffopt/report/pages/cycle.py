@@ -302,12 +302,9 @@ def torque_speed_figure(cycle: Cycle, solution: CycleSolution) -> Figure:
     limits = cycle.first.active_limits
     robot = cycle.first.robot
     with svg.figure_style():
-        figure = Figure(figsize=(svg.WIDTH, 1.9 * -(-robot.n // 4)))
-        panels = np.atleast_1d(figure.subplots(-(-robot.n // 4), min(robot.n, 4))).ravel()
-        for j, axes in enumerate(panels):
-            if j >= robot.n:
-                axes.set_visible(False)
-                continue
+        size = svg.WIDTH, 1.9 * -(-robot.n // 4)
+        figure, grid = svg.panels(robot.n, min(robot.n, 4), size)
+        for j, axes in enumerate(grid):
             for leg in solution.legs:
                 motion = leg.solution.assessment
                 assert motion is not None

@@ -89,9 +89,8 @@ def where_contacts_matter(
         return "Without contacts both curves are one."
     told = "; ".join(f"{where} in {listed(joints)}" for where, joints in groups.items())
     return (
-        f"Contacts reduce the stiffness most {told}. In brackets: the"
-        " relative loss, from the least "
-        "torque shown to the largest."
+        f"Contacts reduce the stiffness most {told}. In brackets: the relative loss, from the "
+        "least torque shown to the largest."
     )
 
 
@@ -193,17 +192,14 @@ def tangent_figure(
     """
     with svg.figure_style():
         columns = min(3, len(curves))
-        rows = -(-len(curves) // columns)
-        figure = Figure(figsize=(svg.WIDTH, 0.9 + 2.0 * rows))
-        grid = figure.subplots(rows, columns, squeeze=False).ravel()
-        for axes in grid[len(curves) :]:
-            axes.set_visible(False)
-        for place, (joint, readings) in enumerate(curves.items()):
-            _draw_tangent_panel(grid[place], readings, low_torque)
+        size = svg.WIDTH, 0.9 + 2.0 * -(-len(curves) // columns)
+        figure, grid = svg.panels(len(curves), columns, size)
+        for place, (axes, (joint, readings)) in enumerate(zip(grid, curves.items(), strict=True)):
+            _draw_tangent_panel(axes, readings, low_torque)
             unit = units[joint - 1]
-            grid[place].set_title(f"{unit.label} [{unit.stiffness}]")
+            axes.set_title(f"{unit.label} [{unit.stiffness}]")
             if place + columns >= len(curves):
-                grid[place].set_xlabel("torque over largest torque")
+                axes.set_xlabel("torque over largest torque")
         handles, labels = grid[0].get_legend_handles_labels()
         below = -0.12 / figure.get_figheight()
         figure.legend(handles, labels, loc="upper left", ncols=3, bbox_to_anchor=(0.05, below))

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from stiffopt.report.common.page import PageFigures, write_page
-from stiffopt.report.common.svg import BLUE, GREY, VERMILLION, WIDTH, figure_style
+from stiffopt.report.common.svg import BLUE, GREY, VERMILLION, WIDTH, figure_style, panels
 from stiffopt.report.common.text import scale, si, words
 from stiffopt.report.pages.sweep_terminal import (
     headline,
@@ -17,7 +17,7 @@ from stiffopt.report.pages.sweep_terminal import (
     spread_sentence,
 )
 from stiffopt.sweep.run import is_unusable
-from stiffopt.sweep.summary import Cell, Front, SweepSummary
+from stiffopt.sweep.summary import Front, SweepSummary
 from stiffopt.units import number_and_unit
 
 PAGE_FILE = "report.html"
@@ -50,7 +50,7 @@ def write_sweep_report(summary: SweepSummary, folder: Path) -> Path:
         "head": [name if name in summary.sweep.places else words(name) for name in shown],
         "rows": [
             [
-                _format_cell(cell, summary.units.get(name, ""))
+                cell if isinstance(cell, str) else si(cell, summary.units.get(name, ""), 5)
                 for name, cell in zip(shown, row, strict=True)
             ]
             for row in rows[:_MAX_ROWS]
@@ -58,10 +58,6 @@ def write_sweep_report(summary: SweepSummary, folder: Path) -> Path:
         "more": max(len(rows) - _MAX_ROWS, 0),
     }
     return write_page("pages/sweep.html.j2", folder / PAGE_FILE, context, figures)
-
-
-def _format_cell(cell: Cell, unit: str) -> str:
-    return cell if isinstance(cell, str) else si(cell, unit, 5)
 
 
 def axes_figure(summary: SweepSummary) -> Figure | None:
@@ -86,17 +82,14 @@ def axes_figure(summary: SweepSummary) -> Figure | None:
     factor, unit = scale(float(np.nanmax(np.abs(held))), summary.units[name])
     with figure_style():
         columns = min(3, len(drawn))
-        rows = -(-len(drawn) // columns)
-        figure = Figure(figsize=(WIDTH, 0.9 + 2.4 * rows))
-        grid = figure.subplots(rows, columns, squeeze=False, sharey=True).ravel()
+        size = WIDTH, 0.9 + 2.4 * -(-len(drawn) // columns)
+        figure, grid = panels(len(drawn), columns, size, sharey=True)
         lost = ~np.isfinite(held)
-        for axes, (place, (values, kind)) in zip(grid, drawn.items(), strict=False):
+        for axes, (place, (values, kind)) in zip(grid, drawn.items(), strict=True):
             axes.plot(values, factor * held, "o", color=BLUE, markersize=3.5, alpha=0.7)
             floor = np.full(lost.sum(), factor * np.nanmin(held))
             axes.plot(values[lost], floor, "x", color=VERMILLION, markersize=5.0)
             axes.set_xlabel(f"{place} [{kind}]")
-        for axes in grid[len(drawn) :]:
-            axes.set_visible(False)
         for axes in grid[::columns]:
             axes.set_ylabel(f"{words(name)} [{unit}]" if unit else words(name))
         figure.tight_layout()

@@ -22,6 +22,7 @@ from stiffopt.report.common.svg import (
     VERMILLION,
     WIDTH,
     figure_style,
+    panels,
 )
 from stiffopt.report.common.text import significant
 from stiffopt.report.preload.words import readable
@@ -35,17 +36,12 @@ def joint_diagrams(sheets: Sequence[BoltSheet]) -> Figure:
     service. The working load is drawn at the latter, which determines the clamp load.
     """
     columns = min(3, len(sheets))
-    rows = -(-len(sheets) // columns)
     width = WIDTH if columns > 1 else 0.62 * WIDTH
-    height = 0.85 + 2.9 * rows
+    height = 0.85 + 2.9 * -(-len(sheets) // columns)
     with figure_style():
-        figure = Figure(figsize=(width, height))
-        grid = figure.subplots(rows, columns, squeeze=False).ravel()
-        for axes in grid[len(sheets) :]:
-            axes.set_visible(False)
-        for axes, sheet in zip(grid, sheets, strict=False):
+        figure, grid = panels(len(sheets), columns, (width, height))
+        for place, (axes, sheet) in enumerate(zip(grid, sheets, strict=True)):
             _draw_diagram(axes, sheet)
-        for place, axes in enumerate(grid[: len(sheets)]):
             if place % columns == 0:
                 axes.set_ylabel("force of one bolt [kN]")
             axes.set_xlabel("elongation [µm]")

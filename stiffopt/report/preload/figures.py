@@ -16,7 +16,7 @@ from matplotlib.ticker import FuncFormatter
 from stiffopt.preload.pareto import ParetoFront
 from stiffopt.preload.sensitivity import WindupShare
 from stiffopt.report.common.robot import JointUnits, element_colour
-from stiffopt.report.common.svg import BLUE, GREEN, ORANGE, VERMILLION, WIDTH, figure_style
+from stiffopt.report.common.svg import BLUE, GREEN, ORANGE, VERMILLION, WIDTH, figure_style, panels
 from stiffopt.report.common.text import percent, significant
 from stiffopt.report.preload.words import readable
 
@@ -84,16 +84,12 @@ def shares_figure(shares: Mapping[int, Sequence[WindupShare]], free: Sequence[st
     in bold.
     """
     columns = min(3, len(shares))
-    rows = -(-len(shares) // columns)
     most = max(len(each) for each in shares.values())
     with figure_style():
-        height = 0.5 + rows * _bars_height(most)
-        figure = Figure(figsize=(WIDTH if columns > 1 else WIDTH * 0.62, height))
-        grid = figure.subplots(rows, columns, squeeze=False).ravel()
-        for axes in grid[len(shares) :]:
-            axes.set_visible(False)
-        for place, (joint, own) in enumerate(shares.items()):
-            axes = grid[place]
+        height = 0.5 + -(-len(shares) // columns) * _bars_height(most)
+        width = WIDTH if columns > 1 else WIDTH * 0.62
+        figure, grid = panels(len(shares), columns, (width, height))
+        for place, (axes, (joint, own)) in enumerate(zip(grid, shares.items(), strict=True)):
             ordered = sorted(own, key=lambda each: -each.share)
             for row, each in enumerate(ordered):
                 colour = element_colour(each.kind)

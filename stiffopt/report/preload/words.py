@@ -153,9 +153,8 @@ def active_limits_sentence(problem: PreloadProblem, solution: PreloadSolution) -
     # Utilisation of slip below which the loads are negligible or in a wrong unit.
     if slip and max(slip) < 0.05:
         text += (
-            f" Slip safety is {1.0 / max(slip):.3g} times the required"
-            " one: the loads are negligible."
-            " Check their unit."
+            f" Slip safety is {1.0 / max(slip):.3g} times the required one: the loads are "
+            "negligible. Check their unit."
             if max(slip) > 0.0
             else " No load case has a torque about a joint."
         )
@@ -319,10 +318,9 @@ def _stainless_friction(problem: PreloadProblem) -> Iterator[str]:
     if stainless:
         friction = problem.tightening.thread_friction
         yield (
-            f"bolts {listed(stainless)} gall in dry threads: thread_friction = {friction:g} must be"
-            " that of the lubricant in use. State it in [tightening],"
-            " with friction_highest where it"
-            " scatters."
+            f"bolts {listed(stainless)} gall in dry threads: thread_friction = {friction:g} must "
+            "be that of the lubricant in use. State it in [tightening], with friction_highest "
+            "where it scatters."
         )
 
 

@@ -200,14 +200,10 @@ def torque_figure(problem: TrajectoryProblem, motion: Assessment) -> Figure:
     """Plot the drive torque of every joint with its bounds, and its spring torque."""
     limit, units = problem.active_limits.torque, joint_units(problem.robot)
     columns = min(3, len(units))
-    rows = -(-len(units) // columns)
+    height = 0.7 + 1.55 * -(-len(units) // columns)
     with svg.figure_style():
-        figure = Figure(figsize=(svg.WIDTH, 0.7 + 1.55 * rows))
-        grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
-        for j, axes in enumerate(grid.flat):
-            if j >= len(units):
-                axes.set_visible(False)
-                continue
+        figure, grid = svg.panels(len(units), columns, (svg.WIDTH, height), sharex=True)
+        for j, axes in enumerate(grid):
             spring = svg.decimate_curve(motion.time, motion.spring_torque[:, j], _SMALL_POINTS)
             drive = svg.decimate_curve(motion.time, motion.torque[:, j], _SMALL_POINTS)
             axes.plot(*spring, color=svg.VERMILLION, linewidth=1.1, linestyle=(0, (5, 1.5)))
