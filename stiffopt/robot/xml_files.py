@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import os
 import xml.etree.ElementTree as ET
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
 
+import numpy as np
+
 from stiffopt.errors import InputFileError, shortened
 from stiffopt.files import read_bytes
 
+# Rows and columns of the moments of inertia that a URDF states.
+_UPPER_TRIANGLE = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 # Levels of nested elements; a URDF with its extensions for simulators stays below 15.
 MAX_DEPTH = 40
 # Number of elements; an arm of 50 joints with shapes, sensors and transmissions has some 2000.
@@ -33,6 +38,27 @@ def parse_xml(path: str | os.PathLike[str], *, comments: bool = False) -> ET.Ele
     except (expat.ExpatError, ET.ParseError, LookupError, ValueError) as error:
         # Unknown and multi-byte encodings raise no ParseError.
         raise InputFileError(path, "", f"is not a URDF or MJCF: {shortened(error)}.") from error
+
+
+def numbers_text(values: Iterable[float]) -> str:
+    """Return numbers in full, as attributes hold them."""
+    return " ".join(repr(float(value)) for value in values)
+
+
+def set_inertial(
+    link: ET.Element, mass: float, centre: np.ndarray, inertia: np.ndarray, **origin: str
+) -> None:
+    """Set the `<inertial>` of a URDF's link.
+
+    `centre` (3,) of mass [m]; `inertia` (3, 3) about it [kg m^2]; `origin`: further attributes.
+    """
+    for found in link.findall("inertial"):
+        link.remove(found)
+    inertial = ET.SubElement(link, "inertial")
+    ET.SubElement(inertial, "origin", xyz=numbers_text(centre), **origin)
+    ET.SubElement(inertial, "mass", value=repr(float(mass)))
+    moments = {f"i{'xyz'[a]}{'xyz'[b]}": repr(float(inertia[a, b])) for a, b in _UPPER_TRIANGLE}
+    ET.SubElement(inertial, "inertia", moments)
 
 
 def _check_structure(content: bytes, path: Path) -> None:
