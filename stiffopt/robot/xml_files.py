@@ -55,7 +55,7 @@ def set_inertial(
     for found in link.findall("inertial"):
         link.remove(found)
     inertial = ET.SubElement(link, "inertial")
-    ET.SubElement(inertial, "origin", xyz=numbers_text(centre), **origin)
+    ET.SubElement(inertial, "origin", {"xyz": numbers_text(centre), **origin})
     ET.SubElement(inertial, "mass", value=repr(float(mass)))
     moments = {f"i{'xyz'[a]}{'xyz'[b]}": repr(float(inertia[a, b])) for a, b in _UPPER_TRIANGLE}
     ET.SubElement(inertial, "inertia", moments)
