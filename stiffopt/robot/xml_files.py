@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
+from itertools import combinations_with_replacement
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
@@ -14,8 +15,6 @@ import numpy as np
 from stiffopt.errors import InputFileError, shortened
 from stiffopt.files import read_bytes
 
-# Rows and columns of the moments of inertia that a URDF states.
-_UPPER_TRIANGLE = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 # Levels of nested elements; a URDF with its extensions for simulators stays below 15.
 MAX_DEPTH = 40
 # Number of elements; an arm of 50 joints with shapes, sensors and transmissions has some 2000.
@@ -57,8 +56,9 @@ def set_inertial(
     inertial = ET.SubElement(link, "inertial")
     ET.SubElement(inertial, "origin", {"xyz": numbers_text(centre), **origin})
     ET.SubElement(inertial, "mass", value=repr(float(mass)))
-    moments = {f"i{'xyz'[a]}{'xyz'[b]}": repr(float(inertia[a, b])) for a, b in _UPPER_TRIANGLE}
-    ET.SubElement(inertial, "inertia", moments)
+    moments = ET.SubElement(inertial, "inertia")
+    for a, b in combinations_with_replacement(range(3), 2):
+        moments.set(f"i{'xyz'[a]}{'xyz'[b]}", repr(float(inertia[a, b])))
 
 
 def _check_structure(content: bytes, path: Path) -> None:

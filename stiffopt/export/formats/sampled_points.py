@@ -45,7 +45,6 @@ FORMATS.add(Csv())
 
 
 MESSAGE_FILE, SCRIPT_FILE = "joint_trajectory.yaml", "publish_trajectory.py"
-_NANOSECONDS_PER_SECOND = 1_000_000_000
 
 
 class Ros2(ExportFormat):
@@ -76,15 +75,13 @@ class Ros2(ExportFormat):
             motion.time, motion.position, motion.velocity, motion.acceleration, strict=True
         )  # fmt: skip
         for time, position, velocity, acceleration in rows:
-            seconds, rest = divmod(
-                round(float(time) * _NANOSECONDS_PER_SECOND), _NANOSECONDS_PER_SECOND
-            )
+            seconds, nanoseconds = divmod(round(float(time) * 10**9), 10**9)
             lines += [
                 f"- positions: {_format_numbers(position)}",
                 f"  velocities: {_format_numbers(velocity)}",
                 f"  accelerations: {_format_numbers(acceleration)}",
                 "  effort: []",
-                f"  time_from_start: {{sec: {seconds}, nanosec: {rest}}}",
+                f"  time_from_start: {{sec: {seconds}, nanosec: {nanoseconds}}}",
             ]
         return {MESSAGE_FILE: "\n".join(lines) + "\n"}
 

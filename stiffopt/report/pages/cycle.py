@@ -17,8 +17,7 @@ from stiffopt.result.cycle import CycleSimulation, CycleSolution, LegResult
 from stiffopt.result.duty import JointDuty
 from stiffopt.units import joint_unit
 
-_SECONDS_PER_HOUR = 3600.0
-_MAX_SHOWN_LIFE = 1e6 * _SECONDS_PER_HOUR
+_MAX_SHOWN_LIFE = 1e6  # [h]
 LEG_HEAD = ("leg", "moves", "start", "motion", "rest", "event", "carries", "objective", "in flight",
             "in the rest", "settled after", "status")  # fmt: skip
 DUTY_HEAD = ("joint", "rms torque", "peak torque", "peak speed", "mean speed", "peak power",
@@ -129,12 +128,12 @@ def _share_text(joint: JointDuty, torque: float, whole: float | None) -> str:
 
 
 def _life_text(joint: JointDuty) -> str:
-    life = joint.life
-    if life is None:
+    if joint.life is None:
         return DASH
-    if life > _MAX_SHOWN_LIFE:
-        return f"above {_MAX_SHOWN_LIFE / _SECONDS_PER_HOUR:.0e} h"
-    return f"{significant(life / _SECONDS_PER_HOUR, 2)} h"
+    hours = joint.life / 3600.0
+    if hours > _MAX_SHOWN_LIFE:
+        return f"above {_MAX_SHOWN_LIFE:.0e} h"
+    return f"{significant(hours, 2)} h"
 
 
 def duty_text(solution: CycleSolution) -> str:
