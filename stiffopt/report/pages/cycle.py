@@ -253,71 +253,69 @@ def _mark_legs(axes: object, solution: CycleSolution, labelled: bool = False) ->
                 )  # fmt: skip
 
 
+@svg.figure_style()
 def motion_figure(cycle: Cycle, solution: CycleSolution) -> Figure:
     """Plot the joint velocities over the cycle, as shares of their limits."""
     limit = cycle.first.active_limits.velocity
-    with svg.figure_style():
-        figure = Figure(figsize=(svg.WIDTH, 3.2))
-        axes = figure.subplots()
-        for j, name in enumerate(cycle.first.robot.joint_names):
-            times, values = [], []
-            for leg in solution.legs:
-                motion = leg.solution.assessment
-                assert motion is not None
-                times.append(leg.start + motion.time)
-                values.append(100.0 * motion.velocity[:, j] / limit[j])
-            curve = svg.decimate_curve(np.concatenate(times), np.concatenate(values))
-            axes.plot(*curve, label=name, **svg.line_style(j))
-        _mark_legs(axes, solution, labelled=True)
-        axes.set_ylabel("velocity over limit [%]")
-        axes.set_xlabel("time [s]")
-        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-        figure.subplots_adjust(left=0.07, right=0.88)
-        return figure
+    figure, axes = svg.subplots(3.2)
+    for j, name in enumerate(cycle.first.robot.joint_names):
+        times, values = [], []
+        for leg in solution.legs:
+            motion = leg.solution.assessment
+            assert motion is not None
+            times.append(leg.start + motion.time)
+            values.append(100.0 * motion.velocity[:, j] / limit[j])
+        curve = svg.decimate_curve(np.concatenate(times), np.concatenate(values))
+        axes.plot(*curve, label=name, **svg.line_style(j))
+    _mark_legs(axes, solution, labelled=True)
+    axes.set_ylabel("velocity over limit [%]")
+    axes.set_xlabel("time [s]")
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    figure.subplots_adjust(left=0.07, right=0.88)
+    return figure
 
 
+@svg.figure_style()
 def error_figure(solution: CycleSolution) -> Figure:
     """Plot the simulated tool error over the cycle."""
     assert solution.simulation is not None
     found = solution.simulation.simulated
     inside = found.time <= solution.duration
     factor, unit = scale(float(found.distance[inside].max()), "m")
-    with svg.figure_style():
-        figure = Figure(figsize=(svg.WIDTH, 2.8))
-        axes = figure.subplots()
-        axes.plot(*svg.decimate_curve(found.time[inside], factor * found.distance[inside]),
-                  color=svg.PALETTE[0])  # fmt: skip
-        axes.axhline(factor * found.band, color=svg.GREY, linewidth=0.9)
-        _mark_legs(axes, solution, labelled=True)
-        axes.set_ylabel(f"tool error [{unit}]")
-        axes.set_xlabel("time [s]")
-        axes.set_ylim(bottom=0.0)
-        figure.subplots_adjust(left=0.07, right=0.98)
-        return figure
+    figure, axes = svg.subplots(2.8)
+    axes.plot(*svg.decimate_curve(found.time[inside], factor * found.distance[inside]),
+              color=svg.PALETTE[0])  # fmt: skip
+    axes.axhline(factor * found.band, color=svg.GREY, linewidth=0.9)
+    _mark_legs(axes, solution, labelled=True)
+    axes.set_ylabel(f"tool error [{unit}]")
+    axes.set_xlabel("time [s]")
+    axes.set_ylim(bottom=0.0)
+    figure.subplots_adjust(left=0.07, right=0.98)
+    return figure
 
 
+@svg.figure_style()
 def torque_speed_figure(cycle: Cycle, solution: CycleSolution) -> Figure:
     """Plot the torque of each drive over its speed, as shares of the limits."""
     limits = cycle.first.active_limits
     robot = cycle.first.robot
-    with svg.figure_style():
-        size = svg.WIDTH, 1.9 * -(-robot.n // 4)
-        figure, grid = svg.panels(robot.n, min(robot.n, 4), size)
-        for j, axes in enumerate(grid):
-            for leg in solution.legs:
-                motion = leg.solution.assessment
-                assert motion is not None
-                step = max(1, len(motion.time) // 300)
-                axes.plot(
-                    100.0 * motion.velocity[::step, j] / limits.velocity[j],
-                    100.0 * motion.torque[::step, j] / limits.torque[j],
-                    color=svg.PALETTE[0],
-                    linewidth=0.9,
-                )
-            axes.set_xlim(-105, 105)
-            axes.set_ylim(-105, 105)
-            axes.set_title(robot.joint_names[j])
-        figure.supxlabel("velocity over limit [%]", fontsize=9)
-        figure.supylabel("torque over limit [%]", fontsize=9)
-        figure.subplots_adjust(left=0.08, right=0.98, hspace=0.5, wspace=0.3, bottom=0.16)
-        return figure
+    size = svg.WIDTH, 1.9 * -(-robot.n // 4)
+    figure, grid = svg.panels(robot.n, min(robot.n, 4), size)
+    for j, axes in enumerate(grid):
+        for leg in solution.legs:
+            motion = leg.solution.assessment
+            assert motion is not None
+            step = max(1, len(motion.time) // 300)
+            axes.plot(
+                100.0 * motion.velocity[::step, j] / limits.velocity[j],
+                100.0 * motion.torque[::step, j] / limits.torque[j],
+                color=svg.PALETTE[0],
+                linewidth=0.9,
+            )
+        axes.set_xlim(-105, 105)
+        axes.set_ylim(-105, 105)
+        axes.set_title(robot.joint_names[j])
+    figure.supxlabel("velocity over limit [%]", fontsize=9)
+    figure.supylabel("torque over limit [%]", fontsize=9)
+    figure.subplots_adjust(left=0.08, right=0.98, hspace=0.5, wspace=0.3, bottom=0.16)
+    return figure

@@ -183,6 +183,7 @@ def stiffness_curves(rows: Iterable[StiffnessRow]) -> dict[int, list[StiffnessCu
     return curves
 
 
+@svg.figure_style()
 def tangent_figure(
     curves: Mapping[int, Sequence[StiffnessCurve]], units: Sequence[JointUnits], low_torque: bool
 ) -> Figure:
@@ -190,21 +191,20 @@ def tangent_figure(
 
     `low_torque`: logarithmic torque axis, which resolves the range near zero torque.
     """
-    with svg.figure_style():
-        columns = min(3, len(curves))
-        size = svg.WIDTH, 0.9 + 2.0 * -(-len(curves) // columns)
-        figure, grid = svg.panels(len(curves), columns, size)
-        for place, (axes, (joint, readings)) in enumerate(zip(grid, curves.items(), strict=True)):
-            _draw_tangent_panel(axes, readings, low_torque)
-            unit = units[joint - 1]
-            axes.set_title(f"{unit.label} [{unit.stiffness}]")
-            if place + columns >= len(curves):
-                axes.set_xlabel("torque over largest torque")
-        handles, labels = grid[0].get_legend_handles_labels()
-        below = -0.12 / figure.get_figheight()
-        figure.legend(handles, labels, loc="upper left", ncols=3, bbox_to_anchor=(0.05, below))
-        figure.subplots_adjust(left=0.07, right=0.995, wspace=0.24, hspace=0.34)
-        return figure
+    columns = min(3, len(curves))
+    size = svg.WIDTH, 0.9 + 2.0 * -(-len(curves) // columns)
+    figure, grid = svg.panels(len(curves), columns, size)
+    for place, (axes, (joint, readings)) in enumerate(zip(grid, curves.items(), strict=True)):
+        _draw_tangent_panel(axes, readings, low_torque)
+        unit = units[joint - 1]
+        axes.set_title(f"{unit.label} [{unit.stiffness}]")
+        if place + columns >= len(curves):
+            axes.set_xlabel("torque over largest torque")
+    handles, labels = grid[0].get_legend_handles_labels()
+    below = -0.12 / figure.get_figheight()
+    figure.legend(handles, labels, loc="upper left", ncols=3, bbox_to_anchor=(0.05, below))
+    figure.subplots_adjust(left=0.07, right=0.995, wspace=0.24, hspace=0.34)
+    return figure
 
 
 def _draw_tangent_panel(axes: Axes, readings: Sequence[StiffnessCurve], low_torque: bool) -> None:
@@ -225,6 +225,7 @@ def _draw_tangent_panel(axes: Axes, readings: Sequence[StiffnessCurve], low_torq
     axes.locator_params(axis="y", nbins=5)
 
 
+@svg.figure_style()
 def loss_figure(
     curves: Mapping[int, Sequence[StiffnessCurve]], units: Sequence[JointUnits]
 ) -> Figure:
@@ -232,59 +233,54 @@ def loss_figure(
 
     The axis is logarithmic where the joints' losses differ by more than a decade.
     """
-    with svg.figure_style():
-        figure = Figure(figsize=(svg.WIDTH, 3.8))
-        axes = figure.subplots()
-        losses = []
-        for joint, readings in curves.items():
-            own = readings[0]
-            losses.append(100.0 * own.loss)
-            style = svg.line_style(joint - 1)
-            axes.plot(own.ratio, losses[-1], label=units[joint - 1].label, **style)
-        svg.set_log_scale(axes, "x")
-        highest = [float(np.max(each)) for each in losses]
-        # Ratio of the joints' largest losses above which the axis is logarithmic.
-        if min(highest) > 0.0 and max(highest) > 10.0 * min(highest):
-            svg.set_log_scale(axes, "y")
-        else:
-            axes.set_ylim(bottom=0.0)
-        axes.set_xlabel("torque over largest torque")
-        axes.set_ylabel("stiffness lost to contacts [%]")
-        axes.margins(x=0.01)
-        axes.legend(loc="best", ncols=2)
-        figure.subplots_adjust(left=0.07, right=0.995)
-        return figure
+    figure, axes = svg.subplots(3.8)
+    losses = []
+    for joint, readings in curves.items():
+        own = readings[0]
+        losses.append(100.0 * own.loss)
+        style = svg.line_style(joint - 1)
+        axes.plot(own.ratio, losses[-1], label=units[joint - 1].label, **style)
+    svg.set_log_scale(axes, "x")
+    highest = [float(np.max(each)) for each in losses]
+    # Ratio of the joints' largest losses above which the axis is logarithmic.
+    if min(highest) > 0.0 and max(highest) > 10.0 * min(highest):
+        svg.set_log_scale(axes, "y")
+    else:
+        axes.set_ylim(bottom=0.0)
+    axes.set_xlabel("torque over largest torque")
+    axes.set_ylabel("stiffness lost to contacts [%]")
+    axes.margins(x=0.01)
+    axes.legend(loc="best", ncols=2)
+    figure.subplots_adjust(left=0.07, right=0.995)
+    return figure
 
 
+@svg.figure_style()
 def shares_figure(robot: Robot, units: Sequence[JointUnits]) -> Figure:
     """Plot the share of each kind of element in the tangent compliance at several torque ratios."""
     jointed = [j for j, chain in enumerate(robot.chains) if chain is not None]
-    with svg.figure_style():
-        figure = Figure(figsize=(svg.WIDTH, 0.9 + max(0.34 * len(jointed), 1.0)))
-        grid = figure.subplots(1, len(SHARE_RATIOS), sharey=True)
-        named: dict[str, Any] = {}
-        for axes, ratio in zip(grid, SHARE_RATIOS, strict=True):
-            for row, j in enumerate(jointed):
-                left = 0.0
-                torque = ratio * float(robot.torque_max[j])
-                for kind, share in compliance_by_kind(robot.chains[j], torque).items():
-                    colour = element_colour(kind)
-                    bar = axes.barh(row, 100 * share, left=left, height=0.66, color=colour)
-                    named.setdefault(kind.replace("_", " "), bar)
-                    left += 100 * share
-            axes.set_xlim(0.0, 100.0)
-            axes.set_title(f"{100 * ratio:g} % of the largest torque")
-            axes.set_xlabel("compliance [%]")
-            axes.grid(visible=False, axis="y")
-        grid[0].set_yticks(range(len(jointed)), [units[j].label for j in jointed])
-        grid[0].invert_yaxis()
-        below = -0.3 / figure.get_figheight()
-        figure.legend(
-            list(named.values()),
-            list(named),
-            loc="upper left",
-            ncols=8,
-            bbox_to_anchor=(0.03, below),
-        )
-        figure.subplots_adjust(left=0.04, right=0.985, wspace=0.14)
-        return figure
+    figure, grid = svg.subplots(
+        0.9 + max(0.34 * len(jointed), 1.0), 1, len(SHARE_RATIOS), sharey=True
+    )
+    named: dict[str, Any] = {}
+    for axes, ratio in zip(grid, SHARE_RATIOS, strict=True):
+        for row, j in enumerate(jointed):
+            left = 0.0
+            torque = ratio * float(robot.torque_max[j])
+            for kind, share in compliance_by_kind(robot.chains[j], torque).items():
+                colour = element_colour(kind)
+                bar = axes.barh(row, 100 * share, left=left, height=0.66, color=colour)
+                named.setdefault(kind.replace("_", " "), bar)
+                left += 100 * share
+        axes.set_xlim(0.0, 100.0)
+        axes.set_title(f"{100 * ratio:g} % of the largest torque")
+        axes.set_xlabel("compliance [%]")
+        axes.grid(visible=False, axis="y")
+    grid[0].set_yticks(range(len(jointed)), [units[j].label for j in jointed])
+    grid[0].invert_yaxis()
+    below = -0.3 / figure.get_figheight()
+    figure.legend(
+        list(named.values()), list(named), loc="upper left", ncols=8, bbox_to_anchor=(0.03, below)
+    )
+    figure.subplots_adjust(left=0.04, right=0.985, wspace=0.14)
+    return figure

@@ -72,6 +72,7 @@ def preload_view(
     )
 
 
+@svg.figure_style()
 def curves_figure(
     problem: PreloadProblem,
     solution: PreloadSolution,
@@ -87,31 +88,28 @@ def curves_figure(
     rows = -(-count // columns)
     panel = 1.75 if columns == 3 else 2.3 if columns == 2 else 2.6
     height = _TOP_INCH + rows * panel + (rows - 1) * _ROW_GAP_INCH + _BOTTOM_INCH
-    with svg.figure_style():
-        figure, grid = svg.panels(count, columns, (svg.WIDTH, height))
-        for place, (axes, element) in enumerate(zip(grid, problem.elements, strict=True)):
-            own = [curve for curve in curves if curve.key == element.key]
-            own.sort(key=lambda curve: -abs(curve.torque))
-            _draw_panel(axes, [preload_view(problem, solution, element, curve) for curve in own])
-            unit = units[element.joint - 1].stiffness
-            axes.set_title(f"{readable(element.key).capitalize()} [{unit}]")
-            if place + columns >= count:
-                axes.set_xlabel("preload of one bolt or pin [kN]")
-        drawn = [axes.get_legend_handles_labels() for axes in grid]
-        legend = {
-            name: line for lines, names in drawn for line, name in zip(lines, names, strict=True)
-        }
-        lines, names = list(legend.values()), list(legend)
-        figure.legend(lines, names, loc="lower left", ncols=4, bbox_to_anchor=(0.05, 0.0))
-        figure.subplots_adjust(
-            left=0.07,
-            right=0.995,
-            bottom=_BOTTOM_INCH / height,
-            top=1 - _TOP_INCH / height,
-            wspace=0.24,
-            hspace=_ROW_GAP_INCH / panel,
-        )
-        return figure
+    figure, grid = svg.panels(count, columns, (svg.WIDTH, height))
+    for place, (axes, element) in enumerate(zip(grid, problem.elements, strict=True)):
+        own = [curve for curve in curves if curve.key == element.key]
+        own.sort(key=lambda curve: -abs(curve.torque))
+        _draw_panel(axes, [preload_view(problem, solution, element, curve) for curve in own])
+        unit = units[element.joint - 1].stiffness
+        axes.set_title(f"{readable(element.key).capitalize()} [{unit}]")
+        if place + columns >= count:
+            axes.set_xlabel("preload of one bolt or pin [kN]")
+    drawn = [axes.get_legend_handles_labels() for axes in grid]
+    legend = {name: line for lines, names in drawn for line, name in zip(lines, names, strict=True)}
+    lines, names = list(legend.values()), list(legend)
+    figure.legend(lines, names, loc="lower left", ncols=4, bbox_to_anchor=(0.05, 0.0))
+    figure.subplots_adjust(
+        left=0.07,
+        right=0.995,
+        bottom=_BOTTOM_INCH / height,
+        top=1 - _TOP_INCH / height,
+        wspace=0.24,
+        hspace=_ROW_GAP_INCH / panel,
+    )
+    return figure
 
 
 def _draw_panel(axes: Axes, views: Sequence[PreloadView]) -> None:

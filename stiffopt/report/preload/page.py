@@ -15,9 +15,14 @@ from stiffopt.report.common.page import Filters, PageFigures, write_page
 from stiffopt.report.common.robot import joint_units
 from stiffopt.report.common.terminal import print_lines, print_table
 from stiffopt.report.common.text import DASH, si, significant
-from stiffopt.report.preload.bolt_figures import flange_drawings, joint_diagrams
 from stiffopt.report.preload.curves_figure import curves_figure
-from stiffopt.report.preload.figures import front_figure, loosening_figure, shares_figure
+from stiffopt.report.preload.figures import (
+    flange_drawings,
+    front_figure,
+    joint_diagrams,
+    loosening_figure,
+    shares_figure,
+)
 from stiffopt.report.preload.overview import (
     EstimateMarks,
     limit_sources,

@@ -31,6 +31,7 @@ _HEIGHT_INCH = 4.6
 _VIEW_ELEVATION = 0.4
 
 
+@figure_style()
 def still_figure(
     tree: BodyTree,
     tool: LinkFrame,
@@ -54,26 +55,25 @@ def still_figure(
     if part:
         paths.append((bent, VERMILLION, "-"))
     paths += [(other.position, GREY, (0, (4, 2))) for other in motions[1:]]
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, _HEIGHT_INCH))
-        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-        axes.set_axis_off()
-        ends = poses.position[[0, -1]]
-        flats = [frame_positions(tree, tool, each) @ view.T for each, _, _ in paths]
-        seen = np.vstack([flat[:, :2] for flat in flats])
-        scale = _fit_view(axes, tree, tool, view, np.vstack([ends, bent[at : at + 1]]), seen)
-        for edge in edges_around(cell):
-            axes.plot(*(edge @ view.T)[:, :2].T, color=GREY, linewidth=0.8, zorder=0.5)
-        for q in ends:
-            _draw_arm(axes, tree, tool, view, q, scale, PALE, None, 0.55)
-        if part:
-            _draw_arm(axes, tree, tool, view, poses.position[at], scale, BLUE, None, 0.25)
-        _draw_arm(axes, tree, tool, view, bent[at], scale, "#c3c9d1", share, 1.0)
-        for flat, (_, colour, dash) in zip(flats, paths, strict=True):
-            axes.plot(*flat[:, :2].T, color=colour, linestyle=dash, zorder=20)
-        flat = frame_positions(tree, tool, bent[at : at + 1]) @ view.T
-        axes.plot(*flat[:, :2].T, "o", color=VERMILLION, markersize=6, zorder=21)
-        return figure
+    figure = Figure(figsize=(WIDTH, _HEIGHT_INCH))
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set_axis_off()
+    ends = poses.position[[0, -1]]
+    flats = [frame_positions(tree, tool, each) @ view.T for each, _, _ in paths]
+    seen = np.vstack([flat[:, :2] for flat in flats])
+    scale = _fit_view(axes, tree, tool, view, np.vstack([ends, bent[at : at + 1]]), seen)
+    for edge in edges_around(cell):
+        axes.plot(*(edge @ view.T)[:, :2].T, color=GREY, linewidth=0.8, zorder=0.5)
+    for q in ends:
+        _draw_arm(axes, tree, tool, view, q, scale, PALE, None, 0.55)
+    if part:
+        _draw_arm(axes, tree, tool, view, poses.position[at], scale, BLUE, None, 0.25)
+    _draw_arm(axes, tree, tool, view, bent[at], scale, "#c3c9d1", share, 1.0)
+    for flat, (_, colour, dash) in zip(flats, paths, strict=True):
+        axes.plot(*flat[:, :2].T, color=colour, linestyle=dash, zorder=20)
+    flat = frame_positions(tree, tool, bent[at : at + 1]) @ view.T
+    axes.plot(*flat[:, :2].T, "o", color=VERMILLION, markersize=6, zorder=21)
+    return figure
 
 
 def largest(poses: Poses, part: str) -> int:
