@@ -42,13 +42,17 @@ from stiffopt.discovery.judging.held_out import HeldOutRuns
 from stiffopt.discovery.judging.left_open import add_left_open_deviation, build_left_open
 from stiffopt.discovery.judging.modes import mode_shifts
 from stiffopt.discovery.judging.run_deviations import find_friction_drift, find_run_deviations
-from stiffopt.discovery.judging.tool_force import explain_by_tool_force
-from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings, judge_channels
+from stiffopt.discovery.judging.unexplained import (
+    Unexplained,
+    assess_findings,
+    explain_by_tool_force,
+    judge_channels,
+)
 from stiffopt.discovery.law_search.find import LawSearch, find_laws, located_tables
 from stiffopt.discovery.loop_search import LoopSearch, with_findings
 from stiffopt.discovery.opening import open_set
 from stiffopt.discovery.position_fit import model_section, simulate_held_out
-from stiffopt.discovery.prediction_bands import choose_prediction_bands
+from stiffopt.discovery.prediction import choose_prediction_bands
 from stiffopt.discovery.progress import Say, repeat_progress
 from stiffopt.discovery.search.candidates import Scorer
 from stiffopt.discovery.search.rivals import Selected

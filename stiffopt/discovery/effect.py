@@ -263,9 +263,8 @@ class Effect:
     # (amplitudes, shapes, constants) -> sampling error of reported values by name, from the small
     # number of runs [its unit].
     drawn: Report | None = None
-    # (names) -> the entry with one amplitude per run, random about a common mean; (names,
-    # seen=False) -> the same for runs that were not recorded; (names, states=states) -> random
-    # about the mean of each state of the robot.
+    # (names, states) -> the entry with one amplitude per run, random about the mean of each state
+    # of the robot; of one state by default.
     of_runs: Callable[..., Effect] | None = None
     change_robot: ChangeRobot | None = None  # changes the robot that a planner computes with
     # Names of the runs in which it acts: those of one state of the robot. Default: all runs.

@@ -15,7 +15,7 @@ from stiffopt.discovery import prediction_bands
 from stiffopt.discovery.comparison.bands import BANDS, choose_fit_band
 from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.prediction_bands import _select_widest_adequate, choose_prediction_bands
+from stiffopt.discovery.prediction import _select_widest_adequate, choose_prediction_bands
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import Training, prepare_training
 from stiffopt.recording.recording_set import load_recordings

@@ -29,7 +29,7 @@ from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.nuisance import GAIN, joint_columns
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.diagnosis import Diagnosis
-from stiffopt.discovery.experiment.commands import motion_commands
+from stiffopt.discovery.experiment.motion import motion_commands
 from stiffopt.discovery.extended.value_changes import extended_model
 from stiffopt.discovery.identifiable import effect_checks
 from stiffopt.discovery.loop_fit import build_loop, nominal_parameters

@@ -15,9 +15,9 @@ from small_arms import ROOT
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.nuisance import select_outside
-from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.diagnosis import Diagnosis
+from stiffopt.discovery.names import ValueName
 from stiffopt.discovery.user_effects import sample_signals
 from stiffopt.errors import InputFileError
 from stiffopt.report.diagnosis.values_to_enter import value_sentences

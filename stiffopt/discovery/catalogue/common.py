@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
-from stiffopt.discovery.effect import Amplitude, Values
+from stiffopt.discovery.effect import Amplitude
 from stiffopt.discovery.signals import JointConstants
-from stiffopt.symbolic import Quantity
 
 # Scale of a term without a linear parameter. It is 1 where the shapes hold exactly: a refined fit
 # fixes it at 1 and reports only the shapes.
 WEIGHT = Amplitude("weight", "", 1.0, 0.0, 1.5)
-
-# Prefix of run names in names of amplitudes of effects of runs.
-RUN_PREFIX = "of "
 
 # Typical size of a change by breakage, exchange or wrong setting over that of an error as built.
 CHANGED_SCALE_RATIO = 3.0
@@ -94,19 +89,6 @@ def on_wrist(constants: JointConstants) -> bool:
 
 
 Constants = Any
-
-
-def amplitudes_of_runs(
-    runs: Iterable[str], scale: float, lower: float, upper: float
-) -> tuple[Amplitude, ...]:
-    """Return one relative amplitude per run with its typical size, and its bounds over that."""
-    return tuple(Amplitude(f"{RUN_PREFIX}{run}", "", scale, lower, upper) for run in runs)
-
-
-def deviation_from_state(amplitudes: Values, states: Sequence[str], run: int) -> Quantity:
-    """Return the deviation of a run from the mean of the runs of its state."""
-    own = [a for a, state in zip(amplitudes, states, strict=True) if state == states[run]]
-    return amplitudes[run] - sum(own) / len(own)
 
 
 # ---- recurrences over samples, of effects with memory

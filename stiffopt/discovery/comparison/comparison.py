@@ -33,7 +33,7 @@ from stiffopt.discovery.comparison.inertial_parameters import (
 from stiffopt.discovery.comparison.located_effect import Extension, LocatedEffect, with_amplitudes
 from stiffopt.discovery.comparison.piece_sums import WeightedSums
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
-from stiffopt.discovery.comparison.value_name import ValueName
+from stiffopt.discovery.names import ValueName
 from stiffopt.discovery.settings import MAX_NOMINAL_DEVIATIONS
 
 # Default of a nominal model without an earlier diagnosis.

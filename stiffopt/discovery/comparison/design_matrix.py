@@ -33,7 +33,7 @@ from stiffopt.discovery.comparison.nuisance import (
 )
 from stiffopt.discovery.comparison.piece_sums import PieceColumns, PieceProducts, Pieces, PieceSums
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
-from stiffopt.discovery.comparison.value_name import ValueName
+from stiffopt.discovery.names import ValueName
 from stiffopt.recording.nominal import Tolerance
 
 # Smallest number of runs of which each is a cross-validation block; fewer runs are cut into blocks.

@@ -17,7 +17,7 @@ from stiffopt.discovery.comparison.nuisance import (
 )
 from stiffopt.discovery.comparison.prepared_run import PreparedRun, with_link_torque
 from stiffopt.discovery.comparison.springs import SpringLaw, nominal_damping
-from stiffopt.discovery.comparison.value_name import ValueName
+from stiffopt.discovery.names import ValueName
 from stiffopt.discovery.settings import DEFAULT_TOLERANCE
 from stiffopt.discovery.signals import JointSignals
 from stiffopt.recording.nominal import Tolerance

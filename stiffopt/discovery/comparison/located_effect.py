@@ -10,8 +10,8 @@ from typing import Literal
 import numpy as np
 
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
-from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.names import ValueName
 from stiffopt.discovery.signals import JointConstants, RobotConstants
 from stiffopt.units import joint_unit
 

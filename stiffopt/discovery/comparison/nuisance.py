@@ -11,7 +11,7 @@ from stiffopt.discovery.comparison.inertial_parameters import all_body_parameter
 from stiffopt.discovery.comparison.located_effect import Contribution
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
-from stiffopt.discovery.comparison.value_name import ValueName
+from stiffopt.discovery.names import ValueName
 from stiffopt.discovery.signals import PARAMETERS_PER_BODY, JointConstants, RobotConstants
 from stiffopt.recording.nominal import Tolerance
 

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.experiment.commands import SentCommands, motion_commands
 from stiffopt.discovery.experiment.motion import (
     DRAWS_PER_JOINT,
     MotionLimits,
+    SentCommands,
     fourier_motion,
+    motion_commands,
     motion_limits,
     prepared_motion,
 )

@@ -12,7 +12,7 @@ from stiffopt.discovery.comparison.comparison import Comparison, Fit
 from stiffopt.discovery.comparison.design_matrix import DesignMatrix
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
-from stiffopt.discovery.comparison.value_name import ValueName
+from stiffopt.discovery.names import ValueName
 
 
 @dataclass(frozen=True, eq=False)

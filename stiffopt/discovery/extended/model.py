@@ -50,9 +50,8 @@ from typing import Any
 import numpy as np
 
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.catalogue.common import RUN_PREFIX
+from stiffopt.discovery.catalogue.drift import of_other_runs
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
-from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.extended.laws import read_law, read_table
 from stiffopt.discovery.extended.schema import (
@@ -62,6 +61,7 @@ from stiffopt.discovery.extended.schema import (
     LeftOpenSection,
     MadeForSection,
 )
+from stiffopt.discovery.names import ValueName
 from stiffopt.discovery.signals import RobotConstants
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.errors import InputFileError, nearest
@@ -312,11 +312,7 @@ def _read_effect(
         )
     place = _read_place(section, effect, document, path, where)
     if effect.of_runs is not None:
-        # Runs of the same name in another set are different runs.
-        runs = [
-            name.removeprefix(RUN_PREFIX) for name in section.term if name.startswith(RUN_PREFIX)
-        ]
-        effect = effect.of_runs(tuple(runs), seen=False)
+        effect = of_other_runs(effect, section.term)
     names = [a.name for a in effect.amplitudes] + [s.name for s in effect.shapes]
     usual = {s.name: s.usual for s in effect.shapes if s.usual is not None}
     term = {**usual, **section.term}

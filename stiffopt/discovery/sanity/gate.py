@@ -14,9 +14,13 @@ from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings, format_jo
 from stiffopt.discovery.sanity.explanation_doubts import describe_explanation, doubt_degrees
 from stiffopt.discovery.sanity.explanations import Explanation, Explanations
 from stiffopt.discovery.sanity.interpretations import Samples, sample_runs
-from stiffopt.discovery.sanity.rest_doubts import doubt_contacts_at_rest
-from stiffopt.discovery.sanity.sensor_doubts import doubt_position_limits, doubt_second_sensors
-from stiffopt.discovery.sanity.torque_doubts import doubt_dead_channels, doubt_repeated_torques
+from stiffopt.discovery.sanity.sensor_doubts import (
+    doubt_contacts_at_rest,
+    doubt_dead_channels,
+    doubt_position_limits,
+    doubt_repeated_torques,
+    doubt_second_sensors,
+)
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
 from stiffopt.recording.signals import is_set_point, may_be_set_point

@@ -19,7 +19,7 @@ from stiffopt.discovery.comparison.located_effect import (
     with_amplitudes,
 )
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
-from stiffopt.discovery.comparison.value_name import ValueName
+from stiffopt.discovery.names import ValueName
 
 if TYPE_CHECKING:
     from stiffopt.discovery.effect import Constants

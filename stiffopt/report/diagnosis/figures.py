@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
 
-from stiffopt.discovery.channel import Channel
+from stiffopt.discovery.names import Channel
 from stiffopt.discovery.settings import MIN_MOVING_SPEED
 from stiffopt.recording.joint_facts import velocities
 from stiffopt.report.common.svg import (

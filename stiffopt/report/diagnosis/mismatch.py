@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from stiffopt.discovery.answer import format_probability, place
-from stiffopt.discovery.channel import Channel
 from stiffopt.discovery.judging.noise_ceiling import SHOWN_SHARE
+from stiffopt.discovery.names import Channel
 from stiffopt.discovery.settings import MAX_NOMINAL_DEVIATIONS
 from stiffopt.report.common.text import listed, significant
 from stiffopt.report.diagnosis.overview import moved_values

@@ -13,7 +13,7 @@ import numpy as np
 
 from stiffopt.discovery.answer import MIN_LISTED_PROBABILITY
 from stiffopt.discovery.comparison.inertial_parameters import INERTIAL_PARAMETER_NAMES
-from stiffopt.discovery.comparison.value_name import ValueName
+from stiffopt.discovery.names import ValueName
 from stiffopt.report.common.text import MAX_LISTED, percent
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stiffopt.discovery.channel import Channel
+from stiffopt.discovery.names import Channel
 from stiffopt.report.common.svg import (
     BLUE,
     GREY,
