@@ -303,11 +303,6 @@ class Effect:
         return not self.only_in or run in self.only_in
 
     @property
-    def has_distinctive(self) -> bool:
-        """True where some amplitudes distinguish it from other effects."""
-        return any(each.own for each in self.amplitudes)
-
-    @property
     def distinctive_amplitudes(self) -> list[int]:
         """Indices of the amplitudes that distinguish it from other effects."""
         return [k for k, each in enumerate(self.amplitudes) if each.own]

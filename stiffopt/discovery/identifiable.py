@@ -197,7 +197,7 @@ def locate_unstated(
         LocatedEffect(effect=_remove_upper_bounds(effect), joint=j, calibrated=True)
         for effect in catalogue
         if not effect.only_in
-        and (_replaces_unstated(effect, recordings) or (usual and effect.usual))
+        and (effect.nominal in recordings.unstated or (usual and effect.usual))
         for j, constants in enumerate(joints)
         if effect.applies is None or effect.applies(constants)
     )
@@ -223,7 +223,7 @@ def select_unseen(
 def remove_bounds(catalogue: Sequence[Effect], recordings: RecordingSet) -> tuple[Effect, ...]:
     """Return the catalogue without upper bounds on values that the nominal model does not state."""
     return tuple(
-        _remove_upper_bounds(each) if _replaces_unstated(each, recordings) else each
+        _remove_upper_bounds(each) if each.nominal in recordings.unstated else each
         for each in catalogue
     )
 
@@ -242,10 +242,6 @@ def widen_for_changes(catalogue: Sequence[Effect]) -> tuple[Effect, ...]:
     return tuple(
         replace(entry, amplitudes=tuple(map(wider, entry.amplitudes))) for entry in catalogue
     )
-
-
-def _replaces_unstated(effect: Effect, recordings: RecordingSet) -> bool:
-    return effect.nominal in recordings.unstated
 
 
 def _remove_upper_bounds(entry: Effect) -> Effect:

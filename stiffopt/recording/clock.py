@@ -108,7 +108,8 @@ def _check_grid(spacing: np.ndarray, step: float, rows: np.ndarray, path: Path, 
         )
 
 
-def _clock_fault(kind: FaultKind, detail: str, share: float) -> Fault:
+def clock_fault(kind: FaultKind, detail: str, share: float) -> Fault:
+    """Return a fault of the rows of a run."""
     return Fault(
         signal="time",
         joint=None,
@@ -125,12 +126,12 @@ def _lost_stamp_faults(stamps: np.ndarray, finite: np.ndarray, rows: np.ndarray)
     if absent:
         share = absent / len(stamps)
         faults.append(
-            _clock_fault("not finite", f"no stamp in {counted(absent, 'row')}, left out.", share)
+            clock_fault("not finite", f"no stamp in {counted(absent, 'row')}, left out.", share)
         )
     if repeated:
         share = repeated / len(stamps)
         text = f"the stamp before is repeated in {counted(repeated, 'row')}, left out."
-        faults.append(_clock_fault("duplicate", text, share))
+        faults.append(clock_fault("duplicate", text, share))
     return faults
 
 
@@ -143,7 +144,7 @@ def _spacing_faults(spacing: np.ndarray, step: float) -> list[Fault]:
             f"{counted(int(gaps.sum()), 'gap')} longer than {MIN_GAP_STEPS:g} sample times, the "
             f"longest {spacing.max():.3g} s; signals are not interpolated across them."
         )
-        faults.append(_clock_fault("gap", text, float(spacing[gaps].sum() / spacing.sum())))
+        faults.append(clock_fault("gap", text, float(spacing[gaps].sum() / spacing.sum())))
     dropped = ~gaps & (ratio > _MIN_DROPPED_STEPS)
     if dropped.any():
         count = int(np.round(ratio[dropped] - 1.0).sum())
@@ -151,7 +152,7 @@ def _spacing_faults(spacing: np.ndarray, step: float) -> list[Fault]:
             f"about {counted(count, 'sample')} lost in waits of up to "
             f"{1e3 * spacing[dropped].max():.3g} ms."
         )
-        faults.append(_clock_fault("dropped", text, count / (count + len(spacing) + 1)))
+        faults.append(clock_fault("dropped", text, count / (count + len(spacing) + 1)))
     rest = spacing[~gaps & ~dropped]
     uneven = np.abs(rest / step - 1.0) > _MAX_JITTER
     if uneven.any():
@@ -160,7 +161,7 @@ def _spacing_faults(spacing: np.ndarray, step: float) -> list[Fault]:
             f"{1e3 * step:.3g} ms (standard deviation {1e3 * rest.std():.2g} ms); "
             "resampled before it is differentiated."
         )
-        faults.append(_clock_fault("jitter", text, float(uneven.mean())))
+        faults.append(clock_fault("jitter", text, float(uneven.mean())))
     return faults
 
 

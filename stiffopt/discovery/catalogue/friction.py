@@ -55,19 +55,6 @@ def stribeck_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> 
     return Term(drive_torque=amplitudes[0] * fall * signals.motor_direction)
 
 
-def load_friction_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
-    """Return friction mu |s| sg(w) of the load, its magnitude rounded at zero."""
-    load = rounded_load(signals, shapes[0])
-    return Term(drive_torque=amplitudes[0] * load * signals.motor_direction)
-
-
-def asym_friction_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
-    """Return dFc + dFv |w| while moving in either direction, zero at rest."""
-    w = signals.motor_velocity
-    side = signals.motor_direction
-    return Term(drive_torque=amplitudes[0] * side * side + amplitudes[1] * w * side)
-
-
 def position_friction_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return friction A exp(-((q - q0)/width)^2 / 2) sg(w) at an angle."""
     place, width = shapes
@@ -81,12 +68,6 @@ def stroke_friction_term(signals: JointSignals, amplitudes: Values, shapes: Valu
     q = signals.link_position
     inside = 0.5 * (np.tanh((q - first) / _EDGE_WIDTH) - np.tanh((q - last) / _EDGE_WIDTH))
     return Term(drive_torque=amplitudes[0] * inside * signals.motor_direction)
-
-
-def quadratic_drag_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
-    """Return drag D w |w|."""
-    w = signals.motor_velocity
-    return Term(drive_torque=amplitudes[0] * w * rounded_speed(w))
 
 
 def thermal_friction_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
@@ -226,7 +207,9 @@ LOAD_FRICTION = Effect(
     " with mu = {mu}.",
     needs=("torque", "moves", "reverses"),
     reference="BittencourtAxelsson2014",
-    term=load_friction_term,
+    term=lambda signals, a, s: Term(
+        drive_torque=a[0] * rounded_load(signals, s[0]) * signals.motor_direction
+    ),
     amplitudes=(Amplitude("mu", "", 0.1, 0.0, 6.0),),
     shapes=(LOAD_ROUNDING,),
     possible=lambda shapes, constants: is_definite_load(shapes[0], constants),
@@ -248,7 +231,10 @@ ASYM_FRICTION = Effect(
     needs=("torque", "moves", "reverses"),
     confused_with=("torque_offset",),
     reference="ArmstrongEtAl1994",
-    term=asym_friction_term,
+    term=lambda signals, a, s: Term(
+        drive_torque=a[0] * signals.motor_direction * signals.motor_direction
+        + a[1] * signals.motor_velocity * signals.motor_direction
+    ),
     amplitudes=(
         Amplitude("dFc", "N m", half_dry_friction, -2.0, 2.0),
         Amplitude("dFv", "N m s/rad", viscous_friction, -1.0, 1.0),
@@ -342,7 +328,9 @@ QUADRATIC_DRAG = Effect(
     needs=("torque", "moves", "speeds"),
     confused_with=("viscous", "lubricated_friction"),
     reference="BittencourtAxelsson2014",
-    term=quadratic_drag_term,
+    term=lambda signals, a, s: Term(
+        drive_torque=a[0] * signals.motor_velocity * rounded_speed(signals.motor_velocity)
+    ),
     amplitudes=(
         Amplitude(
             "D",

@@ -71,11 +71,6 @@ def _report_link(amplitudes: Values, shapes: Values, constants: Constants) -> Re
     }
 
 
-def _typical_rotor_change(constants: JointConstants) -> float:
-    """Return the typical error of a stated rotor inertia, or that of none: the whole one."""
-    return (0.25 if constants.rotor_inertia > 0.0 else 1.0) * motor_inertia(constants)
-
-
 def _typical_mass(constants: RobotConstants) -> float:
     return max(0.03 * float(np.sum(constants.masses)), 0.05)
 
@@ -130,7 +125,10 @@ ROTOR_INERTIA = Effect(
         Amplitude(
             "dJ",
             "kg m^2",
-            _typical_rotor_change,
+            # The typical error of a stated value, or that of none: the whole one.
+            lambda constants: (
+                (0.25 if constants.rotor_inertia > 0.0 else 1.0) * motor_inertia(constants)
+            ),
             -2.0,
             40.0,
             CHANGED_SCALE_RATIO,

@@ -14,7 +14,7 @@ from stiffopt.discovery.comparison.channel_rows import ChannelNoise, ChannelRows
 from stiffopt.discovery.comparison.extended_run import linearise_run
 from stiffopt.discovery.comparison.extension_change import (
     extension_change,
-    moves_links,
+    link_moving_part,
     with_drive_torque,
 )
 from stiffopt.discovery.comparison.filtering import fill_missing
@@ -27,7 +27,6 @@ from stiffopt.discovery.comparison.located_effect import (
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.nuisance import (
     BODY_VALUES,
-    LINK_MOVING_VALUES,
     LOAD_VALUE,
     nuisance_columns,
 )
@@ -167,7 +166,7 @@ class DesignMatrix:
         bound. With vibrating links the residual may stem from the linearisation: the stated noise
         counts.
         """
-        found = self._link_moving_part(found)
+        found = link_moving_part(self.runs, found)
         if any(run.vibration is not None for run in self.runs):
             inflation = None
         for earlier in reversed(self._earlier):
@@ -440,18 +439,3 @@ class DesignMatrix:
         if inflation is not None:
             rows = rows / inflation[self.rows.channel]
         return float(np.sqrt(np.mean(rows**2)))
-
-    def _link_moving_part(self, found: Extension) -> Extension:
-        """Return the part of an extension that moves the links or loads their springs."""
-        swings = self.runs[0].vibration is not None
-        calibration = {
-            name: value
-            for name, value in found.calibration.items()
-            if swings and name.kind in LINK_MOVING_VALUES
-        }
-        return Extension(
-            calibration=calibration,
-            effects=tuple(
-                e for e in found.effects if any(moves_links(run, e) for run in self.runs)
-            ),
-        )

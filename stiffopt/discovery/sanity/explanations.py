@@ -365,7 +365,8 @@ class Explanations:
         """Explain by a delay of all torques against the motion."""
         best: tuple[float, np.ndarray] | None = None
         for delay in _DELAY_GRID:
-            left = self._residual_shares(self.motion, self.samples.delayed_torque(float(delay)))
+            torque = np.vstack([each.shifted(float(delay)) for each in self.samples.series])
+            left = self._residual_shares(self.motion, torque)
             if best is None or np.nansum(left) < np.nansum(best[1]):
                 best = float(delay), left
         if best is None or abs(best[0]) < _MIN_DELAY:

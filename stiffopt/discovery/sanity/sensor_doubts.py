@@ -40,6 +40,12 @@ def doubt_position_limits(recordings: RecordingSet, runs: Sequence[RecordedRun])
         out = np.isfinite(span) & ((reach[0] < lower - margin) | (reach[1] > upper + margin))
     if not out.any():
         return
+    told = "; ".join(
+        f"joint {j + 1} reads {reach[0, j]:.3g} to {reach[1, j]:.3g}"
+        f" {'m' if recordings.prismatic[j] else 'rad'}, its limits are {lower[j]:.3g} to"
+        f" {upper[j]:.3g}"
+        for j in np.flatnonzero(out)
+    )
     turning = ~recordings.prismatic
     in_degrees = DEGREE * reach
     fits = (in_degrees[0] >= lower - margin) & (in_degrees[1] <= upper + margin)
@@ -48,34 +54,16 @@ def doubt_position_limits(recordings: RecordingSet, runs: Sequence[RecordedRun])
         yield Doubt(
             kind="position unit",
             joints=tuple(int(j) + 1 for j in np.flatnonzero(out)),
-            evidence="The positions look like degrees: "
-            + _describe_reach(recordings, reach, lower, upper, out),
+            evidence=f"The positions look like degrees: {told}.",
             line=scale_line(recordings, "position", np.ones(recordings.n), "deg"),
         )
         return
     yield Doubt(
         kind="position limits",
         joints=tuple(int(j) + 1 for j in np.flatnonzero(out)),
-        evidence="Positions lie beyond the limits of the robot's own file: "
-        + _describe_reach(recordings, reach, lower, upper, out)
-        + " Check their zero, sign and unit, or correct the limits.",
+        evidence=f"Positions lie beyond the limits of the robot's own file: {told}. Check their"
+        " zero, sign and unit, or correct the limits.",
     )
-
-
-def _describe_reach(
-    recordings: RecordingSet,
-    reach: np.ndarray,
-    lower: np.ndarray,
-    upper: np.ndarray,
-    out: np.ndarray,
-) -> str:
-    parts = [
-        f"joint {j + 1} reads {reach[0, j]:.3g} to {reach[1, j]:.3g}"
-        f" {'m' if recordings.prismatic[j] else 'rad'}, its limits are {lower[j]:.3g} to"
-        f" {upper[j]:.3g}"
-        for j in np.flatnonzero(out)
-    ]
-    return "; ".join(parts) + "."
 
 
 def doubt_second_sensors(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> Iterator[Doubt]:

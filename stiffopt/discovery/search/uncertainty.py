@@ -256,7 +256,7 @@ def estimate_parameters(comparison: Comparison, effects: Sequence[LocatedEffect]
     blocks = number_stretches(comparison)
     covariance, spread = _jackknife_covariance(comparison, matrix, prior, blocks)
     between = covariance
-    if comparison.blocks_are_runs:
+    if len(comparison.runs) >= MIN_RUNS_AS_BLOCKS:
         _, between = _jackknife_covariance(
             comparison, matrix, prior, comparison.rows.block, MIN_RUNS_AS_BLOCKS
         )
