@@ -10,8 +10,13 @@ import numpy as np
 
 from stiffopt.recording.channel import noise_level, resolution, true_intervals
 from stiffopt.recording.channel_faults import JointChannels, check_joint_channels, covered_range
-from stiffopt.recording.clock import Clock, clock_fault, read_clock
-from stiffopt.recording.rest_poses import holds_rest_poses, read_pose_rows
+from stiffopt.recording.clock import (
+    Clock,
+    clock_fault,
+    holds_rest_poses,
+    read_clock,
+    read_pose_rows,
+)
 from stiffopt.recording.run import Fault, RecordedRun, Role, counted
 from stiffopt.recording.signals import KINDS, Kind, Signals
 

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from stiffopt.errors import InputError, InputFileError
+from stiffopt.recording.clock import MIN_POSES
 from stiffopt.recording.readers.columns import Table
 from stiffopt.recording.readers.read import RUN_ENDINGS, is_messages, read_tables
-from stiffopt.recording.rest_poses import MIN_POSES
 from stiffopt.recording.run import counted
 from stiffopt.robot.joint_tree import JointTree
 from stiffopt.robot.robot import Robot

@@ -74,23 +74,12 @@ def robot_text(
 ) -> StartedRobot:
     """Return the text of a robot file for a URDF.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the file.
-    tip : str, optional
-        Last link of the arm, which carries the tool; default where fingers branch off.
-    catalogue : Path, optional
-        User catalogue, whose reducers are candidates too.
-    keep : collection of str
-        Joints that are not fixed although no tip is named.
-    bare : bool
-        Without reducers and the friction of a URDF, which recordings determine.
+    `folder`: of the file. `tip`: last link of the arm, which carries the tool; default where
+    fingers branch off. `catalogue`: of the user, whose reducers are candidates too. `keep`: joints
+    that are not fixed although no tip is named. `bare`: without reducers and the friction of a
+    URDF, which recordings determine.
 
-    Raises
-    ------
-    InputFileError, RobotError
-        Unreadable URDF, unknown tip, or several arms and no tip.
+    Raises `InputFileError`, `RobotError`: unreadable URDF, unknown tip, or several arms and no tip.
     """
     _check_format(urdf)
     load = partial(load_urdf, urdf, tip=tip, keep=keep, limited=None, hold_unplanned=True)

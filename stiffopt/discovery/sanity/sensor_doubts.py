@@ -11,7 +11,7 @@ from stiffopt.discovery.comparison.filtering import filter_slow_motion
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.sanity.doubt import Doubt, format_joints, limit_to_runs, scale_line
 from stiffopt.discovery.sanity.interpretations import DEGREE, MILLIMETRE, Samples
-from stiffopt.discovery.sanity.torque_fit import Motion, TorqueFit
+from stiffopt.discovery.sanity.torque_fit import Motion, fit_gain
 from stiffopt.discovery.settings import MIN_MOVING_SPEED
 from stiffopt.recording.channel import true_intervals
 from stiffopt.recording.recording_set import RecordingSet
@@ -143,7 +143,7 @@ def doubt_dead_channels(
     `samples`: of the training runs.
     """
     motion = Motion.of(robot, samples.position, samples.velocity, samples.acceleration)
-    fit, dead, parts = TorqueFit(robot), [], []
+    dead, parts = [], []
     for j in range(recordings.n):
         torque = samples.torque[:, j]
         known = np.isfinite(torque)
@@ -153,7 +153,7 @@ def doubt_dead_channels(
         size = float(np.std(torque[known]))
         if size >= _MAX_DEAD_SIZE * float(np.std(asked)):
             continue
-        if fit.gain(motion, torque, j, ())[1] > _MIN_UNRELATED_SHARE:
+        if fit_gain(robot, motion, torque, j, ())[1] > _MIN_UNRELATED_SHARE:
             unit = "N" if recordings.prismatic[j] else "N m"
             dead.append(j)
             parts.append(
