@@ -10,6 +10,7 @@ import numpy as np
 from stiffopt.discovery.comparison.bands import candidate_bands
 from stiffopt.discovery.comparison.channel_rows import KnownNoise
 from stiffopt.discovery.comparison.extended_run import extend_run
+from stiffopt.discovery.comparison.filtering import interpolate_linear
 from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.comparison.prepared_run import PreparedRun, prepare_run
 from stiffopt.discovery.settings import MIN_MOVING_SPEED, PREDICTION_CUTOFF
@@ -45,7 +46,7 @@ class Predictor:
     ) -> None:
         self.robot, self.run = training.robot, run
         self._training, self._vibrating = training, vibrating
-        self._position = _interpolate_columns(run.time, run.position, run.stamps)
+        self._position = interpolate_linear(run.time, run.position, run.stamps)
         # Joints by their band, where that differs from the usual one.
         self._others: dict[float, list[int]] = {}
         if prepared is not None and prepared.vibration is not None:
@@ -73,7 +74,7 @@ class Predictor:
     @property
     def velocity(self) -> np.ndarray:
         """Joint velocities (K, n), recorded or else derived from positions [rad/s]."""
-        derived = _interpolate_columns(
+        derived = interpolate_linear(
             self.nominal.time, self.nominal.signals.motor_velocity, self.run.time
         )
         if self.run.velocity is None:
@@ -105,24 +106,15 @@ class Predictor:
             drive, deflection = channels.pop(0)
             yield Prediction(
                 stamps=stamps,
-                torque=_interpolate_columns(time, drive, stamps),
-                link_position=self._position - _interpolate_columns(time, deflection, stamps),
+                torque=interpolate_linear(time, drive, stamps),
+                link_position=self._position - interpolate_linear(time, deflection, stamps),
             )
 
     def torque(self, band: float, *extensions: Extension) -> np.ndarray:
         """Predict the drive torques (R, n) from the motion in one band [Hz]."""
         own = self.nominal if band == self.nominal.low_pass.cutoff else self._prepare_band(band)
         drive = extend_run(own, *extensions).signals.drive_torque
-        return _interpolate_columns(own.time, drive, self.run.stamps)
-
-
-def _interpolate_columns(time: np.ndarray, values: np.ndarray, stamps: np.ndarray) -> np.ndarray:
-    """Interpolate columns (K, n) to other times (R, n), across missing samples."""
-    columns = []
-    for column in values.T:
-        known = np.isfinite(column)
-        columns.append(np.interp(stamps, time[known], column[known]))
-    return np.column_stack(columns)
+        return interpolate_linear(own.time, drive, self.run.stamps)
 
 
 @dataclass(frozen=True)
@@ -233,7 +225,12 @@ _MAX_WIDER_BAND_COST = 0.05
 
 
 def choose_prediction_bands(training: Training, found: Extension) -> tuple[float, ...]:
-    """Return the band [Hz] for each joint in which the model predicts the training runs best."""
+    """Return the band [Hz] for each joint in which the model predicts the training runs best.
+
+    A wide band follows reversals and pulses; a narrow one keeps the noise of twice differentiated
+    encoders out of the torque. How much noise passes depends on the inertia of the model: a fit
+    with a free inertia for every band would shrink it until the noise costs nothing.
+    """
     tried = candidate_bands(training.recorded, PREDICTION_CUTOFF)
     errors = _torque_errors(training, found, tried)
     # The link motion of an elastic joint is computable only below its resonance.

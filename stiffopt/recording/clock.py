@@ -180,7 +180,10 @@ MIN_POSES = 6
 
 
 def holds_rest_poses(columns: Mapping[str, np.ndarray], signals: Signals) -> bool:
-    """Return True for a table of poses: as stated, else by its rows.
+    """Return True for a table of poses, as for gravity compensation: as stated, else by its rows.
+
+    Time numbers the poses; nothing moves from row to row, so that torques hold the weight and
+    friction of unknown direction.
 
     Rows are poses where their spacing is too long for a motion in seconds and positions do not
     follow one another.

@@ -41,8 +41,7 @@ from stiffopt.discovery.position_fit import (
     simulate_run,
 )
 from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
-from stiffopt.discovery.sanity.command_doubts import doubt_commands
-from stiffopt.discovery.sanity.position_errors import take_errors_as_commands
+from stiffopt.discovery.sanity.command_doubts import doubt_commands, take_errors_as_commands
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import open_training_runs, prepare_training
 from stiffopt.errors import InputError

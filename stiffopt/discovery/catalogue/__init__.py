@@ -17,10 +17,14 @@ from stiffopt.discovery.catalogue.drift import (
     GAIN_WARMUP,
 )
 from stiffopt.discovery.catalogue.elastic import BACKLASH, HYSTERESIS, OUTPUT_BACKLASH
-from stiffopt.discovery.catalogue.friction import FRICTION, QUADRATIC_DRAG, STROKE_FRICTION
+from stiffopt.discovery.catalogue.friction import (
+    FRICTION,
+    LUBRICATED_FRICTION,
+    QUADRATIC_DRAG,
+    STROKE_FRICTION,
+)
 from stiffopt.discovery.catalogue.geometry import BASE_TILT, JOINT_ZERO
 from stiffopt.discovery.catalogue.inertial import INERTIAL
-from stiffopt.discovery.catalogue.lubricated_friction import LUBRICATED_FRICTION
 from stiffopt.discovery.catalogue.periodic import PERIODIC
 from stiffopt.discovery.catalogue.preload_loss import PRELOAD_LOSS
 from stiffopt.discovery.catalogue.sensors import CROSSTALK, SENSORS

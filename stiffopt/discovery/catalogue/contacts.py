@@ -111,7 +111,11 @@ _MIN_DRIVE_SHARE = 0.5
 
 
 def coupled_drive_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
-    """Return Fc sg(w) + Fv w + J dw/dt of a motor, w = v_j + c v_before, on both joints."""
+    """Return Fc sg(w) + Fv w + J dw/dt of a motor, w = v_j + c v_before, on both joints.
+
+    In many wrists the motor of one joint sits behind the previous joint, so that it turns by the
+    sum of both angles. A model with one rotor and friction per joint has neither.
+    """
     share = shapes[0]
     speed = signals.motor_velocity + share * signals.previous_velocity
     rate = signals.motor_acceleration + share * signals.previous_acceleration

@@ -37,8 +37,9 @@ from stiffopt.recording.nominal import Tolerance
 
 # Smallest number of runs of which each is a cross-validation block; fewer runs are cut into blocks.
 MIN_RUNS_AS_BLOCKS = 3
-# Length of a block of a run [s], and largest number of blocks per run.
-_BLOCK_SECONDS, _MAX_BLOCKS = 2.0, 8
+# Length of the stretches that are left out [s], longer than the correlation time of residuals, and
+# largest number of blocks per run.
+STRETCH_DURATION, _MAX_BLOCKS = 2.0, 8
 # Cache of columns: of initial shapes, which every search asks for, up to a memory limit [bytes],
 # and a number of the latest others.
 _START_CACHE_BYTES, _RECENT_CACHE_SIZE = 2**27, 64
@@ -107,7 +108,7 @@ class DesignMatrix:
         if len(self.runs) >= MIN_RUNS_AS_BLOCKS:
             return 1
         seconds = min(float(run.time[-1] - run.time[0]) for run in self.runs)
-        return int(np.clip(seconds / _BLOCK_SECONDS, 2, _MAX_BLOCKS))
+        return int(np.clip(seconds / STRETCH_DURATION, 2, _MAX_BLOCKS))
 
     def linearised_at(
         self,

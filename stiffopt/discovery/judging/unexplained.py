@@ -376,7 +376,12 @@ class ToolForce:
 def explain_by_tool_force(
     result: SearchResult, unexplained: Unexplained | None
 ) -> Unexplained | None:
-    """Return an unexplained residual with the forces at the tool that explain it, if any do."""
+    """Return an unexplained residual with the forces at the tool that explain it, if any do.
+
+    A force that changes along the motion (a person who guides the arm, a hose, a touch) predicts
+    nothing of other runs and is no effect of the catalogue. But three numbers an instant explain
+    the torques of all joints, where anything else needs as many numbers as there are joints.
+    """
     if unexplained is None or unexplained.ratio < _MIN_RATIO:
         return unexplained
     found = [_fit_tool_force(result, rows) for rows in (result.fit.residual, result.target)]

@@ -218,6 +218,9 @@ _MAX_SHARE = 0.5
 def doubt_contacts_at_rest(robot: RobotModel, runs: Sequence[RecordedRun]) -> Iterator[Doubt]:
     """Yield a remark about every interval in which a stationary joint carries a further load.
 
+    A fit leaves stationary joints out, whose friction is anything between its bounds. A load beyond
+    these bounds is nevertheless one.
+
     `robot`: joints without stated friction are left out.
     """
     for run in runs:

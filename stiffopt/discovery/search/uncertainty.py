@@ -12,7 +12,7 @@ from scipy import special
 
 from stiffopt.discovery.comparison.channel_rows import part_numbers
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.design_matrix import MIN_RUNS_AS_BLOCKS
+from stiffopt.discovery.comparison.design_matrix import MIN_RUNS_AS_BLOCKS, STRETCH_DURATION
 from stiffopt.discovery.comparison.located_effect import (
     EstimatedEffect,
     LocatedEffect,
@@ -24,9 +24,6 @@ from stiffopt.discovery.names import ValueName
 if TYPE_CHECKING:
     from stiffopt.discovery.effect import Constants
 
-# Length of the stretches that a jackknife leaves out [s]: longer than the correlation time of
-# residuals.
-STRETCH_DURATION = 2.0
 # Relative step of numerical derivatives.
 _DIFFERENCE_STEP = 1e-4
 # Prior standard deviation of a shape over its size: wide, so that only the data count.
