@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -69,6 +70,16 @@ def carried_share(constants: JointConstants) -> float:
     """
     carried = constants.largest_torque / constants.torque_rated
     return min(1.0, max(carried, (_MAX_RATED_OVER_CARRIED * carried) ** 2))
+
+
+def shares_of_carried(*shares: float) -> Callable[[JointConstants], tuple[float, ...]]:
+    """Return the initial shapes that are shares of a rated torque, as of a meaningful rating."""
+    return lambda constants: tuple(carried_share(constants) * share for share in shares)
+
+
+def symmetric_amplitude(name: str, unit: str, typical: float, most: float) -> Amplitude:
+    """Return an amplitude of a typical size within bounds alike in both directions."""
+    return Amplitude(name, unit, typical, -most / typical, most / typical)
 
 
 def along_stroke(constants: JointConstants, count: int) -> tuple[float, ...]:

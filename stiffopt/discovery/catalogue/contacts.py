@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from stiffopt.discovery.catalogue.common import dry_friction, motor_inertia, viscous_friction
+from stiffopt.discovery.catalogue.common import (
+    dry_friction,
+    motor_inertia,
+    symmetric_amplitude,
+    viscous_friction,
+)
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term, Values
 from stiffopt.discovery.signals import JointSignals, RobotConstants, RobotSignals, smooth_sign
 from stiffopt.symbolic import smooth_abs
@@ -68,15 +73,7 @@ WRIST_COUPLING = Effect(
     " correct it by {c}.",
     needs=("sensor", "moves", "before"),
     term=wrist_coupling_term,
-    amplitudes=(
-        Amplitude(
-            "c",
-            "",
-            _TYPICAL_COUPLING,
-            -_MAX_COUPLING / _TYPICAL_COUPLING,
-            _MAX_COUPLING / _TYPICAL_COUPLING,
-        ),
-    ),
+    amplitudes=(symmetric_amplitude("c", "", _TYPICAL_COUPLING, _MAX_COUPLING),),
     shapes=(
         Shape("about", "", (0.0,), -_MAX_COUPLING, _MAX_COUPLING, 0.0, "secant", reported=False),
         Shape("at_link", "", (0.0, 1.0), 0.0, 1.0, 0.0, "held", reported=False),
@@ -143,7 +140,6 @@ COUPLED_DRIVE = Effect(
         Amplitude("J", "kg m^2", motor_inertia, 0.0, 10.0),
     ),
     shapes=(Shape("c", "", (1.0, -1.0), -1.5, 1.5),),
-    report=lambda a, s, constants: {**dict(zip(("Fc", "Fv", "J"), a, strict=True)), "c": s[0]},
     applies=lambda constants: constants.joint > 4,
     # Otherwise it is an ordinary drive.
     possible=lambda shapes, constants: abs(shapes[0]) >= _MIN_DRIVE_SHARE,

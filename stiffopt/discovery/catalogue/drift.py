@@ -288,12 +288,6 @@ def _warmed_share(signals: JointSignals, time_constant: Quantity) -> Quantity:
     return np.expm1(-elapsed / time_constant) / np.expm1(-whole / time_constant)
 
 
-def friction_warmup_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
-    """Return (dFc sg(w) + dFv w) times the change since the begin of the run."""
-    law = amplitudes[0] * signals.motor_direction + amplitudes[1] * signals.motor_velocity
-    return Term(drive_torque=law * _warmed_share(signals, shapes[0]))
-
-
 FRICTION_WARMUP = Effect(
     name="friction_warmup",
     family="friction",
@@ -309,7 +303,10 @@ FRICTION_WARMUP = Effect(
     remedy="Warm {where} up before recording, and record its temperature.",
     needs=("torque", "moves", "reverses"),
     confused_with=("thermal_friction", "friction_drift"),
-    term=friction_warmup_term,
+    term=lambda signals, a, s: Term(
+        drive_torque=(a[0] * signals.motor_direction + a[1] * signals.motor_velocity)
+        * _warmed_share(signals, s[0])
+    ),
     amplitudes=(
         Amplitude("dFc", "N m", lambda constants: 0.3 * dry_friction(constants), -4.0, 10.0),
         Amplitude(

@@ -15,6 +15,7 @@ from stiffopt.discovery.catalogue.common import (
     along_stroke,
     carried_share,
     dry_friction,
+    shares_of_carried,
     viscous_friction,
 )
 from stiffopt.discovery.catalogue.robot_change import add_to_nominal_value
@@ -117,7 +118,7 @@ def is_definite_load(share: float, constants: JointConstants) -> bool:
 LOAD_ROUNDING = Shape(
     "rounding",
     "",
-    lambda constants: (_LOAD_ROUNDING_SHARE * carried_share(constants),),
+    shares_of_carried(_LOAD_ROUNDING_SHARE),
     1e-7,
     0.1,
     _LOAD_ROUNDING_SHARE,

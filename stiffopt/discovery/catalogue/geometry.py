@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from stiffopt.discovery.catalogue.common import symmetric_amplitude
 from stiffopt.discovery.effect import (
-    Amplitude,
     Effect,
     FittedEffect,
     Reported,
@@ -122,14 +122,7 @@ BASE_TILT = Effect(
     turned_gravity=tilted_gravity,
     term=base_tilt_term,
     amplitudes=tuple(
-        Amplitude(
-            name,
-            "rad",
-            _TYPICAL_TILT,
-            -_MAX_AMPLITUDE / _TYPICAL_TILT,
-            _MAX_AMPLITUDE / _TYPICAL_TILT,
-        )
-        for name in ("rx", "ry")
+        symmetric_amplitude(name, "rad", _TYPICAL_TILT, _MAX_AMPLITUDE) for name in ("rx", "ry")
     ),
     shapes=tuple(
         Shape(name, "rad", (0.0,), -_MAX_AMPLITUDE, _MAX_AMPLITUDE, 0.0, fit="secant")
@@ -168,10 +161,6 @@ def joint_zero_term(signals: RobotSignals, amplitudes: Values, shapes: Values) -
     return Term(link_torque=torque)
 
 
-def _turns(constants: JointConstants) -> bool:
-    return not constants.prismatic
-
-
 def _describe_zero(amplitudes: Values, shapes: Values, constants: JointConstants) -> str:
     offsets = ["0"] * constants.joints
     offsets[constants.joint - 1] = f"{amplitudes[0]:.5f}"
@@ -197,15 +186,11 @@ JOINT_ZERO = Effect(
     phrase="a joint zero that is off (mastering)",
     needs=("torque", "moves"),
     term=joint_zero_term,
-    amplitudes=(
-        Amplitude(
-            "dq", "rad", _TYPICAL_ZERO, -_MAX_ZERO / _TYPICAL_ZERO, _MAX_ZERO / _TYPICAL_ZERO
-        ),
-    ),
+    amplitudes=(symmetric_amplitude("dq", "rad", _TYPICAL_ZERO, _MAX_ZERO),),
     shapes=(
         Shape("about", "rad", _INITIAL_ZEROS, -_MAX_ZERO, _MAX_ZERO, 0.0, "secant", reported=False),
     ),
-    applies=_turns,
+    applies=lambda constants: not constants.prismatic,
     remedy=_describe_zero,
     separate="Move the joint to both sides of the vertical with the next joints bent and stretched:"
     " a wrong mass keeps the angle of no torque, a wrong zero moves it.",

@@ -14,19 +14,15 @@ from stiffopt.discovery.catalogue.robot_change import add_to_body, add_to_nomina
 from stiffopt.discovery.effect import (
     Amplitude,
     Effect,
-    FittedEffect,
     Reported,
-    RobotChange,
     Term,
     Values,
 )
 from stiffopt.discovery.signals import (
     PARAMETERS_PER_BODY,
-    JointConstants,
     RobotConstants,
     RobotSignals,
 )
-from stiffopt.robot.robot import Robot
 from stiffopt.symbolic import Quantity
 
 # Typical error of a centre of mass [m].
@@ -45,13 +41,6 @@ def body_term(signals: RobotSignals, amplitudes: Values, body: int) -> Term:
                 torque + amplitude * signals.body_regressor[..., PARAMETERS_PER_BODY * body + k]
             )
     return Term(link_torque=torque)
-
-
-def change_body(
-    robot: Robot, found: FittedEffect, joint: int, constants: JointConstants
-) -> RobotChange:
-    """Return the robot with other inertial parameters of the link."""
-    return add_to_body(robot, found, joint, "Masses")
 
 
 def _report_payload(amplitudes: Values, shapes: Values, constants: Constants) -> Reported:
@@ -176,7 +165,7 @@ INERTIAL_ERROR = Effect(
     needs=("torque", "moves"),
     confused_with=("torque_gain", "joint_zero"),
     shifts_weight=True,
-    change_robot=change_body,
+    change_robot=lambda robot, found, joint, constants: add_to_body(robot, found, joint, "Masses"),
     term=lambda signals, a, s: body_term(signals, a, signals.link),
     amplitudes=(_MASS_AMPLITUDE, *_moment_amplitudes("dmcx", "dmcy", "dmcz"), *_INERTIA_AMPLITUDES),
     report=_report_link,

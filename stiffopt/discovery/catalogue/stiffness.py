@@ -92,11 +92,6 @@ def _report_corners(amplitudes: Values, shapes: Values, constants: Constants) ->
     return {"k1_factor": 1.0 / softer, "t1_factor": shapes[1]}
 
 
-def _has_reducer_corners(constants: JointConstants) -> bool:
-    slopes = constants.slopes
-    return slopes is not None and constants.corners is not None and slopes[0] != slopes[2]
-
-
 def wear_reducer(
     robot: Robot, found: FittedEffect, joint: int, constants: JointConstants
 ) -> RobotChange | None:
@@ -168,7 +163,11 @@ K1_SOFTENING = Effect(
         Shape("t1_factor", "", (0.7, 1.0, 1.6), 0.5, 3.0),
     ),
     report=_report_corners,
-    applies=_has_reducer_corners,
+    applies=lambda constants: (
+        constants.slopes is not None
+        and constants.corners is not None
+        and constants.slopes[0] != constants.slopes[2]
+    ),
     separate="Reach torques well beyond the first corner: a worn reducer stops getting softer"
     " there, loosened contacts keep growing, backlash has no width in torque.",
 )
