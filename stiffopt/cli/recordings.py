@@ -199,9 +199,9 @@ def check(
     from stiffopt.discovery.catalogue import CATALOGUE
     from stiffopt.discovery.identifiable import effect_checks
     from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
+    from stiffopt.discovery.sanity.command_doubts import take_errors_as_commands
     from stiffopt.discovery.sanity.doubt import DoubtfulRecordings
     from stiffopt.discovery.sanity.gate import judge_plausibility
-    from stiffopt.discovery.sanity.position_errors import take_errors_as_commands
     from stiffopt.discovery.training import open_training_runs
     from stiffopt.discovery.user_effects import load_effects
     from stiffopt.recording.check import check_recordings

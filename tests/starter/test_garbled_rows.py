@@ -7,8 +7,7 @@ from small_arms import ROOT
 
 from stiffopt.recording.readers.columns import UNNAMED_COLUMN
 from stiffopt.robot.files import load_robot
-from stiffopt.starter.garbled_rows import drop_garbled_rows, longest_increasing
-from stiffopt.starter.table_layouts import name_blocks
+from stiffopt.starter.table_layouts import drop_garbled_rows, longest_increasing, name_blocks
 
 TIME = np.arange(0.0, 5.0, 0.01)
 

@@ -10,8 +10,8 @@ from typing import Literal
 import numpy as np
 
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
-from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.names import ValueName
 from stiffopt.discovery.signals import JointConstants, RobotConstants
 from stiffopt.units import joint_unit
 
@@ -172,7 +172,10 @@ class LocatedEffect:
             seen = signals if place is None else replace(signals, link=place)
             term = self.effect.term(seen, amplitudes, self.shapes)
             parts = (term.drive_torque, term.link_torque, term.deflection, term.reading)
-            return Contribution(*(_as_robot_array(part, like) for part in parts))
+            arrays = (np.asarray(part, dtype=float) for part in parts)
+            return Contribution(
+                *(np.broadcast_to(each, like.shape) if each.any() else None for each in arrays)
+            )
         assert self.joint is not None
         term = self.effect.term(run.of_joint(self.joint), amplitudes, self.shapes)
         parts = (term.drive_torque, term.link_torque, term.deflection, term.reading)
@@ -282,11 +285,6 @@ def _add_optional(a: np.ndarray | None, b: np.ndarray | None) -> np.ndarray | No
     if a is None or b is None:
         return b if a is None else a
     return np.asarray(a + b)
-
-
-def _as_robot_array(values: object, like: np.ndarray) -> np.ndarray | None:
-    array = np.asarray(values, dtype=float)
-    return np.broadcast_to(array, like.shape) if array.any() else None
 
 
 def _as_joint_column(values: object, like: np.ndarray, joint: int) -> np.ndarray | None:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import softmax
 
-from stiffopt.discovery.channel import channel_name
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, LocatedEffect
 from stiffopt.discovery.judging.unexplained import assess_findings
@@ -24,6 +23,7 @@ from stiffopt.discovery.law_search.search import (
 from stiffopt.discovery.laws.law import LAW_FAMILY, Law, Place, law_effect
 from stiffopt.discovery.laws.sources import LawSource
 from stiffopt.discovery.laws.table import ResidualTable
+from stiffopt.discovery.names import channel_name
 from stiffopt.discovery.progress import Say
 from stiffopt.discovery.search.candidates import Scorer
 from stiffopt.discovery.search.joint_fit import passes_thresholds, prune_effects

@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
 
-from stiffopt.discovery.channel import Channel
 from stiffopt.discovery.diagnosis import Diagnosis
+from stiffopt.discovery.names import Channel
 from stiffopt.discovery.position_fit import PositionRun
 from stiffopt.discovery.prediction import ChannelError, RunProof
 from stiffopt.discovery.settings import MIN_MOVING_SPEED

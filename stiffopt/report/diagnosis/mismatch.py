@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from stiffopt.discovery.answer import format_probability, place
-from stiffopt.discovery.channel import Channel
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.diagnosis import Diagnosis
 from stiffopt.discovery.judging.explained_shares import MismatchShare
 from stiffopt.discovery.judging.noise_ceiling import SHOWN_SHARE
 from stiffopt.discovery.judging.run_deviations import Drift
+from stiffopt.discovery.names import Channel
 from stiffopt.discovery.settings import MAX_NOMINAL_DEVIATIONS
 from stiffopt.report.common.text import listed, significant
 from stiffopt.report.diagnosis.overview import moved_values

@@ -13,10 +13,10 @@ import numpy as np
 from stiffopt.discovery.answer import MIN_LISTED_PROBABILITY
 from stiffopt.discovery.comparison.inertial_parameters import INERTIAL_PARAMETER_NAMES
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.diagnosis import Diagnosis, Finding
 from stiffopt.discovery.identifiable import EffectCheck
 from stiffopt.discovery.judging.detection_limits import DetectionLimit
+from stiffopt.discovery.names import ValueName
 from stiffopt.report.common.text import MAX_LISTED, percent
 
 _INERTIAL_UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 6)

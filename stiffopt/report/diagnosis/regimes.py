@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stiffopt.discovery.channel import Channel
 from stiffopt.discovery.diagnosis import Diagnosis, Finding
+from stiffopt.discovery.names import Channel
 from stiffopt.report.common import svg
 from stiffopt.report.common.text import scale
 from stiffopt.units import joint_unit

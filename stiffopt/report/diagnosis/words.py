@@ -16,11 +16,10 @@ from stiffopt.discovery.answer import (
     statement_headline,
     statements,
 )
-from stiffopt.discovery.channel import Channel, channel_name
 from stiffopt.discovery.diagnosis import Diagnosis, Finding
 from stiffopt.discovery.effect import Effect
-from stiffopt.discovery.judging.tool_force import ToolForce
-from stiffopt.discovery.judging.unexplained import Unexplained
+from stiffopt.discovery.judging.unexplained import ToolForce, Unexplained
+from stiffopt.discovery.names import Channel, channel_name
 from stiffopt.discovery.thresholds import OPEN_RATIO
 from stiffopt.report.common.text import capital, listed, significant, words
 
