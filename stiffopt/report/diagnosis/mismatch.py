@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 from stiffopt.discovery.answer import format_probability, place
 from stiffopt.discovery.channel import Channel
-from stiffopt.discovery.judging.noise_ceiling import SHOWN_SHARE
 from stiffopt.discovery.settings import MAX_NOMINAL_DEVIATIONS
 from stiffopt.report.common.text import listed, significant
 from stiffopt.report.diagnosis.overview import moved_values
@@ -127,7 +126,7 @@ def _noise_ceiling_remark(diagnosis: Diagnosis) -> str:
         return ""
     if left.channels[0].startswith("link_position"):
         return " Link encoders are not included; more of them is unexplained."
-    if rod.depends or not left.regressors or left.gain < SHOWN_SHARE:
+    if rod.depends or not left.regressors:
         return ""
     signals = listed(regressor_words(each) for each in left.regressors)
     return (
