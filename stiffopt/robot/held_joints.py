@@ -28,9 +28,6 @@ class HeldJoint:
     value: float  # [rad] or [m]
     why: str  # "locked", "not on the way to the tool" or "follows JOINT"
 
-    def __str__(self) -> str:
-        return f"{self.name} at {self.value:g} ({self.why})"
-
 
 def fix_free_joints(
     tree: ET.Element, *, lock: Collection[str], tip: str | None, all_: bool

@@ -88,7 +88,7 @@ def start_recording_set(
             )
             if not which:
                 raise
-            raise InputError(f"{error} {urdf.name} {which}") from error
+            raise InputError(f"{urdf.name} {which} Without it, {error}") from error
 
 
 def _write_set(

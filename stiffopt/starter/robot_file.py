@@ -157,8 +157,9 @@ def _describe_guesses(
 ) -> Iterator[str]:
     """Yield guesses, omissions and questions, a sentence each."""
     yield f"The arm: {', '.join(arm.joints)}; its tool is fixed to {tool}."
-    if arm.held:
-        yield f"Held: {'; '.join(map(str, arm.held))}."
+    for value, why in dict.fromkeys((h.value, h.why) for h in arm.held):
+        names = [h.name for h in arm.held if (h.value, h.why) == (value, why)]
+        yield f"Held at {value:g} ({why}): {', '.join(names)}."
     coupled = [h.name for h in arm.held if h.why.endswith("which moves")]
     if coupled:
         yield (

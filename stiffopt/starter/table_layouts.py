@@ -119,12 +119,17 @@ def _guess_block_kinds(blocks: list[np.ndarray]) -> tuple[list[str], str]:
 
 
 def _is_rate_of(rates: np.ndarray, values: np.ndarray) -> bool:
-    """Return True if columns (K, n) correlate with the changes of others, joint by joint."""
+    """Return True if columns (K, n) correlate with the changes of others, joint by joint.
+
+    Over several rows: loggers repeat some, or are late by a part of a row.
+    """
     if rates is values:
         return False
     fits = []
+    rows = max(len(values) // _RATE_STEPS, 1)
     for rate, value in zip(rates.T, values.T, strict=True):
-        change, mean = np.diff(value), 0.5 * (rate[1:] + rate[:-1])
+        change = np.diff(value[::rows])
+        mean = 0.5 * (rate[1:] + rate[:-1])[: rows * len(change)].reshape(-1, rows).mean(axis=1)
         known = np.isfinite(change) & np.isfinite(mean)
         if known.sum() > 2 and np.ptp(change[known]) > 0.0 and np.ptp(mean[known]) > 0.0:
             fits.append(float(spearmanr(change[known], mean[known]).statistic))
@@ -133,6 +138,8 @@ def _is_rate_of(rates: np.ndarray, values: np.ndarray) -> bool:
     return bool(fits) and float(np.median(fits)) > 0.9
 
 
+# Steps of a recording over which rates and changes are compared.
+_RATE_STEPS = 1000
 _NAME_FIELDS = ("name", "names", "joint_names")
 _VALUE_FIELDS = ("position", "velocity", "effort", "torque", "current", "positions", "velocities",
           "efforts", "accelerations", "q", "qd", "tau")  # fmt: skip

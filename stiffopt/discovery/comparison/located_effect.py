@@ -136,6 +136,12 @@ class LocatedEffect:
         own = self.constants(robot)
         return np.array([a.size(own) for a in self.effect.amplitudes])
 
+    def changed_body(self, robot: RobotConstants) -> int | None:
+        """Return the body whose inertial parameters are the amplitudes; None of other effects."""
+        if "mass" not in self.effect.tolerances or self.joint is not None:
+            return None
+        return len(robot.masses) - 1 if self.link is None else self.link
+
     def possible(self, robot: RobotConstants) -> bool:
         """Return False where the shapes contradict the recordings."""
         rule = self.effect.possible
@@ -152,9 +158,8 @@ class LocatedEffect:
         if self.effect.nominal and isinstance(own, JointConstants):
             least = -getattr(own, self.effect.nominal) / self.sizes(robot)[0]
             found[0, 0] = max(found[0, 0], least)
-        if "mass" in self.effect.tolerances and isinstance(own, RobotConstants):
-            body = own.masses[-1 if self.link is None else self.link]
-            found[0, 0] = max(found[0, 0], -body / self.sizes(robot)[0])
+        if (body := self.changed_body(robot)) is not None:
+            found[0, 0] = max(found[0, 0], -robot.masses[body] / self.sizes(robot)[0])
         if self.effect.linear_about:
             about = float(self.shapes[0]) / self.sizes(robot)[0]
             low, high = sorted((about / _MAX_LINEAR_RATIO, about * _MAX_LINEAR_RATIO))

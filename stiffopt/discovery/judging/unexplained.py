@@ -172,6 +172,9 @@ def assess_findings(result: SearchResult) -> tuple[tuple[Selected, ...], Unexpla
     if not told and small and found.gain < REMAINDER_SHARE:
         # Neither large nor predictable: the noise exceeds the stated one.
         return result.selected, None
+    if found.gain < FAINT_SHARE:
+        # Hardly a dependence: some signal or frequency explains a little of any residual.
+        found = replace(found, regressors=(), period=None)
     return kept, found
 
 

@@ -9,7 +9,6 @@ from stiffopt.discovery.answer import format_probability, place
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.diagnosis import Diagnosis
 from stiffopt.discovery.judging.explained_shares import MismatchShare
-from stiffopt.discovery.judging.noise_ceiling import SHOWN_SHARE
 from stiffopt.discovery.judging.run_deviations import Drift
 from stiffopt.discovery.names import Channel
 from stiffopt.discovery.settings import MAX_NOMINAL_DEVIATIONS
@@ -124,7 +123,7 @@ def _noise_ceiling_remark(diagnosis: Diagnosis) -> str:
         return ""
     if left.channels[0].startswith("link_position"):
         return " Link encoders are not included; more of them is unexplained."
-    if rod.depends or not left.regressors or left.gain < SHOWN_SHARE:
+    if rod.depends or not left.regressors:
         return ""
     signals = listed(regressor_words(each) for each in left.regressors)
     return (

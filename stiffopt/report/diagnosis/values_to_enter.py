@@ -125,11 +125,12 @@ def _single_body_sentence(diagnosis: Diagnosis) -> list[str]:
         return []
     constants = diagnosis.training.constants
     located = best.located
-    if located.effect.tolerances != ("mass", "com"):
+    body = located.changed_body(constants)
+    if body is None:
         return []
     values = best.amplitudes * located.sizes(constants)
     own = located.effect.parameters(values.tolist(), located.shapes, constants)
-    link = constants.links[-1 if located.link is None else located.link]
+    link = constants.links[body]
     moment = float(np.linalg.norm(values[1:4]))
     return [
         f"A single body of {own['dm']:+.2g} kg at {link}, first moment {significant(moment, 2)}"
