@@ -272,7 +272,7 @@ def _with_loop_value(
         return finding
     if found is None:
         # One with memory, without which the simulation leaves nothing in its joint.
-        spare = located.is_of_one_joint and located.run is None and not model.misses[places]
+        spare = located.is_of_one_joint and located.run is None and not model.lacks[places]
         return refuted(finding, 1.0) if spare and not located.calibrated else finding
     numbers, values, covariance = found
     amplitudes = np.array(finding.estimated.amplitudes)
