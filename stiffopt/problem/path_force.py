@@ -7,6 +7,7 @@ right-handed third.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -104,13 +105,20 @@ def _path_axes(places: np.ndarray, rotations: np.ndarray) -> np.ndarray:
     return np.stack([feed, np.cross(tool, feed), tool], axis=2)
 
 
-def check_path_force(robot: Robot, joints: JointPath, force: PathForce, feed: float) -> None:
+def check_path_force(
+    robot: Robot,
+    joints: JointPath,
+    force: PathForce,
+    feed: float,
+    length: float,
+    name: Callable[[float], str],
+) -> None:
     """Raise `ProblemError` for a force of implausible size, which names the place and the joint.
 
-    Wrong by a factor of 1000 (kN for N), or in a frame in which the arm cannot bear it.
+    Wrong by a factor of 1000 (kN for N), or in a frame in which the arm cannot bear it. `name`
+    tells the segment or row at a distance along the path [m] of a length [m].
     """
-    s = force.place[:: max(1, len(force.place) // 200)]
-    forces = force(s, np.full(len(s), feed))
+    forces = force(force.place, np.full(len(force.place), feed))
     size = np.linalg.norm(forces, axis=1)
     # Force [N] over which an entry is taken for one in another unit: N for kN gives a thousandth.
     if size.max() < 0.05 and size.max() > 0.0:
@@ -118,18 +126,18 @@ def check_path_force(robot: Robot, joints: JointPath, force: PathForce, feed: fl
             f"path.force: the largest force on the path is {size.max():.3g} N, which moves no "
             "tool. Bare numbers are in N: was kN meant? Then write texts such as '0.1 kN'."
         )
-    limits = np.where(np.isfinite(robot.torque_max), robot.torque_max, np.inf)
-    bodies = robot.rigid_bodies()
-    for place, q, own in zip(s, joints(s), forces, strict=True):
-        torque = np.abs(bodies.jacobian(robot.tool, q)[:3].T @ own) / limits
-        j = int(np.argmax(torque))
-        # Torque of a force over a joint's limit from which the force is wrong by its unit or frame.
-        if torque[j] > 1.0:
-            raise ProblemError(
-                f"path.force: {np.linalg.norm(own):.4g} N at {100.0 * place:.3g} % of the path "
-                f"alone takes {torque[j]:.3g} times the torque limit of {robot.joint_names[j]}. "
-                "Check its unit (bare numbers are in N) and its frame (base, tool or path)."
-            )
+    _, jacobians = tool_jacobians(robot.tree, robot.tool, joints(force.place))
+    torque = np.abs(np.einsum("kij,ki->kj", jacobians, forces)) / robot.torque_max
+    k, j = np.unravel_index(int(np.argmax(torque)), torque.shape)
+    # Torque of a force over a joint's limit from which the force is wrong by its unit or frame.
+    if torque[k, j] > 1.0:
+        along = float(force.place[k]) * length
+        raise ProblemError(
+            f"path.force: {size[k]:.4g} N in {name(along)}, {1e3 * along:.4g} mm from the start of "
+            f"the path, alone take {torque[k, j]:.3g} times the torque limit of "
+            f"{robot.joint_names[j]}. Check its unit (bare numbers are in N) and its frame (base, "
+            "tool or path)."
+        )
 
 
 # Places on each piece of the path at which the deflection is evaluated.

@@ -31,8 +31,9 @@ from stiffopt.robot.urdf import UNLIMITED, LinkBody, load_urdf
 from stiffopt.units import fit_joint
 from stiffopt.validation import validate
 
-# Usual names of the link at the mechanical interface; the first match is used.
-_FLANGE_LINKS = ("flange", "tool0", "ee_link")
+# Usual names of the link at the mechanical interface; the first match is used. Where a URDF of
+# ROS-Industrial has both, tool0 has the axes of the controller, z outward; x is it of its flange.
+_FLANGE_LINKS = ("tool0", "flange", "ee_link")
 
 
 def shipped_robots() -> list[str]:
