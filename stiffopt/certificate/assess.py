@@ -20,10 +20,10 @@ from stiffopt.certificate.rigid_body import (
 )
 from stiffopt.certificate.violations import find_drive_violations, find_violations
 from stiffopt.elastic.arm import ElasticArm
+from stiffopt.elastic.led_error import led_error
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
 from stiffopt.elastic.smooth_motion import smooth_motion
-from stiffopt.elastic.worst_arms import led_error
 from stiffopt.errors import NotSimulatedError
 from stiffopt.exact.chain import compliance_along, windup_along
 from stiffopt.problem.objective import OBJECTIVES

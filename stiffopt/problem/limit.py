@@ -1,6 +1,6 @@
 """Limits of a motion: their values, and the interface of each kind of limit.
 
-A kind is a class in a file of `problem/limits/`. Schema, optimiser, certificate, report and
+A kind is one class in one file of `problem/limits/`. Schema, optimiser, certificate, report and
 file reference use the registry, so that a new limit needs only a new file.
 """
 
