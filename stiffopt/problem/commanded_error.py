@@ -38,8 +38,9 @@ if TYPE_CHECKING:
 _MIN_RINGING_SHARE = 0.1
 # Rate about which the servo's response is expanded [1/s]: slow beside any bandwidth.
 _SLOW_RATE = 1e-2
-# Speed of the tool below which its path has no direction [m/s].
-_REST_SPEED = 1e-2
+# Speed of the tool below which its path has hardly a direction [m/s]: with a tenth of it corners
+# that are passed slowly leave the solver at its looser tolerance.
+_REST_SPEED = 0.1
 
 
 class CommandedError:
