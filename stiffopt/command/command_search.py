@@ -154,7 +154,10 @@ class CommandSearch:
         self._servo = self._worst = servo or problem.servo
         if servo is None:
             self._worst = problem.uncertainty.worst_servo(problem.servo)
-        self._many = UncertainArms(arm, self._plan, self._servo, self._worst)
+        self._led = problem.led_servo
+        ahead = (servo or self._led).dead_time
+        self._many = UncertainArms(arm, self._plan, self._servo, self._worst, ahead)
+        self._ahead = ahead
         self._loads: WeakKeyDictionary[JointMotion, np.ndarray] = WeakKeyDictionary()
         self._nominal = Departure.none(arm.robot.n)
         self._box = ParameterBox(problem.uncertainty, arm.robot, servo=self._worst != self._servo)
@@ -244,7 +247,7 @@ class CommandSearch:
         return [*([] if planned is None or planned.link is None else [None]), *KNOT_SPACINGS]
 
     def _lead_of(self, spacing: float | None) -> _Lead:
-        planned, own, servo = self._motion.motors, self._bearing_lead, self._problem.servo
+        planned, own = self._motion.motors, self._bearing_lead
         if spacing is None and planned is not None and planned.link is not None:
             link, motors = planned.link, planned
             if own is not None:
@@ -258,7 +261,7 @@ class CommandSearch:
                 law_smoothing(self._problem),
                 CERTIFICATE_TOLERANCE,
             )
-        return self._against_force(_Lead(link, motors, spacing, servo))
+        return self._against_force(_Lead(link, motors, spacing, self._led))
 
     @functools.cached_property
     def _bearing_lead(self) -> Trajectory | None:
@@ -303,8 +306,7 @@ class CommandSearch:
     def _simulate_on(self, command: MotorMotion, departure: Departure) -> SimulatedMotion:
         arm, until = self._arm.with_departure(departure), command.duration + REST
         motor, worst = (
-            servo.follow(command, until, self._servo.dead_time)
-            for servo in (self._servo, self._worst)
+            servo.follow(command, until, self._ahead) for servo in (self._servo, self._worst)
         )
         share, time = departure.servo, motor.time
         mixed = [
