@@ -18,6 +18,7 @@ from stiffopt.command.path_notes import with_path_notes
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.errors import NotSimulatedError
 from stiffopt.interrupts import end_deferral
+from stiffopt.problem.motor_model import MotorLaw
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import ResolvedMotion
 from stiffopt.result.simulation import Simulation
@@ -58,14 +59,15 @@ def with_simulation(
     motion: ResolvedMotion | None = None,
     command: CommandOnArms | None = None,
     rivals: tuple[float, list[PlannedMotion], list[CommandOnArms]] | None = None,
+    law: MotorLaw | None = None,
     *,
     choice: CommandChoice | None = None,
     compare: bool = True,
 ) -> Solution:
     """Return the solution with its simulation and its command, or with a note on why there is none.
 
-    `motion` are the problem's poses where they are resolved already; `command` and `rivals` are of
-    the solve, used where they belong to this solution and its duration, `choice` is that of a
+    `motion` and `law` are the problem's where they exist already; `command` and `rivals` are of the
+    solve, used where they belong to this solution and its duration, `choice` is that of a
     similar motion's command. Other rivals are simulated only with `compare`.
     """
     stopped, assessment = solution.status is SolveStatus.INTERRUPTED, solution.assessment
@@ -105,7 +107,14 @@ def with_simulation(
         known = rivals[2] if rivals else None
         compensation = until_interrupted(
             lambda: compensate(
-                problem, arm, motions, known=command, rivals=known, choice=choice, progress=tell
+                problem,
+                arm,
+                motions,
+                known=command,
+                rivals=known,
+                law=law,
+                choice=choice,
+                progress=tell,
             ),
             lambda: None,
         )

@@ -194,6 +194,7 @@ def complete_solution(
             run.motion,
             run.command,
             run.rivals,
+            run.motors if stated.plans_links else None,
             choice=choice,
             compare=beside_rivals,
         )
