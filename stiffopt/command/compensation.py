@@ -22,6 +22,8 @@ from stiffopt.command.command_search import (
     CommandSearch,
     ExistingCommand,
 )
+from stiffopt.elastic.uncertainty import AssumedUncertainty
+from stiffopt.problem.formulation import smoothing_stages
 from stiffopt.problem.motor_model import MotorLaw
 from stiffopt.result.compensation import (
     COMMAND_FILE,
@@ -253,3 +255,9 @@ def _explain_refusal(problem: TrajectoryProblem, excess: tuple[Violation, ...]) 
         f"{exceeded} {other} within the motors' limits, allow a longer duration, or plan with "
         f"lower {limits}."
     )
+
+
+def requests_command(problem: TrajectoryProblem) -> bool:
+    """Return True where an objective, limit or stated uncertainty concerns the arm's elasticity."""
+    asked = problem.leads_on_path or problem.uncertainty != AssumedUncertainty()
+    return len(smoothing_stages(problem)) > 1 or asked
