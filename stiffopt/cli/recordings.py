@@ -280,7 +280,7 @@ def identify_stiffness(
     from stiffopt.identification.result import write_static
     from stiffopt.identification.stiffness import identify_stiffness as identify
     from stiffopt.recording.static_set import load_static_set
-    from stiffopt.report.identification.page import (
+    from stiffopt.report.pages.identification import (
         print_comparison,
         print_static,
         write_static_report,

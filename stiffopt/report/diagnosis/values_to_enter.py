@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from stiffopt.discovery.answer import missing_physics
 from stiffopt.discovery.comparison.inertial_parameters import nominal_bodies
+from stiffopt.discovery.comparison.nuisance import OutsideValue
+from stiffopt.discovery.diagnosis import Diagnosis, Finding
 from stiffopt.discovery.sanity.doubt import format_numbers
 from stiffopt.discovery.search.nominal_values import values_outside_tolerance
 from stiffopt.discovery.settings import MAX_NOMINAL_DEVIATIONS
 from stiffopt.discovery.signals import PARAMETERS_PER_BODY
 from stiffopt.report.common.text import capital, pm, significant
-from stiffopt.report.diagnosis.overview import moved_bodies
+from stiffopt.report.diagnosis.overview import MovedBody, moved_bodies
 from stiffopt.units import joint_unit
-
-if TYPE_CHECKING:
-    from stiffopt.discovery.comparison.nuisance import OutsideValue
-    from stiffopt.discovery.diagnosis import Diagnosis, Finding
-    from stiffopt.report.diagnosis.overview import MovedBody
-
 
 # Kinds of nominal values in words.
 _KIND_WORDS = {
