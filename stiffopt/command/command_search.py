@@ -16,7 +16,7 @@ from stiffopt.certificate.assess import drive_history
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE, find_drive_violations
 from stiffopt.command.force_compensation import force_lead, led_against_force
 from stiffopt.command.smoothing_width import KNOT_SPACINGS, motors_with_sufficient_smoothing
-from stiffopt.elastic.bearing_lead import LedPlan, bearing_lead
+from stiffopt.elastic.bearings import LedPlan, bearing_lead
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import REST, simulate
 from stiffopt.elastic.smooth_motion import smooth_motion

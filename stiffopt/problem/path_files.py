@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy
@@ -15,8 +15,14 @@ from stiffopt.errors import InputFileError, ProblemError
 from stiffopt.files import read_table
 from stiffopt.problem.freedom_choice import choose_freedom
 from stiffopt.problem.freedom_task import FreedomTask
-from stiffopt.problem.path_deflection import with_limited_deflection
-from stiffopt.problem.path_force import PathForce, check_path_force, path_force
+from stiffopt.problem.joint_lists import JointLists
+from stiffopt.problem.limit import Limits
+from stiffopt.problem.path_force import (
+    PathForce,
+    check_path_force,
+    path_force,
+    with_limited_deflection,
+)
 from stiffopt.problem.schema import PathForceSection, PathSection, PathTableSection, SegmentSection
 from stiffopt.problem.tool_path import (
     ToolPath,
@@ -34,11 +40,7 @@ from stiffopt.robot.frames import (
     rotation_from_rpy,
 )
 from stiffopt.robot.joint_load import supporting_joints
-
-if TYPE_CHECKING:
-    from stiffopt.problem.joint_lists import JointLists
-    from stiffopt.problem.limit import Limits
-    from stiffopt.robot.robot import Robot
+from stiffopt.robot.robot import Robot
 
 _FORCE_COLUMNS = ("fx", "fy", "fz")
 _PLACE_COLUMNS, _ANGLE_COLUMNS, _QUATERNION_COLUMNS = (
@@ -235,11 +237,11 @@ def _table_path(
         (*_ANGLE_COLUMNS, *_QUATERNION_COLUMNS, *_FORCE_COLUMNS, "speed", "stop"),
         ("label",),
     )
-    for columns, unit, units in (
+    for columns, own, units in (
         (_PLACE_COLUMNS, table.length, _METRES_PER_UNIT),
         (_ANGLE_COLUMNS, table.angle, _RADIANS_PER_UNIT),
     ):
-        _check_unit(file, {name: read[name] for name in columns if name in read}, unit, units)
+        _check_unit(file, {name: read[name] for name in columns if name in read}, own, units)
     turn, origin = frame
     count = len(read["x"])
     places = _METRES_PER_UNIT[table.length] * np.stack(

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import os
 import xml.etree.ElementTree as ET
+from collections.abc import Iterable
+from itertools import combinations_with_replacement
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
+
+import numpy as np
 
 from stiffopt.errors import InputFileError, shortened
 from stiffopt.files import read_bytes
@@ -31,6 +35,28 @@ def parse_xml(path: str | os.PathLike[str], *, comments: bool = False) -> ET.Ele
     except (expat.ExpatError, LookupError, ValueError) as error:
         # Unknown and multi-byte encodings raise no ExpatError.
         raise InputFileError(path, "", f"is not a URDF or MJCF: {shortened(error)}.") from error
+
+
+def numbers_text(values: Iterable[float]) -> str:
+    """Return numbers in full, as attributes hold them."""
+    return " ".join(repr(float(value)) for value in values)
+
+
+def set_inertial(
+    link: ET.Element, mass: float, centre: np.ndarray, inertia: np.ndarray, **origin: str
+) -> None:
+    """Set the `<inertial>` of a URDF's link.
+
+    `centre` (3,) of mass [m]; `inertia` (3, 3) about it [kg m^2]; `origin`: further attributes.
+    """
+    for found in link.findall("inertial"):
+        link.remove(found)
+    inertial = ET.SubElement(link, "inertial")
+    ET.SubElement(inertial, "origin", {"xyz": numbers_text(centre), **origin})
+    ET.SubElement(inertial, "mass", value=repr(float(mass)))
+    moments = ET.SubElement(inertial, "inertia")
+    for a, b in combinations_with_replacement(range(3), 2):
+        moments.set(f"i{'xyz'[a]}{'xyz'[b]}", repr(float(inertia[a, b])))
 
 
 def _build_tree(content: bytes, path: Path, comments: bool) -> ET.Element:

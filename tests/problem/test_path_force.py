@@ -7,7 +7,7 @@ from stiffopt.command.force_compensation import force_lead
 from stiffopt.errors import InputError
 from stiffopt.path.timed_path import timed_motion
 from stiffopt.problem.files import load_problem
-from stiffopt.problem.path_deflection import ProcessDeflection
+from stiffopt.problem.path_force import ProcessDeflection
 
 PROBLEM = """schema = 1
 kind = "trajectory"

@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from stiffopt.errors import InputError
-from stiffopt.export.formats.ros2 import Ros2
+from stiffopt.export.formats.sampled_points import Ros2
 from stiffopt.export.motion import SampledMotion
 from stiffopt.robot.files import load_robot
 from stiffopt.starter.timed_motion import read_timed_motion
