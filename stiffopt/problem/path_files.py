@@ -237,11 +237,11 @@ def _table_path(
         (*_ANGLE_COLUMNS, *_QUATERNION_COLUMNS, *_FORCE_COLUMNS, "speed", "stop"),
         ("label",),
     )
-    for columns, unit, units in (
+    for columns, own, units in (
         (_PLACE_COLUMNS, table.length, _METRES_PER_UNIT),
         (_ANGLE_COLUMNS, table.angle, _RADIANS_PER_UNIT),
     ):
-        _check_unit(file, {name: read[name] for name in columns if name in read}, unit, units)
+        _check_unit(file, {name: read[name] for name in columns if name in read}, own, units)
     turn, origin = frame
     count = len(read["x"])
     places = _METRES_PER_UNIT[table.length] * np.stack(
