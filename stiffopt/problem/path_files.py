@@ -255,8 +255,8 @@ def _table_path(
         speeds = _SPEED_UNITS[speed_unit] * np.array(read["speed"])
         for row in np.flatnonzero(~((speeds > 0.0) & (speeds < _IMPLAUSIBLE_SPEED))):
             raise InputFileError(
-                file, f"row {row + 1}, speed", f"{read['speed'][row]:g} {speed_unit} must be above 0 "
-                f"and below {_IMPLAUSIBLE_SPEED:g} m/s. Give its unit as path.table.speed: "
+                file, f"row {row + 1}, speed", f"{read['speed'][row]:g} {speed_unit} must be above "
+                f"0 and below {_IMPLAUSIBLE_SPEED:g} m/s. Give its unit as path.table.speed: "
                 f"{', '.join(_SPEED_UNITS)}."
             )  # fmt: skip
     if section.speed is not None:
