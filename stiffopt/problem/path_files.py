@@ -237,11 +237,11 @@ def _table_path(
         (*_ANGLE_COLUMNS, *_QUATERNION_COLUMNS, *_FORCE_COLUMNS, "speed", "stop"),
         ("label",),
     )
-    for columns, own, units in (
+    for columns, unit, units in (
         (_PLACE_COLUMNS, table.length, _METRES_PER_UNIT),
         (_ANGLE_COLUMNS, table.angle, _RADIANS_PER_UNIT),
     ):
-        _check_unit(file, {name: read[name] for name in columns if name in read}, own, units)
+        _check_unit(file, {name: read[name] for name in columns if name in read}, unit, units)
     turn, origin = frame
     count = len(read["x"])
     places = _METRES_PER_UNIT[table.length] * np.stack(
@@ -255,8 +255,8 @@ def _table_path(
         speeds = _SPEED_UNITS[speed_unit] * np.array(read["speed"])
         for row in np.flatnonzero(~((speeds > 0.0) & (speeds < _IMPLAUSIBLE_SPEED))):
             raise InputFileError(
-                file, f"row {row + 1}, speed", f"{read['speed'][row]:g} {speed_unit} must be above 0 "
-                f"and below {_IMPLAUSIBLE_SPEED:g} m/s. Give its unit as path.table.speed: "
+                file, f"row {row + 1}, speed", f"{read['speed'][row]:g} {speed_unit} must be above "
+                f"0 and below {_IMPLAUSIBLE_SPEED:g} m/s. Give its unit as path.table.speed: "
                 f"{', '.join(_SPEED_UNITS)}."
             )  # fmt: skip
     if section.speed is not None:
