@@ -7,22 +7,17 @@ worst arms of the `ParameterBox`.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.bearing_lead import LedPlan, bearing_lead
 from stiffopt.elastic.motor import MotorMotion
+from stiffopt.elastic.servo import Servo
 from stiffopt.elastic.uncertain_arms import Member, UncertainArms
-from stiffopt.elastic.uncertainty import ParameterBox
+from stiffopt.elastic.uncertainty import ParameterBox, Uncertainty
 from stiffopt.elastic.worst_arms import worst_levels
 from stiffopt.result.tool_error import LedError
-
-if TYPE_CHECKING:
-    from stiffopt.elastic.arm import ElasticArm
-    from stiffopt.elastic.servo import Servo
-    from stiffopt.elastic.uncertainty import Uncertainty
-    from stiffopt.result.trajectory import JointMotion
+from stiffopt.result.trajectory import JointMotion
 
 _TIME_STEP = 1e-3  # of the lead [s]
 # Rate at which the servo's response to a constant speed is evaluated [1/s].
