@@ -237,11 +237,11 @@ def _table_path(
         (*_ANGLE_COLUMNS, *_QUATERNION_COLUMNS, *_FORCE_COLUMNS, "speed", "stop"),
         ("label",),
     )
-    for columns, unit, units in (
+    for columns, own, units in (
         (_PLACE_COLUMNS, table.length, _METRES_PER_UNIT),
         (_ANGLE_COLUMNS, table.angle, _RADIANS_PER_UNIT),
     ):
-        _check_unit(file, {name: read[name] for name in columns if name in read}, unit, units)
+        _check_unit(file, {name: read[name] for name in columns if name in read}, own, units)
     turn, origin = frame
     count = len(read["x"])
     places = _METRES_PER_UNIT[table.length] * np.stack(
@@ -251,12 +251,12 @@ def _table_path(
     rotations = turn @ _table_rotations(table, read, file, count)
     speeds = np.full(count, np.inf)
     if "speed" in read:
-        unit = table.speed or f"{table.length}/s"
-        speeds = _SPEED_UNITS[unit] * np.array(read["speed"])
+        speed_unit = table.speed or f"{table.length}/s"
+        speeds = _SPEED_UNITS[speed_unit] * np.array(read["speed"])
         for row in np.flatnonzero(~((speeds > 0.0) & (speeds < _IMPLAUSIBLE_SPEED))):
             raise InputFileError(
-                file, f"row {row + 1}, speed", f"{read['speed'][row]:g} {unit} must be above 0 and "
-                f"below {_IMPLAUSIBLE_SPEED:g} m/s. Give its unit as path.table.speed: "
+                file, f"row {row + 1}, speed", f"{read['speed'][row]:g} {speed_unit} must be above 0 "
+                f"and below {_IMPLAUSIBLE_SPEED:g} m/s. Give its unit as path.table.speed: "
                 f"{', '.join(_SPEED_UNITS)}."
             )  # fmt: skip
     if section.speed is not None:
