@@ -21,7 +21,8 @@ from standin import standin_robot
 from stiffopt.baseline.baselines import baselines
 from stiffopt.certificate.assess import assess
 from stiffopt.problem.files import load_problem
-from stiffopt.problem.formulation import Scales, formulate
+from stiffopt.problem.formulation import formulate
+from stiffopt.problem.objective import Scales
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.problem.trajectory import Method, TrajectoryProblem

@@ -20,7 +20,8 @@ from common import (
 from standin import standin_robot
 
 from stiffopt.certificate.assess import assess
-from stiffopt.problem.formulation import Scales, formulate
+from stiffopt.problem.formulation import formulate
+from stiffopt.problem.objective import Scales
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import Method, TrajectoryProblem
 from stiffopt.result.trajectory import Trajectory

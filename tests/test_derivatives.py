@@ -8,7 +8,8 @@ from small_arms import load
 from stiffopt import load_robot
 from stiffopt.drivetrain.compact import CompactChain
 from stiffopt.exact.chain import exact_windup
-from stiffopt.problem.formulation import Scales, formulate
+from stiffopt.problem.formulation import formulate
+from stiffopt.problem.objective import Scales
 from stiffopt.problem.resolve import resolve
 
 STEP = 1e-4

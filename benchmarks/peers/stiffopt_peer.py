@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from stiffopt.problem.formulation import Scales, formulate
+from stiffopt.problem.formulation import formulate
 from stiffopt.problem.limit import Limits
-from stiffopt.problem.objective import Objective
+from stiffopt.problem.objective import Objective, Scales
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import Target, TrajectoryProblem
 from stiffopt.robot.files import load_robot

@@ -29,7 +29,7 @@ from stiffopt.exact.chain import compliance_along, windup_along
 from stiffopt.problem.objective import OBJECTIVES
 from stiffopt.result.assessment import Assessment, DriveHistory, LowestStiffness, Violation
 from stiffopt.result.trajectory import JointMotion
-from stiffopt.robot.bearing_deflection import bearing_deflections
+from stiffopt.robot.bearings import bearing_deflections
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem

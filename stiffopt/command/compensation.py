@@ -78,7 +78,7 @@ def compensate(
         command=command,
         refusal=refusal,
         uncertainty=problem.uncertainty.statements(arm.robot.payload is not None, problem.servo),
-        ahead=problem.servo.dead_time,
+        ahead=problem.led_servo.dead_time,
         draws=problem.uncertainty.draws,
     )
     if rivals is None:
@@ -193,7 +193,7 @@ def judge_existing_command(
         uncertainty=problem.uncertainty.statements(
             arm.robot.payload is not None, problem.servo if servo is None else None
         ),
-        ahead=problem.servo.dead_time,
+        ahead=problem.led_servo.dead_time,
         draws=problem.uncertainty.draws,
         loop="" if servo is None else str(servo),
         file=file,

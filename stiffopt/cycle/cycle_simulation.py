@@ -112,13 +112,13 @@ def simulate_motions(
     last = _after_last_event(cycle, arms[-1])
     if last is not None:
         changes.append((float(arrivals[-1]), last))
-    own = cycle.first.servo
+    first = cycle.first
     simulated = simulate(
         arms[0],
         command,
-        servo=servo or own,
-        ahead=own.dead_time,
-        band=cycle.first.active_limits.settling_band if band is None else band,
+        servo=servo or first.servo,
+        ahead=first.led_servo.dead_time,
+        band=first.active_limits.settling_band if band is None else band,
         plan=plan,
         changes=changes,
     )

@@ -11,7 +11,6 @@ from scipy import special
 
 from stiffopt.closed_loop.parameters import BODY_PARAMETERS
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.channel import Channel, channel_name
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension
 from stiffopt.discovery.diagnosis import (
@@ -27,6 +26,7 @@ from stiffopt.discovery.judging.unexplained import ChannelVerdict, Unexplained
 from stiffopt.discovery.laws.law import LAW_FAMILY
 from stiffopt.discovery.loop_effects import loop_parameter
 from stiffopt.discovery.loop_fit import stated_tolerance
+from stiffopt.discovery.names import Channel, channel_name
 from stiffopt.discovery.position_fit import ClosedLoopModel
 from stiffopt.discovery.search.left_out_gain import left_out_gains
 from stiffopt.discovery.search.rivals import Selected

@@ -1,28 +1,23 @@
 """Tool error that an exact lead leaves on uncertain arms, by their simulation.
 
-The command leads the nominal servo exactly and by the mean wind-up of the softest and the stiffest
-joints, without regard to limits of the motors. The error is that of the worst arms of the
-`ParameterBox`.
+The command leads the servo in the middle of the bounds exactly, and by the mean wind-up of the
+softest and the stiffest joints, without regard to limits of the motors. The error is that of the
+worst arms of the `ParameterBox`.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.bearing_lead import LedPlan, bearing_lead
 from stiffopt.elastic.motor import MotorMotion
+from stiffopt.elastic.servo import Servo
 from stiffopt.elastic.uncertain_arms import Member, UncertainArms
-from stiffopt.elastic.uncertainty import ParameterBox
+from stiffopt.elastic.uncertainty import ParameterBox, Uncertainty
 from stiffopt.elastic.worst_arms import worst_levels
 from stiffopt.result.tool_error import LedError
-
-if TYPE_CHECKING:
-    from stiffopt.elastic.arm import ElasticArm
-    from stiffopt.elastic.servo import Servo
-    from stiffopt.elastic.uncertainty import Uncertainty
-    from stiffopt.result.trajectory import JointMotion
+from stiffopt.result.trajectory import JointMotion
 
 _TIME_STEP = 1e-3  # of the lead [s]
 # Rate at which the servo's response to a constant speed is evaluated [1/s].
@@ -34,12 +29,12 @@ def led_error(
 ) -> LedError:
     """Return the worst tool errors of uncertain arms whose motors lead a plan exactly.
 
-    `plan`: motion of the links, at rest at both ends. `servo`: nominal one, whose lag the command
-    leads.
+    `plan`: motion of the links, at rest at both ends. `servo`: the nominal one.
     """
-    worst_servo = uncertainty.worst_servo(servo)
+    worst_servo, led = uncertainty.worst_servo(servo), uncertainty.led_servo(servo)
     differs = worst_servo != servo
-    many = UncertainArms(arm, plan, worst=_ServoChange(servo, worst_servo) if differs else None)
+    nominal, slowest = (_ServoChange(led, each) for each in (servo, worst_servo))
+    many = UncertainArms(arm, plan, nominal, slowest if differs else None)
     box = ParameterBox(uncertainty, arm.robot, servo=differs)
     command = _ideal_command(arm, plan, uncertainty)
     worst = worst_levels(many, command, box)
@@ -49,7 +44,8 @@ def led_error(
     levels = np.concatenate([worst, alone])
     members = [Member(command=command, departure=box.departure(each)) for each in levels]
     error = many.simulate(members)
-    flight, after = (error.peak(each) for each in (error.flight, error.after))
+    in_flight, after = error.peaks(error.flight), error.peak(error.after)
+    flight = in_flight["position"]
     hardest = int(np.argmax(flight[: len(worst)]))
     instant = int(np.argmax(np.where(error.flight, error.distance[hardest], -1.0)))
     nominal, *single = error.position[len(worst) :, instant]
@@ -61,6 +57,7 @@ def led_error(
     return LedError(
         in_flight=float(flight.max()),
         after_arrival=float(after.max()),
+        across=float(in_flight["across"].max()),
         shares={kind: square / whole for kind, square in squares.items()},
     )
 
@@ -88,10 +85,13 @@ def _ideal_command(arm: ElasticArm, plan: JointMotion, uncertainty: Uncertainty)
 class _ServoChange:
     """Response of one servo to a command that leads another one exactly."""
 
-    follows_exactly = False
+    def __init__(self, led: Servo, actual: Servo) -> None:
+        self._led, self._actual = led, actual
 
-    def __init__(self, servo: Servo, worst: Servo) -> None:
-        self._servo, self._worst = servo, worst
+    @property
+    def follows_exactly(self) -> bool:
+        """True for the servo that is led."""
+        return self._led == self._actual
 
     def follow(self, command: MotorMotion, until: float, ahead: float = 0.0) -> MotorMotion:
         """Motion until a time [s], by the transfer functions, padded by as long a rest."""
@@ -100,7 +100,7 @@ class _ServoChange:
         s = 2j * np.pi * np.fft.rfftfreq(2 * len(time), until / steps)
         s[0] = _SLOW_RATE
         spectrum = np.fft.rfft(command(time, 1), 2 * len(time), axis=0)
-        spectrum *= ((self._worst.transfer(s) / self._servo.transfer(s) - 1.0) / s)[:, None]
+        spectrum *= ((self._actual.transfer(s) / self._led.transfer(s) - 1.0) / s)[:, None]
         s[0] = 0.0
         late, rate = (np.fft.irfft(spectrum * s[:, None] ** k, axis=0)[: len(time)] for k in (0, 1))
         return MotorMotion(time, command(time) + late, command(time, 1) + rate)

@@ -16,7 +16,7 @@ import numpy as np
 
 from stiffopt.elastic import native
 from stiffopt.elastic.arm import ElasticArm
-from stiffopt.elastic.bearing_joints import BearingJoints
+from stiffopt.elastic.bearings import BearingJoints
 from stiffopt.elastic.modes import modes
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.servo import Servo
@@ -198,21 +198,23 @@ class UncertainArms:
         Nominal arm.
     plan : JointMotion
         At rest at both ends; its second derivative is used.
-    servo : Servo, optional
-    worst : Follower, optional
+    servo, worst : Follower, optional
         The nominal and the worst servo; each departure has a share of the difference of their
-        responses. Set-points are sent the nominal dead time ahead. None follows exactly.
+        responses. Default one that follows exactly, and the nominal one.
+    ahead : float
+        Time by which set-points are sent ahead [s].
     """
 
     def __init__(
         self,
         arm: ElasticArm,
         plan: JointMotion,
-        servo: Servo | None = None,
+        servo: Follower | None = None,
         worst: Follower | None = None,
+        ahead: float = 0.0,
     ) -> None:
-        self._servo: Servo = servo or Servo()
-        self._worst: Follower = worst or self._servo
+        self._servo: Follower = servo or Servo()
+        self._worst, self._ahead = worst or self._servo, ahead
         self.duration = plan.duration
         start = plan(np.zeros(1))[0]
         self._bearings = BearingJoints(arm, start) if arm.robot.tilts else None
@@ -352,7 +354,7 @@ class UncertainArms:
         if self._bearings is not None:
             command = self._bearings.motion(command)
         if not servo.follows_exactly:
-            command = servo.follow(command, self.time[-1], self._servo.dead_time)
+            command = servo.follow(command, self.time[-1], self._ahead)
         return np.stack([command(self.time), command(self.time, 1)], axis=1)
 
     def initial_equilibrium(self, arms: _DepartureArrays, turn: np.ndarray) -> np.ndarray:

@@ -113,6 +113,34 @@ class Uncertainty:
             delay=given(self.servo_delay, servo.delay),
         )
 
+    def led_servo(self, servo: Servo) -> Servo:
+        """Return the servo that a command leads, about a nominal one that is not exact.
+
+        Its lag lies midway between the nominal and the worst one's, so that the largest error of
+        both is least.
+        """
+        worst = self.worst_servo(servo)
+        if servo.leads_exactly or worst == servo:
+            return servo
+        both = [
+            (
+                s.bandwidth or 0.0,
+                s.feed_forward or 0.0,
+                s.torque_feed_forward or 0.0,
+                s.delay or 0.0,
+            )
+            for s in (servo, worst)
+        ]
+        bandwidth, *others = np.transpose(both)
+        forward, torque, delay = (float(np.mean(each)) for each in others)
+        return replace(
+            servo,
+            bandwidth=float(1.0 / np.mean(1.0 / bandwidth)),
+            feed_forward=forward,
+            torque_feed_forward=torque,
+            delay=delay,
+        )
+
     def shares(self, joints: int) -> np.ndarray:
         """Shares (n,) by which the stiffness of each joint may be off.
 

@@ -7,16 +7,11 @@ parameters whose change alone makes the error larger are changed together, those
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from stiffopt.elastic.uncertain_arms import Member
-
-if TYPE_CHECKING:
-    from stiffopt.elastic.motor import MotorMotion
-    from stiffopt.elastic.uncertain_arms import UncertainArms
-    from stiffopt.elastic.uncertainty import ParameterBox
+from stiffopt.elastic.motor import MotorMotion
+from stiffopt.elastic.uncertain_arms import Member, UncertainArms
+from stiffopt.elastic.uncertainty import ParameterBox
 
 # Rounds of exchanges: most searches end after three.
 _MAX_ROUNDS = 5

@@ -1,7 +1,7 @@
 """Tool error of the commanded arm as smooth functions of the links' state, for the optimiser.
 
 Where the command leads the nominal arm exactly, the error left on an arm with other parameters is
-that of the parameters alone (`elastic.led_error`). In flight it is quasi-static: a joint
+that of the parameters alone (`elastic.worst_arms`). In flight it is quasi-static: a joint
 whose stiffness is off by a share misses by that share of its dynamic wind-up (at a kink of a
 reducer by more or less, and with many local optima), the payload by the
 wind-up under its own inertia, an output bearing by that share of its deflection beyond that at
@@ -17,8 +17,10 @@ That counts the content about a mode rather than at it, as the mode is uncertain
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING
 
+import casadi as ca
 import numpy as np
 import scipy
 
@@ -36,6 +38,9 @@ if TYPE_CHECKING:
 _MIN_RINGING_SHARE = 0.1
 # Rate about which the servo's response is expanded [1/s]: slow beside any bandwidth.
 _SLOW_RATE = 1e-2
+# Speed of the tool below which its path has hardly a direction [m/s]: with a tenth of it corners
+# that are passed slowly leave the solver at its looser tolerance.
+_REST_SPEED = 0.1
 
 
 class CommandedError:
@@ -51,34 +56,57 @@ class CommandedError:
     @property
     def quasi_static(self) -> Quantity:
         """Sum of the squared quasi-static errors of all parameters but the servo's [m^2]."""
-        model, joints = self._model, range(self._model.robot.n)
-        total: Quantity = sum(
-            self._tool_square({j: self._bounds[j] * model.dynamic_windup[j]}) for j in joints
-        )
-        bearings = dynamic_bearing_displacements(model.robot, *model.link)
-        for away in bearings.values():
-            total += self._uncertainty.bearing_stiffness**2 * squared_length(
-                [away[i] for i in range(3)]
-            )
-        if model.robot.payload is not None:
-            compliance = np.mean([_compliance(model, pose) for pose in model.rest_poses], axis=0)
-            load = model.payload_torque
-            total += self._tool_square(
-                {j: self._uncertainty.payload * compliance[j] * load[j] for j in joints}
-            )
-        return total
+        return sum(squared_length(each) for each in self._quasi_static_errors)
 
     @property
     def lateness(self) -> Quantity:
         """Squared error of the worst servo [m^2]."""
-        return self._tool_square(dict(enumerate(self._servo_lag)))
+        return squared_length(self._late)
 
-    def _tool_square(self, angles: dict[int, Quantity]) -> Quantity:
-        """Return the squared displacement of the tool by angles of joints [rad]."""
+    @property
+    def quasi_static_across(self) -> Quantity:
+        """Sum of the squared quasi-static errors across the tool's path [m^2]."""
+        return sum(self._square_across(each) for each in self._quasi_static_errors)
+
+    @property
+    def lateness_across(self) -> Quantity:
+        """Squared error of the worst servo across the tool's path [m^2]."""
+        return self._square_across(self._late)
+
+    @cached_property
+    def _quasi_static_errors(self) -> list[Quantity]:
+        """Quasi-static errors of the tool (3,) by each parameter but the servo's [m]."""
+        model, joints = self._model, range(self._model.robot.n)
+        found = [self._at_tool({j: self._bounds[j] * model.dynamic_windup[j]}) for j in joints]
+        bearings = dynamic_bearing_displacements(model.robot, *model.link)
+        found += [self._uncertainty.bearing_stiffness * away[:3] for away in bearings.values()]
+        if model.robot.payload is not None:
+            compliance = np.mean([_compliance(model, pose) for pose in model.rest_poses], axis=0)
+            load = model.payload_torque
+            found.append(
+                self._at_tool(
+                    {j: self._uncertainty.payload * compliance[j] * load[j] for j in joints}
+                )
+            )
+        return found
+
+    @cached_property
+    def _late(self) -> Quantity:
+        """Error of the tool (3,) by the worst servo [m]."""
+        return self._at_tool(dict(enumerate(self._servo_lag)))
+
+    def _at_tool(self, angles: dict[int, Quantity]) -> Quantity:
+        """Return the displacement of the tool (3,) by angles of joints [rad]."""
         jacobian = self._model.jacobian
-        return squared_length(
-            [sum(jacobian[i, j] * angle for j, angle in angles.items()) for i in range(3)]
+        return ca.vertcat(
+            *(sum(jacobian[i, j] * angle for j, angle in angles.items()) for i in range(3))
         )
+
+    def _square_across(self, error: Quantity) -> Quantity:
+        """Return the square of an error (3,) across the tool's path; zero where the tool rests."""
+        speed = self._at_tool(dict(enumerate(ca.vertsplit(self._model.link[1]))))
+        square = squared_length(speed) + _REST_SPEED**2
+        return squared_length(ca.cross(error, speed)) / square
 
     @property
     def ringing_rate(self) -> Quantity:
@@ -89,8 +117,9 @@ class CommandedError:
     @property
     def _servo_lag(self) -> list[Quantity]:
         """Motors' error with the worst servo, to the second rate of the links' motion [rad]."""
-        worst, s = self._uncertainty.worst_servo(self._servo), np.array([1j * _SLOW_RATE])
-        late = complex((worst.transfer(s) / self._servo.transfer(s))[0]) - 1.0
+        unsure, s = self._uncertainty, np.array([1j * _SLOW_RATE])
+        worst, led = unsure.worst_servo(self._servo), unsure.led_servo(self._servo)
+        late = complex((worst.transfer(s) / led.transfer(s))[0]) - 1.0
         first, second = late.imag / _SLOW_RATE, -late.real / _SLOW_RATE**2
         _, v, a = self._model.link
         return [first * v[j] + second * a[j] for j in range(self._model.robot.n)]

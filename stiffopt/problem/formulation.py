@@ -8,7 +8,7 @@ widths over which laws are smooth (`problem.stage_terms`).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -18,7 +18,7 @@ from stiffopt.dynamics.kinematics import frame_pose
 from stiffopt.problem.arrival_modes import ArrivalModes
 from stiffopt.problem.coordinates import Coordinates, coordinates_of
 from stiffopt.problem.motor_model import LAW_SMOOTHING_FACTOR, ApproximateMotorModel, MotorModel
-from stiffopt.problem.objective import TermInputs
+from stiffopt.problem.objective import Scales, TermInputs
 from stiffopt.problem.rest_poses import torque_sides
 from stiffopt.problem.stage_model import StageModel
 from stiffopt.problem.stage_terms import (
@@ -36,19 +36,6 @@ from stiffopt.transcription.ocp import OptimalControlProblem, Rows, Waypoint
 
 if TYPE_CHECKING:
     from stiffopt.elastic.modes import Mode
-
-
-@dataclass(frozen=True)
-class Scales:
-    """Typical objective values that scale the NLP without changing its solution."""
-
-    # A typical value of each objective, in its SI unit.
-    values: Mapping[str, float] = field(default_factory=dict)
-
-    def of(self, name: str) -> float:
-        """Typical value of an objective; 1 where unknown."""
-        value = self.values.get(name, 1.0)
-        return value if np.isfinite(value) and value > 0 else 1.0
 
 
 def formulate(
@@ -249,7 +236,7 @@ class _WeightedSum:
             scale = scales.of(objective.name)
             variables = objective.kind.static_variables(objective, problem, model.sides)
             statics = tuple(ca.SX.sym(variable.name) for variable in variables)
-            terms = objective.kind.terms(TermInputs(objective, problem, model, statics, scale))
+            terms = objective.kind.terms(TermInputs(objective, problem, model, statics, scales))
             start = len(self.integrands)
             sign = -1.0 if objective.maximised else 1.0
             self._values.append((sign * objective.weight * unit, start, terms))

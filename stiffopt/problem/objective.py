@@ -7,7 +7,7 @@ file reference use the registry, so that a new objective needs only a new file.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -105,9 +105,26 @@ class ObjectiveKind(ABC):
     def certified_value(self, objective: Objective, motion: Assessment) -> float:
         """Value [SI] on the fine grid of an assessed motion."""
 
+    def scales(self, objective: Objective, motions: Sequence[Assessment]) -> dict[str, float]:
+        """Return typical values by name, of motions of which the first is the usual one."""
+        return {self.name: self.certified_value(objective, motions[0])}
+
     def joint_integrals(self, robot: Robot, motion: Assessment) -> np.ndarray | None:
         """Integral of each joint (n,) over an assessed motion; None for other kinds."""
         return None
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Typical objective values that scale the NLP without changing its solution."""
+
+    # A typical value of each objective, in its SI unit.
+    values: Mapping[str, float] = field(default_factory=dict)
+
+    def of(self, name: str) -> float:
+        """Typical value of an objective; 1 where unknown."""
+        value = self.values.get(name, 1.0)
+        return value if np.isfinite(value) and value > 0 else 1.0
 
 
 @dataclass(frozen=True)
@@ -118,7 +135,12 @@ class TermInputs:
     problem: TrajectoryProblem
     model: StageModel
     statics: tuple[Quantity, ...]  # those of `ObjectiveKind.static_variables`
-    scale: float  # typical value of the objective [SI]
+    scales: Scales  # typical values
+
+    @property
+    def scale(self) -> float:
+        """Typical value of the objective [SI]."""
+        return self.scales.of(self.objective.name)
 
 
 OBJECTIVES: Registry[ObjectiveKind] = Registry("stiffopt.problem.objectives")

@@ -275,6 +275,11 @@ class TrajectoryProblem:
             check_link_planning(self, name, f"leave {name} out")
             check_arrival(self, name)
 
+    @property
+    def led_servo(self) -> Servo:
+        """Servo whose lag commands lead, and whose dead time they are sent ahead."""
+        return self.uncertainty.led_servo(self.servo)
+
     def _path_through(self, waypoints: np.ndarray) -> JointPath:
         """Return the path through waypoints; raise `ProblemError` where they are none."""
         points = np.asarray(waypoints, dtype=float)

@@ -7,7 +7,6 @@ import numpy as np
 from stiffopt.baseline.baselines import quintic_motion
 from stiffopt.budget.sources import States
 from stiffopt.elastic.motor import MotorMotion
-from stiffopt.elastic.servo import Servo
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.recipe.stored_result import StoredResult
@@ -19,7 +18,7 @@ _INSTANT_COUNT = 121
 def problem_states(problem: TrajectoryProblem) -> States:
     """Return the states of the quintic motion of a problem, at the least duration allowed."""
     motion = MotorMotion.of(quintic_motion(problem, resolve(problem)))
-    return _sample_states(motion, motion, problem.servo)
+    return _sample_states(motion, motion, problem)
 
 
 def solved_states(stored: StoredResult) -> States:
@@ -27,13 +26,13 @@ def solved_states(stored: StoredResult) -> States:
     own = stored.optimised
     motion = MotorMotion(own.time, own.position, own.velocity)
     command = motion if stored.command is None else MotorMotion.of(stored.command.motors)
-    return _sample_states(motion, command, stored.problem.servo)
+    return _sample_states(motion, command, stored.problem)
 
 
-def _sample_states(motion: MotorMotion, command: MotorMotion, servo: Servo) -> States:
+def _sample_states(motion: MotorMotion, command: MotorMotion, problem: TrajectoryProblem) -> States:
     time = np.linspace(0.0, motion.duration, _INSTANT_COUNT)
     # Commands are sent ahead of the plan by the known dead time.
-    followed = servo.follow(command, motion.duration, servo.dead_time)
+    followed = problem.servo.follow(command, motion.duration, problem.led_servo.dead_time)
     lag = followed.position(time) - motion.position(time)
     return States(
         time=time,

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
@@ -81,17 +82,26 @@ class ToolError:
 class LedError:
     """Worst tool error that an exact lead leaves on uncertain arms."""
 
+    # Errors that rivals are compared in.
+    KINDS: ClassVar[tuple[str, ...]] = ("in_flight", "after_arrival", "across")
+
     # Peaks of the position error, each on the worst arm for it [m].
     in_flight: float
     after_arrival: float
+    across: float  # in flight, across the path
     # By kind of source, in the sum of the squares of what each parameter does alone, where the
     # error is largest in flight.
     shares: dict[str, float]
 
     @property
     def whole(self) -> float:
-        """Sum of both peaks [m]."""
+        """Sum of the peaks in flight and after arrival [m]."""
         return self.in_flight + self.after_arrival
+
+    def ratios_to(self, other: LedError) -> tuple[float, ...]:
+        """Errors over another motion's, in flight, after arrival and across the path; or zero."""
+        both = ((getattr(self, kind), getattr(other, kind)) for kind in self.KINDS)
+        return tuple(own / beside if beside > 0.0 else 0.0 for own, beside in both)
 
 
 def join_tool_errors(errors: Sequence[ToolError]) -> ToolError:

@@ -102,7 +102,7 @@ class BetweenRivals(OutcomeOracle):
         return better
 
     def _worse(self, plan: Trajectory, led: LedError | None = None) -> Rank:
-        """Return the error over the best rival's, of the phase that is worse, and its sum."""
+        """Return the largest error over the best rival's, and the sum of both phases."""
         led = led or self._errors.of_plan(plan)
         return max(*self._errors.ratios(plan, led), MAX_RIVAL_RATIO), led.whole
 

@@ -20,9 +20,9 @@ from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.command.command_search import CommandChoice
 from stiffopt.command.simulation import check_simulation
 from stiffopt.problem.bounds import shortest_duration
-from stiffopt.problem.formulation import Scales
 from stiffopt.problem.input_checks import check_clear_poses
 from stiffopt.problem.limits.travel import with_bounded_travel
+from stiffopt.problem.objective import Scales
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.problem.trajectory import TrajectoryProblem

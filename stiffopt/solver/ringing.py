@@ -30,7 +30,7 @@ _TARGET_RATIO = 0.8
 
 
 class RingingBesideRivals(OutcomeOracle):
-    """Worst errors in flight and after arrival, neither above that of the best rival."""
+    """Worst errors in flight, after arrival and across the path, none above the best rival's."""
 
     step = "ringing beside the best rival"
     rounds = _MAX_ROUNDS
@@ -52,6 +52,7 @@ class RingingBesideRivals(OutcomeOracle):
                     LedError(
                         in_flight=each.compensated.flight.worst,
                         after_arrival=each.compensated.after.worst,
+                        across=each.compensated.flight.parts["across"].worst,
                         shares={},
                     ),
                 )
@@ -67,7 +68,7 @@ class RingingBesideRivals(OutcomeOracle):
 
     def propose(self, last: Outcome, number: int) -> Proposal[Outcome] | None:
         """Return a solve with another weight; None where that cannot help."""
-        flight, after = self._ratios(last)
+        flight, after, _ = self._ratios(last)
         if max(flight, after) <= 1.0 or not last.raw.converged:
             return None
         # The ringing enters as its square.
@@ -79,7 +80,7 @@ class RingingBesideRivals(OutcomeOracle):
         reason = f"the worst arm is {max(flight, after):.2f} times the best rival's {where}"
         return Proposal(reason, lambda: self._solve(last, float(weight) - 1.0))
 
-    def _ratios(self, found: Outcome) -> tuple[float, float]:
+    def _ratios(self, found: Outcome) -> tuple[float, ...]:
         return self._rivals.ratios(found.planned, found.assessment.led)
 
     def _solve(self, last: Outcome, robust: float) -> Outcome:

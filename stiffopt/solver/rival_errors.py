@@ -21,23 +21,23 @@ class RivalErrors:
         self._run = run
         self._rivals = [each for each in rivals if min(each[1].in_flight, each[1].after_arrival)]
 
-    def ratios(self, plan: Trajectory, led: LedError | None) -> tuple[float, float]:
-        """Return the errors over the best rival's, in flight and after arrival; zeros without one.
+    def ratios(self, plan: Trajectory, led: LedError | None) -> tuple[float, ...]:
+        """Return the errors over the best rival's, as of `LedError.ratios_to`; zeros without one.
 
-        The best rival is the one beside which the sum of both is largest.
+        The best rival is the one beside which the sum of both phases is largest.
         """
         pairs = [] if led is None else list(self._pairs(plan, led))
         if not pairs:
-            return 0.0, 0.0
+            return (0.0,) * len(LedError.KINDS)
         own, best = max(pairs, key=lambda each: each[0].whole / each[1].whole)
-        return own.in_flight / best.in_flight, own.after_arrival / best.after_arrival
+        return own.ratios_to(best)
 
     def _pairs(self, plan: Trajectory, led: LedError) -> Iterator[tuple[LedError, LedError]]:
         """Yield errors of the motion, and of a rival, at equal duration."""
         for duration, rival in self._rivals:
             slower = duration > (1.0 + MIN_SLOWDOWN) * plan.duration
-            beaten = led.in_flight <= rival.in_flight and led.after_arrival <= rival.after_arrival
-            # A slower rival that is better in no phase would be beaten by more.
+            beaten = max(led.ratios_to(rival)) <= 1.0
+            # A slower rival that is better in no error would be beaten by more.
             fair = not slower or beaten
             yield led if fair else self.of_plan(plan.scaled_to(duration)), rival
 

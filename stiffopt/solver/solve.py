@@ -27,7 +27,6 @@ from stiffopt.path.path_duty import describe_duty
 from stiffopt.path.timed_path import FASTEST_REASON, timed_motion
 from stiffopt.problem.bounds import check_bounds, shortest_duration
 from stiffopt.problem.files import LoadedProblem
-from stiffopt.problem.formulation import Scales
 from stiffopt.problem.input_checks import (
     check_clear_poses,
     inconsistent_inertias,
@@ -35,6 +34,7 @@ from stiffopt.problem.input_checks import (
     slack_belts,
 )
 from stiffopt.problem.limits.travel import with_bounded_travel
+from stiffopt.problem.objective import Scales
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
 from stiffopt.result.assessment import Assessment
@@ -347,12 +347,12 @@ def _describe_held_joints(problem: TrajectoryProblem) -> tuple[str, ...]:
 
 
 def _objective_scales(problem: TrajectoryProblem, compared: dict[str, Baseline]) -> Scales:
-    """Return typical values of the objectives, from a baseline."""
-    for baseline in compared.values():
-        if baseline.assessment is not None:
-            motion = baseline.assessment
-            return Scales({o.name: o.kind.certified_value(o, motion) for o in problem.objectives})
-    return Scales()
+    """Return typical values of the objectives, from baselines."""
+    motions = [each.assessment for each in compared.values() if each.assessment is not None]
+    values: dict[str, float] = {}
+    for objective in problem.objectives if motions else ():
+        values |= objective.kind.scales(objective, motions)
+    return Scales(values)
 
 
 def solution_of(

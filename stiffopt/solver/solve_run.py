@@ -19,8 +19,9 @@ from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.modes import Mode, modes
 from stiffopt.elastic.smooth_motion import smooth_motion
 from stiffopt.errors import NotSimulatedError
-from stiffopt.problem.formulation import Scales, formulate, law_smoothing
+from stiffopt.problem.formulation import formulate, law_smoothing
 from stiffopt.problem.motor_model import MotorLaw, round_lags
+from stiffopt.problem.objective import Scales
 from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
 from stiffopt.result.solution import Baseline
 from stiffopt.solver.clearance_rows import ClearanceRows

@@ -13,7 +13,7 @@ from tilting_arms import simulated_tool, tilting_arm
 from stiffopt.baseline.rivals import quintic_law
 from stiffopt.drivetrain.bearing import OutputBearing
 from stiffopt.elastic.arm import ElasticArm
-from stiffopt.elastic.bearing_lead import LedPlan, bearing_lead
+from stiffopt.elastic.bearings import LedPlan, bearing_lead
 from stiffopt.elastic.led_error import led_error
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.servo import Servo

@@ -41,14 +41,19 @@ def test_error_is_that_of_a_made_command_on_the_worst_of_all_corners(planned):
     # Bounds whose mean wind-up is hardly above the nominal one, by which the made command leads.
     unsure = Uncertainty(stiffness=0.05, servo_bandwidth=18.0, servo_delay=2e-3)
     motors = MotorLaw(elastic.robot).motion(link, 1e-3, elastic.lag(link(np.zeros(1))[0]))
-    many = UncertainArms(elastic, MotorMotion.of(link), SERVO, unsure.worst_servo(SERVO))
-    command, box = MotorMotion.of(SERVO.lead(motors)), ParameterBox(unsure, elastic.robot)
+    led, worst = unsure.led_servo(SERVO), unsure.worst_servo(SERVO)
+    many = UncertainArms(elastic, MotorMotion.of(link), SERVO, worst, led.dead_time)
+    command, box = MotorMotion.of(led.lead(motors)), ParameterBox(unsure, elastic.robot)
     levels = np.zeros((32, len(box.nominal)))
     levels[:, box.free] = list(product((-1.0, 1.0), repeat=5))
     error = many.simulate([Member(command=command, departure=box.departure(x)) for x in levels])
     found = led_error(elastic, link, unsure, SERVO)
-    for own, phase in ((found.in_flight, error.flight), (found.after_arrival, error.after)):
-        assert own == pytest.approx(error.peaks(phase)["position"].max(), rel=0.03)
+    for own, phase, kind in (
+        (found.in_flight, error.flight, "position"),
+        (found.after_arrival, error.after, "position"),
+        (found.across, error.flight, "across"),
+    ):
+        assert own == pytest.approx(error.peaks(phase)[kind].max(), rel=0.03)
     assert list(found.shares) == ["stiffness", "damping", "payload", "servo"]
     assert sum(found.shares.values()) == pytest.approx(1.0)
     assert found.whole == found.in_flight + found.after_arrival
@@ -72,9 +77,10 @@ def test_bounds_hold_for_sampled_arms_and_are_tight():
     elastic = ElasticArm(robot, path(np.zeros(1))[0])
     link = smooth_motion(path.follow(quintic_law(0.5)), 0.02)
     usual, servo = Uncertainty(), Servo(kind="industrial")
-    many = UncertainArms(elastic, link, servo, usual.worst_servo(servo))
+    led = usual.led_servo(servo)
+    many = UncertainArms(elastic, link, servo, usual.worst_servo(servo), led.dead_time)
     motors = MotorLaw(robot).motion(link, 1e-2, elastic.lag(link(np.zeros(1))[0]))
-    command = MotorMotion.of(servo.lead(motors))
+    command = MotorMotion.of(led.lead(motors))
     drawn, other = (
         many.simulate(
             [
@@ -92,3 +98,31 @@ def test_bounds_hold_for_sampled_arms_and_are_tight():
         assert np.mean(peaks > spread.bound) <= 0.05
         assert spread.bound <= 1.3 * np.quantile(peaks, 0.95)
         assert peaks.max() < 1.02 * worst
+
+
+@pytest.mark.parametrize(
+    ("servo", "worst"),
+    [
+        (Servo(bandwidth=20.0, feed_forward=0.9, delay=4e-3), {}),
+        (Servo(bandwidth=25.0, feed_forward=0.95, delay=2e-3), {"servo_delay": 3e-3}),
+    ],
+)
+def test_command_leads_the_middle_of_the_uncertain_servos(servo, worst):
+    """A slow motion is as early behind the nominal servo as it is late behind the worst one."""
+    unsure, s = Uncertainty(**worst), np.array([1e-2j])
+    led = unsure.led_servo(servo)
+    lags = [
+        (each.transfer(s) / led.transfer(s) - 1.0)[0] for each in (servo, unsure.worst_servo(servo))
+    ]
+    whole = (unsure.worst_servo(servo).transfer(s) / servo.transfer(s) - 1.0)[0]
+    assert lags[0].imag == pytest.approx(-lags[1].imag, rel=1e-3)
+    assert lags[1].imag == pytest.approx(0.5 * whole.imag, rel=1e-3)
+    # The error by the acceleration, across a bent path, is halved within a tenth.
+    assert lags[1].real == pytest.approx(0.5 * whole.real, rel=0.1)
+
+
+def test_servo_that_follows_exactly_or_is_certain_is_led_as_it_is():
+    exact, late = Servo(), Servo(bandwidth=20.0, feed_forward=0.9, torque_feed_forward=0.9)
+    assert Uncertainty().led_servo(exact) is exact
+    sure = Uncertainty(servo_bandwidth=20.0, servo_torque_feed_forward=0.9)
+    assert sure.led_servo(late) is late

@@ -17,7 +17,7 @@ from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
 from stiffopt.errors import InputError
-from stiffopt.problem.formulation import Scales, exact_path_rows, formulate
+from stiffopt.problem.formulation import exact_path_rows, formulate
 from stiffopt.problem.motor_model import (
     LAW_SMOOTHING_FACTOR,
     ApproximateMotorModel,
@@ -25,6 +25,7 @@ from stiffopt.problem.motor_model import (
     MotorModel,
     round_lags,
 )
+from stiffopt.problem.objective import Scales
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.problem.trajectory import Method

@@ -19,9 +19,8 @@ from stiffopt.elastic.simulate import simulate
 from stiffopt.errors import InputError
 from stiffopt.problem.arrival_modes import ArrivalModes
 from stiffopt.problem.files import load_problem
-from stiffopt.problem.formulation import Scales
 from stiffopt.problem.limit import LIMITS
-from stiffopt.problem.objective import OBJECTIVES, TermInputs
+from stiffopt.problem.objective import OBJECTIVES, Scales, TermInputs
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.report.solve.wording import objective_phrase
@@ -206,7 +205,7 @@ def test_snap_is_scaled_without_velocity_limit(tmp_path):
     assert not np.isfinite(problem.active_limits.velocity).any()
     snap = ca.SX.sym("snap", problem.joints)
     kind, (objective,) = OBJECTIVES["residual_vibration"], problem.objectives
-    terms = kind.terms(TermInputs(objective, problem, SimpleNamespace(snap=snap), (), 1.0))
+    terms = kind.terms(TermInputs(objective, problem, SimpleNamespace(snap=snap), (), Scales()))
     value = ca.Function("value", [snap], terms.integrands)
     for own in np.eye(problem.joints):
         assert float(value(own)) > 0.0

@@ -11,7 +11,8 @@ from small_arms import ROOT, load
 from stiffopt import native, solve
 from stiffopt.command.command_search import CommandSearch
 from stiffopt.problem.files import load_problem
-from stiffopt.problem.formulation import Scales, formulate
+from stiffopt.problem.formulation import formulate
+from stiffopt.problem.objective import Scales
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.result.provenance import inputs_hash

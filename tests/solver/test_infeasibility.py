@@ -6,7 +6,8 @@ import pytest
 from small_arms import load
 
 from stiffopt import SolveStatus, native, solve
-from stiffopt.problem.formulation import Scales, formulate
+from stiffopt.problem.formulation import formulate
+from stiffopt.problem.objective import Scales
 from stiffopt.problem.resolve import resolve
 from stiffopt.solver.infeasibility import _RelaxedProgramme, minimise_excess
 from stiffopt.transcription.build import transcribe

@@ -8,8 +8,8 @@ import pytest
 
 from stiffopt.baseline.baselines import baselines
 from stiffopt.problem.files import load_problem
-from stiffopt.problem.formulation import Scales, formulate
-from stiffopt.problem.objective import Objective
+from stiffopt.problem.formulation import formulate
+from stiffopt.problem.objective import Objective, Scales
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.solver.initial_guess import initial_guess

@@ -9,7 +9,8 @@ from small_arms import load
 from stiffopt import Limits, Method, Objective, ProblemError, Target, solve
 from stiffopt.certificate.assess import assess
 from stiffopt.certificate.objective_value import improvement
-from stiffopt.problem.formulation import Scales, formulate
+from stiffopt.problem.formulation import formulate
+from stiffopt.problem.objective import Scales
 from stiffopt.problem.resolve import resolve
 from stiffopt.result.status import SolveStatus
 from stiffopt.result.trajectory import Trajectory

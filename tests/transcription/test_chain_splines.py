@@ -7,7 +7,8 @@ from numpy.polynomial import Polynomial
 from small_arms import ROOT
 
 from stiffopt.problem.files import load_problem
-from stiffopt.problem.formulation import Scales, formulate
+from stiffopt.problem.formulation import formulate
+from stiffopt.problem.objective import Scales
 from stiffopt.problem.resolve import resolve
 from stiffopt.transcription.build import transcribe
 from stiffopt.transcription.chain_splines import ChainSplines

@@ -7,7 +7,8 @@ from small_arms import load
 
 from stiffopt import native
 from stiffopt.baseline.baselines import baselines
-from stiffopt.problem.formulation import Scales, formulate
+from stiffopt.problem.formulation import formulate
+from stiffopt.problem.objective import Scales
 from stiffopt.problem.resolve import resolve
 from stiffopt.solver.initial_guess import initial_guess
 from stiffopt.transcription.build import transcribe

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import softmax
 
-from stiffopt.discovery.channel import channel_name
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, LocatedEffect
 from stiffopt.discovery.judging.unexplained import assess_findings
@@ -24,6 +23,7 @@ from stiffopt.discovery.law_search.search import (
 from stiffopt.discovery.laws.law import LAW_FAMILY, Law, Place, law_effect
 from stiffopt.discovery.laws.sources import LawSource
 from stiffopt.discovery.laws.table import ResidualTable
+from stiffopt.discovery.names import channel_name
 from stiffopt.discovery.progress import Say
 from stiffopt.discovery.search.candidates import Scorer
 from stiffopt.discovery.search.joint_fit import passes_thresholds, prune_effects
@@ -235,10 +235,10 @@ class _State:
         ]
         return sorted(found, key=lambda c: c >= n)
 
-    def _findings_at(self, channel: int) -> list[LocatedEffect]:
+    def _findings_at(self, channel: int) -> list[Selected]:
         """Return the findings at a channel's joint that a law could take the place of."""
         return [
-            each.located
+            each
             for each in self.kept
             if each.channel % self.comparison.robot.n == channel % self.comparison.robot.n
             and self._is_replaceable(each)
@@ -260,12 +260,13 @@ class _State:
         own = self._findings_at(number)
         beside = OpenChannel(self.comparison, self.effects, number)
         if own:
-            others = [e for e in self.effects if e not in own]
+            replaced = [each.located for each in own]
+            others = [e for e in self.effects if e not in replaced]
             apart = OpenChannel(self.comparison, others, number)
             if may_beat(apart, beside.square, own):
                 outcome = search_channel(apart)
                 if outcome.best is not None and beats(apart, outcome.best, beside.square, own):
-                    self.effects, self._dropped = others, own
+                    self.effects, self._dropped = others, replaced
                     return outcome
             if not is_open:
                 return None

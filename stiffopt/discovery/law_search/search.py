@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.law_search.fit_law import FittedLaw, as_fitted, fit_shapes, score_starts
 from stiffopt.discovery.law_search.free_function import (
     FreeTerm,
@@ -23,8 +22,8 @@ from stiffopt.discovery.laws.forms import FORMS
 from stiffopt.discovery.laws.law import Factor, Law, Place
 from stiffopt.discovery.laws.shapes import SignalRange
 from stiffopt.discovery.laws.sources import LawSource
-from stiffopt.discovery.search.rivals import tempering_width
-from stiffopt.discovery.thresholds import NAMED_EVIDENCE, RIVAL_LOG_ODDS
+from stiffopt.discovery.search.rivals import Selected, tempering_width
+from stiffopt.discovery.thresholds import NAMED_EVIDENCE, PARAMETER_LOG_PRICE, RIVAL_LOG_ODDS
 
 # Pairs of carrier and signal whose forms are tried: the best ones of every carrier, for one that
 # explains much does so with any signal; they explain at least this share of what the best one does.
@@ -209,7 +208,7 @@ def _ranked(found: Iterable[FittedLaw]) -> list[FittedLaw]:
 SAME_FUNCTION = 0.1
 
 
-def may_beat(channel: OpenChannel, named: float, findings: Sequence[LocatedEffect]) -> bool:
+def may_beat(channel: OpenChannel, named: float, findings: Sequence[Selected]) -> bool:
     """Return True where a law that leaves nothing but noise would beat findings, see `beats`."""
     noise = float(len(channel.target))
     return channel.square > noise and (
@@ -218,13 +217,14 @@ def may_beat(channel: OpenChannel, named: float, findings: Sequence[LocatedEffec
 
 
 def beats(
-    channel: OpenChannel, best: FittedLaw, named: float, findings: Sequence[LocatedEffect]
+    channel: OpenChannel, best: FittedLaw, named: float, findings: Sequence[Selected]
 ) -> bool:
     """Return True where a law in place of findings, which leave the squares `named`, is likelier.
 
-    By the odds that tell rivals of the catalogue apart: nature follows formulas nearly, those of
-    the catalogue and of laws alike, and each is one of as many as there are, of laws more. A law
-    that is the findings' function in other words, of no fewer parameters, is not likelier.
+    Likelier than the findings and all their rivals, by the odds that tell these apart: nature
+    follows formulas nearly, those of the catalogue and of laws alike, and each is one of as many as
+    there are, of laws more. A law that is the findings' function in other words, of no fewer
+    parameters, is not likelier.
     """
     left, own = channel.square - best.fit.removed, best.law
     fewer = _parameter_count(findings) - own.parameter_count
@@ -235,8 +235,9 @@ def beats(
     return odds + prior > RIVAL_LOG_ODDS
 
 
-def _parameter_count(findings: Sequence[LocatedEffect]) -> int:
-    return sum(len(e.effect.amplitudes) + len(e.shapes) for e in findings)
+def _parameter_count(findings: Sequence[Selected]) -> int:
+    found = [each.located for each in findings]
+    return sum(len(e.effect.amplitudes) + len(e.shapes) for e in found)
 
 
 def _gain(channel: OpenChannel, before: float, after: float) -> float:
@@ -249,14 +250,15 @@ def _log_odds(
     channel: OpenChannel,
     left: float,
     named: float,
-    findings: Sequence[LocatedEffect],
+    findings: Sequence[Selected],
     parameters: int,
 ) -> float:
-    """Return the log odds of a law that leaves some squares over findings of the catalogue."""
+    """Return the log odds of a law that leaves some squares over findings and their rivals."""
     fewer = _parameter_count(findings) - parameters
-    ahead = _gain(channel, named, left) + 0.5 * fewer * np.log(len(channel.target))
-    tempered = ahead / tempering_width(_gain(channel, channel.square, left))
-    return float(tempered + len(findings) * np.log(len(CATALOGUE)))
+    width = tempering_width(_gain(channel, channel.square, left))
+    ahead = _gain(channel, named, left) / width + PARAMETER_LOG_PRICE * fewer
+    among_rivals = sum(float(np.log(each.probability)) for each in findings)
+    return float(ahead + among_rivals + len(findings) * np.log(len(CATALOGUE)))
 
 
 def _refuse(channel: OpenChannel, best: FittedLaw, attainable: float) -> str:

@@ -10,13 +10,10 @@ from stiffopt.declaration import JointPosition
 from stiffopt.errors import InputFileError
 from stiffopt.problem.limit import LIMITS, DriveLimit, LimitKey, Limits
 from stiffopt.problem.limits.joint_magnitude import worst_joint
-from stiffopt.problem.stage_terms import PathRows
 from stiffopt.result.assessment import DriveHistory, Violation
 
 if TYPE_CHECKING:
     from stiffopt.problem.joint_lists import JointLists
-    from stiffopt.problem.stage_model import StageModel
-    from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.validation import Section
 
 
@@ -71,10 +68,6 @@ class Position(DriveLimit):
         span = limits.position_upper - limits.position_lower
         inset = margin * np.where(np.isfinite(span), span, 0.0)
         return limits.position_lower + inset, limits.position_upper - inset
-
-    def rows(self, problem: TrajectoryProblem, model: StageModel, margin: float) -> list[PathRows]:
-        """No rows: states are bounded, and a fixed path is checked on reading."""
-        return []
 
     def violations(self, limits: Limits, motion: DriveHistory) -> list[Violation]:
         """Violation of the worst joint, relative to its range."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
@@ -12,12 +12,8 @@ from stiffopt.problem.limit import LIMITS, LimitKey, LimitKind, Limits
 from stiffopt.result.joint_path import JointPath
 
 if TYPE_CHECKING:
-    from stiffopt.problem.joint_lists import JointLists
-    from stiffopt.problem.stage_model import StageModel
-    from stiffopt.problem.stage_terms import PathRows
     from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
     from stiffopt.result.assessment import Assessment, Violation
-    from stiffopt.validation import Section
 
 
 class Travel(LimitKind):
@@ -38,14 +34,6 @@ class Travel(LimitKind):
     def active(self, limits: Limits) -> bool:
         """Return False: limits of the position stand in its place."""
         return False
-
-    def read(self, section: Section, joints: JointLists) -> dict[str, Any]:
-        """Read the ratio; None where it is left out."""
-        return {"travel": section.travel}  # type: ignore[attr-defined]
-
-    def rows(self, problem: TrajectoryProblem, model: StageModel, margin: float) -> list[PathRows]:
-        """No rows."""
-        return []
 
     def violations(self, limits: Limits, motion: Assessment) -> list[Violation]:
         """No violations."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -30,6 +31,8 @@ _SMALL_ERROR_SHARE = 1e-2
 # Weight of the squared ringing over the typical error. How large the true error after arrival is
 # beside this ringing differs by a factor of ten among arms: `solver.ringing` changes the weight.
 _RINGING_WEIGHT = 600.0
+# Scale of a motion's error across the path: that in flight over it, of the best baselines.
+_ACROSS_RATIO = "tool_error in flight over across"
 
 
 class CommandedToolError(ObjectiveKind):
@@ -83,16 +86,41 @@ class CommandedToolError(ObjectiveKind):
         motors = cast("MotorModel", given.model)
         error = motors.commanded_error(given.problem.uncertainty, given.problem.servo)
         share = (_WORST_OVER_ROOT / given.scale) ** 2
-        squares = error.lateness / given.scale**2, share * error.quasi_static
-        worst = sum((each + _SMALL_ERROR_SHARE**2) ** 0.5 for each in squares)
-        square = worst**2 - (bound / given.scale) ** 2
+        limit = (bound / given.scale) ** 2
+        # As much better than the baselines across the path as in flight.
+        across = given.scales.of(_ACROSS_RATIO) ** 2
+        squares = {
+            "tool": (error.lateness / given.scale**2, share * error.quasi_static),
+            "tool across its path": (
+                across * error.lateness_across / given.scale**2,
+                across * share * error.quasi_static_across,
+            ),
+        }
+        rows = [
+            sum((each + _SMALL_ERROR_SHARE**2) ** 0.5 for each in both) ** 2 - limit
+            for both in squares.values()
+        ]
         weight = _RINGING_WEIGHT * given.scale
         return ObjectiveTerms(
             value=lambda integrals, duration: bound + weight * integrals[0],
             integrands=(share * error.ringing_rate,),
-            path_rows=(PathRows(name="tool error", labels=("tool",), expressions=(square,)),),
+            path_rows=(
+                PathRows(name="tool error", labels=tuple(squares), expressions=tuple(rows)),
+            ),
             robust_value=lambda integrals, duration: bound + 2.0 * weight * integrals[0],
         )
+
+    def scales(self, objective: Objective, motions: Sequence[Assessment]) -> dict[str, float]:
+        """Return those of every kind, and the least error in flight over the least one across."""
+        led = [each.led for each in motions if each.led is not None]
+        flight, across = (
+            min((getattr(each, name) for each in led), default=0.0)
+            for name in ("in_flight", "across")
+        )
+        ratio = (
+            flight / across if across > _SMALL_ERROR_SHARE * flight else 1.0 / _SMALL_ERROR_SHARE
+        )
+        return super().scales(objective, motions) | ({_ACROSS_RATIO: ratio} if led else {})
 
     def certified_value(self, objective: Objective, motion: Assessment) -> float:
         """Sum of the worst errors in flight and after arrival [m]; infinite where unknown."""

@@ -1,11 +1,11 @@
-"""Tilt of the base against gravity, exact at any angle below half a turn."""
+"""Geometry against gravity: a tilted base, exact at any angle below half a turn; joint zeros."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from stiffopt.discovery.catalogue.common import symmetric_amplitude
 from stiffopt.discovery.effect import (
-    Amplitude,
     Effect,
     FittedEffect,
     Reported,
@@ -14,8 +14,14 @@ from stiffopt.discovery.effect import (
     Term,
     Values,
 )
-from stiffopt.discovery.signals import JointConstants, RobotConstants, RobotSignals
+from stiffopt.discovery.signals import (
+    HARMONICS_PER_JOINT,
+    JointConstants,
+    RobotConstants,
+    RobotSignals,
+)
 from stiffopt.robot.robot import Robot
+from stiffopt.symbolic import Quantity
 
 # Typical tilt [rad]: between a base that is not level and one on a slanted plate.
 _TYPICAL_TILT = 0.05
@@ -82,7 +88,7 @@ def _report_tilt(amplitudes: Values, shapes: Values, constants: RobotConstants) 
     }
 
 
-def _describe_remedy(amplitudes: Values, shapes: Values, constants: RobotConstants) -> str:
+def _describe_tilt(amplitudes: Values, shapes: Values, constants: RobotConstants) -> str:
     gravity = np.asarray(constants.gravity, dtype=float)
     angle = np.degrees(np.linalg.norm(_rotation_vector(amplitudes, gravity)))
     values = ", ".join(f"{value:.3f}" for value in tilted_gravity(amplitudes, gravity))
@@ -116,14 +122,7 @@ BASE_TILT = Effect(
     turned_gravity=tilted_gravity,
     term=base_tilt_term,
     amplitudes=tuple(
-        Amplitude(
-            name,
-            "rad",
-            _TYPICAL_TILT,
-            -_MAX_AMPLITUDE / _TYPICAL_TILT,
-            _MAX_AMPLITUDE / _TYPICAL_TILT,
-        )
-        for name in ("rx", "ry")
+        symmetric_amplitude(name, "rad", _TYPICAL_TILT, _MAX_AMPLITUDE) for name in ("rx", "ry")
     ),
     shapes=tuple(
         Shape(name, "rad", (0.0,), -_MAX_AMPLITUDE, _MAX_AMPLITUDE, 0.0, fit="secant")
@@ -132,7 +131,67 @@ BASE_TILT = Effect(
     report=_report_tilt,
     units={"rz": "rad"},
     change_robot=change_gravity,
-    remedy=_describe_remedy,
+    remedy=_describe_tilt,
     separate="Turn the first axis once with the arm stretched: only a tilt makes its torque follow"
     " the sine of its angle.",
+)
+
+
+# Typical error [rad]: between a mastering beside the mark and another convention, a quarter turn.
+_TYPICAL_ZERO, _MAX_ZERO = 0.1, np.pi
+# Angles about which a search begins [rad]; a secant converges from the next of them.
+_INITIAL_ZEROS = (0.0, 1.5, -1.5, 3.0)
+
+
+def joint_zero_term(signals: RobotSignals, amplitudes: Values, shapes: Values) -> Term:
+    """Return the torques at q + x less those at q, x at the located joint, linear about the shape.
+
+    Torques are harmonics of x up to the second: x is split into an amplitude, and a shape in the
+    ratio of a harmonic to x; a fit makes both equal.
+    """
+    about, first = shapes[0], HARMONICS_PER_JOINT * signals.link
+    torque: Quantity = 0.0
+    for order in (1, 2):
+        half = 0.5 * order * about
+        sine = order * np.sinc(order * about / np.pi)
+        # (cos x - 1)/x = -sin(x/2) sin(x/2)/(x/2)
+        cosine = -order * np.sin(half) * np.sinc(half / np.pi)
+        for k, ratio in enumerate((sine, cosine), start=2 * order - 2):
+            torque = torque + amplitudes[0] * ratio * signals.zero_harmonics[..., first + k]
+    return Term(link_torque=torque)
+
+
+def _describe_zero(amplitudes: Values, shapes: Values, constants: JointConstants) -> str:
+    offsets = ["0"] * constants.joints
+    offsets[constants.joint - 1] = f"{amplitudes[0]:.5f}"
+    return (
+        f"Joint {constants.joint} stands {np.degrees(amplitudes[0]):+.2f} degrees from where its"
+        " encoder says: check its mastering mark, and write"
+        f" offset = [{', '.join(offsets)}] in [signals] of recordings.toml, added to one that is"
+        " there."
+    )
+
+
+JOINT_ZERO = Effect(
+    name="joint_zero",
+    family="geometry",
+    scope="joint",
+    couples_joints=True,
+    shifts_weight=True,
+    moves_zero=True,
+    equation="s += f(q + dq, v, a) - f(q, v, a)",
+    signature="weight of the joint and of those before it off as if the joint stood at another"
+    " angle, the same in every run",
+    title="joint zero",
+    phrase="a joint zero that is off (mastering)",
+    needs=("torque", "moves"),
+    term=joint_zero_term,
+    amplitudes=(symmetric_amplitude("dq", "rad", _TYPICAL_ZERO, _MAX_ZERO),),
+    shapes=(
+        Shape("about", "rad", _INITIAL_ZEROS, -_MAX_ZERO, _MAX_ZERO, 0.0, "secant", reported=False),
+    ),
+    applies=lambda constants: not constants.prismatic,
+    remedy=_describe_zero,
+    separate="Move the joint to both sides of the vertical with the next joints bent and stretched:"
+    " a wrong mass keeps the angle of no torque, a wrong zero moves it.",
 )

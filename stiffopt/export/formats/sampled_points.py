@@ -1,17 +1,50 @@
-"""ROS 2: trajectory_msgs/msg/JointTrajectory as YAML, for a joint trajectory controller."""
+"""Points of a sampled motion: CSV, and trajectory_msgs/msg/JointTrajectory of ROS 2 as YAML."""
 
 from __future__ import annotations
 
+import csv
 import hashlib
+import io
 import json
 from collections.abc import Iterable
 from importlib import resources
 
+import numpy as np
+
 from stiffopt.export.format import FORMATS, ExportFormat
 from stiffopt.export.motion import SampledMotion
 
+
+class Csv(ExportFormat):
+    """CSV file with one header row, SI numbers with full precision; events if there are any."""
+
+    name = "csv"
+    title = "CSV"
+    rate = 500.0
+    rate_max = 20000.0
+
+    def files(self, motion: SampledMotion, rate: float) -> dict[str, str]:
+        """Text of the one file."""
+        names = ["time"]
+        for suffix in ("", "_velocity", "_acceleration"):
+            names += [f"{joint}{suffix}" for joint in motion.joint_names]
+        columns = [motion.time[:, None], motion.position, motion.velocity, motion.acceleration]
+        rows = np.hstack(columns).tolist()
+        if motion.events:
+            names.append("event")
+            for k, row in enumerate(rows):
+                row.append(" ".join(each.kind for each in motion.events_until(k)))
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(names)
+        writer.writerows(rows)
+        return {f"{motion.which}.csv": text.getvalue()}
+
+
+FORMATS.add(Csv())
+
+
 MESSAGE_FILE, SCRIPT_FILE = "joint_trajectory.yaml", "publish_trajectory.py"
-_NANOSECONDS_PER_SECOND = 1_000_000_000
 
 
 class Ros2(ExportFormat):
@@ -42,15 +75,13 @@ class Ros2(ExportFormat):
             motion.time, motion.position, motion.velocity, motion.acceleration, strict=True
         )  # fmt: skip
         for time, position, velocity, acceleration in rows:
-            seconds, rest = divmod(
-                round(float(time) * _NANOSECONDS_PER_SECOND), _NANOSECONDS_PER_SECOND
-            )
+            seconds, nanoseconds = divmod(round(float(time) * 10**9), 10**9)
             lines += [
                 f"- positions: {_format_numbers(position)}",
                 f"  velocities: {_format_numbers(velocity)}",
                 f"  accelerations: {_format_numbers(acceleration)}",
                 "  effort: []",
-                f"  time_from_start: {{sec: {seconds}, nanosec: {rest}}}",
+                f"  time_from_start: {{sec: {seconds}, nanosec: {nanoseconds}}}",
             ]
         return {MESSAGE_FILE: "\n".join(lines) + "\n"}
 

@@ -8,17 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from stiffopt.problem.cycle import Cycle
+from stiffopt.report.common import svg
 from stiffopt.report.common.page import PageFigures, write_page
-from stiffopt.report.common.svg import (
-    GREY,
-    PALE,
-    PALETTE,
-    VERMILLION,
-    WIDTH,
-    decimate_curve,
-    figure_style,
-    line_style,
-)
 from stiffopt.report.common.terminal import print_lines, print_table
 from stiffopt.report.common.text import DASH, capital, percent, scale, si, significant, words
 from stiffopt.report.solve.wording import objective_amount, objective_phrase
@@ -26,8 +17,7 @@ from stiffopt.result.cycle import CycleSimulation, CycleSolution, LegResult
 from stiffopt.result.duty import JointDuty
 from stiffopt.units import joint_unit
 
-_SECONDS_PER_HOUR = 3600.0
-_MAX_SHOWN_LIFE = 1e6 * _SECONDS_PER_HOUR
+_MAX_SHOWN_LIFE = 1e6  # [h]
 LEG_HEAD = ("leg", "moves", "start", "motion", "rest", "event", "carries", "objective", "in flight",
             "in the rest", "settled after", "status")  # fmt: skip
 DUTY_HEAD = ("joint", "rms torque", "peak torque", "peak speed", "mean speed", "peak power",
@@ -138,12 +128,12 @@ def _share_text(joint: JointDuty, torque: float, whole: float | None) -> str:
 
 
 def _life_text(joint: JointDuty) -> str:
-    life = joint.life
-    if life is None:
+    if joint.life is None:
         return DASH
-    if life > _MAX_SHOWN_LIFE:
-        return f"above {_MAX_SHOWN_LIFE / _SECONDS_PER_HOUR:.0e} h"
-    return f"{significant(life / _SECONDS_PER_HOUR, 2)} h"
+    hours = joint.life / 3600.0
+    if hours > _MAX_SHOWN_LIFE:
+        return f"above {_MAX_SHOWN_LIFE:.0e} h"
+    return f"{significant(hours, 2)} h"
 
 
 def duty_text(solution: CycleSolution) -> str:
@@ -207,7 +197,7 @@ def write_cycle_report(cycle: Cycle, solution: CycleSolution, folder: Path) -> P
             solution, None if solution.objective is None else solution.objective.value
         ),
     }
-    return write_page("cycle/page.html.j2", folder / "report.html", context, figures)
+    return write_page("pages/cycle.html.j2", folder / "report.html", context, figures)
 
 
 def _rival_amount(solution: CycleSolution, value: float | None) -> str:
@@ -253,84 +243,79 @@ def _mark_legs(axes: object, solution: CycleSolution, labelled: bool = False) ->
     """Shade the rests and mark the events."""
     for leg in solution.legs:
         if leg.dwell > 0.0:
-            axes.axvspan(leg.arrival, leg.departure, color=PALE, alpha=0.7, zorder=0)  # type: ignore[attr-defined]
+            axes.axvspan(leg.arrival, leg.departure, color=svg.PALE, alpha=0.7, zorder=0)  # type: ignore[attr-defined]
         if leg.event:
-            axes.axvline(leg.arrival, color=VERMILLION, linewidth=0.9, linestyle="--")  # type: ignore[attr-defined]
+            axes.axvline(leg.arrival, color=svg.VERMILLION, linewidth=0.9, linestyle="--")  # type: ignore[attr-defined]
             if labelled:
                 axes.annotate(  # type: ignore[attr-defined]
                     words(leg.event), (leg.arrival, 1.0), xycoords=("data", "axes fraction"),
-                    xytext=(2, -9), textcoords="offset points", fontsize=7.5, color=VERMILLION,
+                    xytext=(2, -9), textcoords="offset points", fontsize=7.5, color=svg.VERMILLION,
                 )  # fmt: skip
 
 
+@svg.figure_style()
 def motion_figure(cycle: Cycle, solution: CycleSolution) -> Figure:
     """Plot the joint velocities over the cycle, as shares of their limits."""
     limit = cycle.first.active_limits.velocity
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, 3.2))
-        axes = figure.subplots()
-        for j, name in enumerate(cycle.first.robot.joint_names):
-            times, values = [], []
-            for leg in solution.legs:
-                motion = leg.solution.assessment
-                assert motion is not None
-                times.append(leg.start + motion.time)
-                values.append(100.0 * motion.velocity[:, j] / limit[j])
-            curve = decimate_curve(np.concatenate(times), np.concatenate(values))
-            axes.plot(*curve, label=name, **line_style(j))
-        _mark_legs(axes, solution, labelled=True)
-        axes.set_ylabel("velocity over limit [%]")
-        axes.set_xlabel("time [s]")
-        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-        figure.subplots_adjust(left=0.07, right=0.88)
-        return figure
+    figure, axes = svg.subplots(3.2)
+    for j, name in enumerate(cycle.first.robot.joint_names):
+        times, values = [], []
+        for leg in solution.legs:
+            motion = leg.solution.assessment
+            assert motion is not None
+            times.append(leg.start + motion.time)
+            values.append(100.0 * motion.velocity[:, j] / limit[j])
+        curve = svg.decimate_curve(np.concatenate(times), np.concatenate(values))
+        axes.plot(*curve, label=name, **svg.line_style(j))
+    _mark_legs(axes, solution, labelled=True)
+    axes.set_ylabel("velocity over limit [%]")
+    axes.set_xlabel("time [s]")
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    figure.subplots_adjust(left=0.07, right=0.88)
+    return figure
 
 
+@svg.figure_style()
 def error_figure(solution: CycleSolution) -> Figure:
     """Plot the simulated tool error over the cycle."""
     assert solution.simulation is not None
     found = solution.simulation.simulated
     inside = found.time <= solution.duration
     factor, unit = scale(float(found.distance[inside].max()), "m")
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, 2.8))
-        axes = figure.subplots()
-        axes.plot(*decimate_curve(found.time[inside], factor * found.distance[inside]),
-                  color=PALETTE[0])  # fmt: skip
-        axes.axhline(factor * found.band, color=GREY, linewidth=0.9)
-        _mark_legs(axes, solution, labelled=True)
-        axes.set_ylabel(f"tool error [{unit}]")
-        axes.set_xlabel("time [s]")
-        axes.set_ylim(bottom=0.0)
-        figure.subplots_adjust(left=0.07, right=0.98)
-        return figure
+    figure, axes = svg.subplots(2.8)
+    axes.plot(*svg.decimate_curve(found.time[inside], factor * found.distance[inside]),
+              color=svg.PALETTE[0])  # fmt: skip
+    axes.axhline(factor * found.band, color=svg.GREY, linewidth=0.9)
+    _mark_legs(axes, solution, labelled=True)
+    axes.set_ylabel(f"tool error [{unit}]")
+    axes.set_xlabel("time [s]")
+    axes.set_ylim(bottom=0.0)
+    figure.subplots_adjust(left=0.07, right=0.98)
+    return figure
 
 
+@svg.figure_style()
 def torque_speed_figure(cycle: Cycle, solution: CycleSolution) -> Figure:
     """Plot the torque of each drive over its speed, as shares of the limits."""
     limits = cycle.first.active_limits
     robot = cycle.first.robot
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, 1.9 * -(-robot.n // 4)))
-        panels = np.atleast_1d(figure.subplots(-(-robot.n // 4), min(robot.n, 4))).ravel()
-        for j, axes in enumerate(panels):
-            if j >= robot.n:
-                axes.set_visible(False)
-                continue
-            for leg in solution.legs:
-                motion = leg.solution.assessment
-                assert motion is not None
-                step = max(1, len(motion.time) // 300)
-                axes.plot(
-                    100.0 * motion.velocity[::step, j] / limits.velocity[j],
-                    100.0 * motion.torque[::step, j] / limits.torque[j],
-                    color=PALETTE[0],
-                    linewidth=0.9,
-                )
-            axes.set_xlim(-105, 105)
-            axes.set_ylim(-105, 105)
-            axes.set_title(robot.joint_names[j])
-        figure.supxlabel("velocity over limit [%]", fontsize=9)
-        figure.supylabel("torque over limit [%]", fontsize=9)
-        figure.subplots_adjust(left=0.08, right=0.98, hspace=0.5, wspace=0.3, bottom=0.16)
-        return figure
+    size = svg.WIDTH, 1.9 * -(-robot.n // 4)
+    figure, grid = svg.panels(robot.n, min(robot.n, 4), size)
+    for j, axes in enumerate(grid):
+        for leg in solution.legs:
+            motion = leg.solution.assessment
+            assert motion is not None
+            step = max(1, len(motion.time) // 300)
+            axes.plot(
+                100.0 * motion.velocity[::step, j] / limits.velocity[j],
+                100.0 * motion.torque[::step, j] / limits.torque[j],
+                color=svg.PALETTE[0],
+                linewidth=0.9,
+            )
+        axes.set_xlim(-105, 105)
+        axes.set_ylim(-105, 105)
+        axes.set_title(robot.joint_names[j])
+    figure.supxlabel("velocity over limit [%]", fontsize=9)
+    figure.supylabel("torque over limit [%]", fontsize=9)
+    figure.subplots_adjust(left=0.08, right=0.98, hspace=0.5, wspace=0.3, bottom=0.16)
+    return figure

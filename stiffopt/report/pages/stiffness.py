@@ -6,12 +6,13 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from stiffopt.report.common import svg
 from stiffopt.report.common.citations import robot_references
 from stiffopt.report.common.page import PageFigures, write_page
 from stiffopt.report.common.robot import (
@@ -21,20 +22,9 @@ from stiffopt.report.common.robot import (
     estimated_inputs,
     joint_units,
 )
-from stiffopt.report.common.svg import (
-    BLUE,
-    GREY,
-    VERMILLION,
-    WIDTH,
-    figure_style,
-    line_style,
-    set_log_scale,
-)
 from stiffopt.report.common.text import listed, percent
-
-if TYPE_CHECKING:
-    from stiffopt.robot.robot import Robot
-    from stiffopt.robot.stiffness_study import StiffnessRow
+from stiffopt.robot.robot import Robot
+from stiffopt.robot.stiffness_study import StiffnessRow
 
 PAGE_FILE = "stiffness.html"
 SHARE_RATIOS = (0.001, 0.01, 0.1, 1.0)
@@ -75,7 +65,7 @@ def write_stiffness_report(
         "estimated": estimated_inputs(robot),
         "references": robot_references(robot),
     }
-    return write_page("stiffness/page.html.j2", Path(directory) / PAGE_FILE, context, figures)
+    return write_page("pages/stiffness.html.j2", Path(directory) / PAGE_FILE, context, figures)
 
 
 def where_contacts_matter(
@@ -99,9 +89,8 @@ def where_contacts_matter(
         return "Without contacts both curves are one."
     told = "; ".join(f"{where} in {listed(joints)}" for where, joints in groups.items())
     return (
-        f"Contacts reduce the stiffness most {told}. In brackets: the"
-        " relative loss, from the least "
-        "torque shown to the largest."
+        f"Contacts reduce the stiffness most {told}. In brackets: the relative loss, from the "
+        "least torque shown to the largest."
     )
 
 
@@ -194,6 +183,7 @@ def stiffness_curves(rows: Iterable[StiffnessRow]) -> dict[int, list[StiffnessCu
     return curves
 
 
+@svg.figure_style()
 def tangent_figure(
     curves: Mapping[int, Sequence[StiffnessCurve]], units: Sequence[JointUnits], low_torque: bool
 ) -> Figure:
@@ -201,44 +191,41 @@ def tangent_figure(
 
     `low_torque`: logarithmic torque axis, which resolves the range near zero torque.
     """
-    with figure_style():
-        columns = min(3, len(curves))
-        rows = -(-len(curves) // columns)
-        figure = Figure(figsize=(WIDTH, 0.9 + 2.0 * rows))
-        grid = figure.subplots(rows, columns, squeeze=False).ravel()
-        for axes in grid[len(curves) :]:
-            axes.set_visible(False)
-        for place, (joint, readings) in enumerate(curves.items()):
-            _draw_tangent_panel(grid[place], readings, low_torque)
-            unit = units[joint - 1]
-            grid[place].set_title(f"{unit.label} [{unit.stiffness}]")
-            if place + columns >= len(curves):
-                grid[place].set_xlabel("torque over largest torque")
-        handles, labels = grid[0].get_legend_handles_labels()
-        below = -0.12 / figure.get_figheight()
-        figure.legend(handles, labels, loc="upper left", ncols=3, bbox_to_anchor=(0.05, below))
-        figure.subplots_adjust(left=0.07, right=0.995, wspace=0.24, hspace=0.34)
-        return figure
+    columns = min(3, len(curves))
+    size = svg.WIDTH, 0.9 + 2.0 * -(-len(curves) // columns)
+    figure, grid = svg.panels(len(curves), columns, size)
+    for place, (axes, (joint, readings)) in enumerate(zip(grid, curves.items(), strict=True)):
+        _draw_tangent_panel(axes, readings, low_torque)
+        unit = units[joint - 1]
+        axes.set_title(f"{unit.label} [{unit.stiffness}]")
+        if place + columns >= len(curves):
+            axes.set_xlabel("torque over largest torque")
+    handles, labels = grid[0].get_legend_handles_labels()
+    below = -0.12 / figure.get_figheight()
+    figure.legend(handles, labels, loc="upper left", ncols=3, bbox_to_anchor=(0.05, below))
+    figure.subplots_adjust(left=0.07, right=0.995, wspace=0.24, hspace=0.34)
+    return figure
 
 
 def _draw_tangent_panel(axes: Axes, readings: Sequence[StiffnessCurve], low_torque: bool) -> None:
     own = readings[0]
     for other in readings[1:]:
         label = f"with contacts, flanks in {other.flanks}"
-        axes.plot(other.ratio, other.tangent, color=GREY, linewidth=1.0, label=label)
+        axes.plot(other.ratio, other.tangent, color=svg.GREY, linewidth=1.0, label=label)
     keys = f", flanks in {own.flanks} (this robot)" if own.flanks in ("series", "parallel") else ""
     dashes = (0, (5, 1.5))
     axes.plot(
-        own.ratio, own.reducer_only, color=VERMILLION, linestyle=dashes, label="reducer alone"
+        own.ratio, own.reducer_only, color=svg.VERMILLION, linestyle=dashes, label="reducer alone"
     )
-    axes.plot(own.ratio, own.tangent, color=BLUE, linewidth=2.0, label=f"with contacts{keys}")
+    axes.plot(own.ratio, own.tangent, color=svg.BLUE, linewidth=2.0, label=f"with contacts{keys}")
     if low_torque:
-        set_log_scale(axes, "x")
+        svg.set_log_scale(axes, "x")
     axes.set_ylim(bottom=0.0)
     axes.margins(x=0.01)
     axes.locator_params(axis="y", nbins=5)
 
 
+@svg.figure_style()
 def loss_figure(
     curves: Mapping[int, Sequence[StiffnessCurve]], units: Sequence[JointUnits]
 ) -> Figure:
@@ -246,59 +233,54 @@ def loss_figure(
 
     The axis is logarithmic where the joints' losses differ by more than a decade.
     """
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, 3.8))
-        axes = figure.subplots()
-        losses = []
-        for joint, readings in curves.items():
-            own = readings[0]
-            losses.append(100.0 * own.loss)
-            style = line_style(joint - 1)
-            axes.plot(own.ratio, losses[-1], label=units[joint - 1].label, **style)
-        set_log_scale(axes, "x")
-        highest = [float(np.max(each)) for each in losses]
-        # Ratio of the joints' largest losses above which the axis is logarithmic.
-        if min(highest) > 0.0 and max(highest) > 10.0 * min(highest):
-            set_log_scale(axes, "y")
-        else:
-            axes.set_ylim(bottom=0.0)
-        axes.set_xlabel("torque over largest torque")
-        axes.set_ylabel("stiffness lost to contacts [%]")
-        axes.margins(x=0.01)
-        axes.legend(loc="best", ncols=2)
-        figure.subplots_adjust(left=0.07, right=0.995)
-        return figure
+    figure, axes = svg.subplots(3.8)
+    losses = []
+    for joint, readings in curves.items():
+        own = readings[0]
+        losses.append(100.0 * own.loss)
+        style = svg.line_style(joint - 1)
+        axes.plot(own.ratio, losses[-1], label=units[joint - 1].label, **style)
+    svg.set_log_scale(axes, "x")
+    highest = [float(np.max(each)) for each in losses]
+    # Ratio of the joints' largest losses above which the axis is logarithmic.
+    if min(highest) > 0.0 and max(highest) > 10.0 * min(highest):
+        svg.set_log_scale(axes, "y")
+    else:
+        axes.set_ylim(bottom=0.0)
+    axes.set_xlabel("torque over largest torque")
+    axes.set_ylabel("stiffness lost to contacts [%]")
+    axes.margins(x=0.01)
+    axes.legend(loc="best", ncols=2)
+    figure.subplots_adjust(left=0.07, right=0.995)
+    return figure
 
 
+@svg.figure_style()
 def shares_figure(robot: Robot, units: Sequence[JointUnits]) -> Figure:
     """Plot the share of each kind of element in the tangent compliance at several torque ratios."""
     jointed = [j for j, chain in enumerate(robot.chains) if chain is not None]
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, 0.9 + max(0.34 * len(jointed), 1.0)))
-        grid = figure.subplots(1, len(SHARE_RATIOS), sharey=True)
-        named: dict[str, Any] = {}
-        for axes, ratio in zip(grid, SHARE_RATIOS, strict=True):
-            for row, j in enumerate(jointed):
-                left = 0.0
-                torque = ratio * float(robot.torque_max[j])
-                for kind, share in compliance_by_kind(robot.chains[j], torque).items():
-                    colour = element_colour(kind)
-                    bar = axes.barh(row, 100 * share, left=left, height=0.66, color=colour)
-                    named.setdefault(kind.replace("_", " "), bar)
-                    left += 100 * share
-            axes.set_xlim(0.0, 100.0)
-            axes.set_title(f"{100 * ratio:g} % of the largest torque")
-            axes.set_xlabel("compliance [%]")
-            axes.grid(visible=False, axis="y")
-        grid[0].set_yticks(range(len(jointed)), [units[j].label for j in jointed])
-        grid[0].invert_yaxis()
-        below = -0.3 / figure.get_figheight()
-        figure.legend(
-            list(named.values()),
-            list(named),
-            loc="upper left",
-            ncols=8,
-            bbox_to_anchor=(0.03, below),
-        )
-        figure.subplots_adjust(left=0.04, right=0.985, wspace=0.14)
-        return figure
+    figure, grid = svg.subplots(
+        0.9 + max(0.34 * len(jointed), 1.0), 1, len(SHARE_RATIOS), sharey=True
+    )
+    named: dict[str, Any] = {}
+    for axes, ratio in zip(grid, SHARE_RATIOS, strict=True):
+        for row, j in enumerate(jointed):
+            left = 0.0
+            torque = ratio * float(robot.torque_max[j])
+            for kind, share in compliance_by_kind(robot.chains[j], torque).items():
+                colour = element_colour(kind)
+                bar = axes.barh(row, 100 * share, left=left, height=0.66, color=colour)
+                named.setdefault(kind.replace("_", " "), bar)
+                left += 100 * share
+        axes.set_xlim(0.0, 100.0)
+        axes.set_title(f"{100 * ratio:g} % of the largest torque")
+        axes.set_xlabel("compliance [%]")
+        axes.grid(visible=False, axis="y")
+    grid[0].set_yticks(range(len(jointed)), [units[j].label for j in jointed])
+    grid[0].invert_yaxis()
+    below = -0.3 / figure.get_figheight()
+    figure.legend(
+        list(named.values()), list(named), loc="upper left", ncols=8, bbox_to_anchor=(0.03, below)
+    )
+    figure.subplots_adjust(left=0.04, right=0.985, wspace=0.14)
+    return figure

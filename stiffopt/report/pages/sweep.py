@@ -8,11 +8,16 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from stiffopt.report.common.page import PageFigures, write_page
-from stiffopt.report.common.svg import BLUE, GREY, VERMILLION, WIDTH, figure_style
+from stiffopt.report.common.svg import BLUE, GREY, VERMILLION, WIDTH, figure_style, panels, subplots
 from stiffopt.report.common.text import scale, si, words
-from stiffopt.report.sweep.terminal import headline, knee_sentence, shared_section, spread_sentence
+from stiffopt.report.pages.sweep_terminal import (
+    headline,
+    knee_sentence,
+    shared_section,
+    spread_sentence,
+)
 from stiffopt.sweep.run import is_unusable
-from stiffopt.sweep.summary import Cell, Front, SweepSummary
+from stiffopt.sweep.summary import Front, SweepSummary
 from stiffopt.units import number_and_unit
 
 PAGE_FILE = "report.html"
@@ -45,20 +50,17 @@ def write_sweep_report(summary: SweepSummary, folder: Path) -> Path:
         "head": [name if name in summary.sweep.places else words(name) for name in shown],
         "rows": [
             [
-                _format_cell(cell, summary.units.get(name, ""))
+                cell if isinstance(cell, str) else si(cell, summary.units.get(name, ""), 5)
                 for name, cell in zip(shown, row, strict=True)
             ]
             for row in rows[:_MAX_ROWS]
         ],
         "more": max(len(rows) - _MAX_ROWS, 0),
     }
-    return write_page("sweep/page.html.j2", folder / PAGE_FILE, context, figures)
+    return write_page("pages/sweep.html.j2", folder / PAGE_FILE, context, figures)
 
 
-def _format_cell(cell: Cell, unit: str) -> str:
-    return cell if isinstance(cell, str) else si(cell, unit, 5)
-
-
+@figure_style()
 def axes_figure(summary: SweepSummary) -> Figure | None:
     """Plot the result over each numeric entry; None without such an entry or result."""
     name = ANSWERS[summary.sweep.kind]
@@ -79,52 +81,46 @@ def axes_figure(summary: SweepSummary) -> Figure | None:
     if not drawn:
         return None
     factor, unit = scale(float(np.nanmax(np.abs(held))), summary.units[name])
-    with figure_style():
-        columns = min(3, len(drawn))
-        rows = -(-len(drawn) // columns)
-        figure = Figure(figsize=(WIDTH, 0.9 + 2.4 * rows))
-        grid = figure.subplots(rows, columns, squeeze=False, sharey=True).ravel()
-        lost = ~np.isfinite(held)
-        for axes, (place, (values, kind)) in zip(grid, drawn.items(), strict=False):
-            axes.plot(values, factor * held, "o", color=BLUE, markersize=3.5, alpha=0.7)
-            floor = np.full(lost.sum(), factor * np.nanmin(held))
-            axes.plot(values[lost], floor, "x", color=VERMILLION, markersize=5.0)
-            axes.set_xlabel(f"{place} [{kind}]")
-        for axes in grid[len(drawn) :]:
-            axes.set_visible(False)
-        for axes in grid[::columns]:
-            axes.set_ylabel(f"{words(name)} [{unit}]" if unit else words(name))
-        figure.tight_layout()
+    columns = min(3, len(drawn))
+    size = WIDTH, 0.9 + 2.4 * -(-len(drawn) // columns)
+    figure, grid = panels(len(drawn), columns, size, sharey=True)
+    lost = ~np.isfinite(held)
+    for axes, (place, (values, kind)) in zip(grid, drawn.items(), strict=True):
+        axes.plot(values, factor * held, "o", color=BLUE, markersize=3.5, alpha=0.7)
+        floor = np.full(lost.sum(), factor * np.nanmin(held))
+        axes.plot(values[lost], floor, "x", color=VERMILLION, markersize=5.0)
+        axes.set_xlabel(f"{place} [{kind}]")
+    for axes in grid[::columns]:
+        axes.set_ylabel(f"{words(name)} [{unit}]" if unit else words(name))
+    figure.tight_layout()
     return figure
 
 
+@figure_style()
 def front_figure(front: Front, unit: str) -> Figure:
     """Plot the Pareto front with its knee."""
     factor, shown = scale(float(np.abs(front.objectives).max()), unit)
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, 3.2))
-        axes = figure.subplots()
-        axes.plot(front.values, factor * front.objectives, "o-", color=BLUE, markersize=4.0)
-        if front.knee is not None:
-            at, value = front.values[front.knee], factor * front.objectives[front.knee]
-            axes.plot([at], [value], "o", color=VERMILLION, markersize=8.0)
-            axes.annotate("knee", (at, value), (6, 6), textcoords="offset points")
-        axes.set_xlabel(f"{front.over} [{front.unit}]" if front.unit else front.over)
-        axes.set_ylabel(f"objective [{shown}]" if shown else "objective")
-        figure.tight_layout()
+    figure, axes = subplots(3.2)
+    axes.plot(front.values, factor * front.objectives, "o-", color=BLUE, markersize=4.0)
+    if front.knee is not None:
+        at, value = front.values[front.knee], factor * front.objectives[front.knee]
+        axes.plot([at], [value], "o", color=VERMILLION, markersize=8.0)
+        axes.annotate("knee", (at, value), (6, 6), textcoords="offset points")
+    axes.set_xlabel(f"{front.over} [{front.unit}]" if front.unit else front.over)
+    axes.set_ylabel(f"objective [{shown}]" if shown else "objective")
+    figure.tight_layout()
     return figure
 
 
+@figure_style()
 def spread_figure(summary: SweepSummary) -> Figure:
     """Plot the worst over the best optimum of each case among its starts."""
     spreads = summary.spreads()
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, 3.0))
-        axes = figure.subplots()
-        ratios = [each.worst / each.best for each in spreads.values() if each.best]
-        axes.bar(np.arange(1, len(ratios) + 1), ratios, color=GREY, width=0.7)
-        axes.axhline(1.0, color=BLUE)
-        axes.set_xlabel("case")
-        axes.set_ylabel("worst over best optimum")
-        figure.tight_layout()
+    figure, axes = subplots(3.0)
+    ratios = [each.worst / each.best for each in spreads.values() if each.best]
+    axes.bar(np.arange(1, len(ratios) + 1), ratios, color=GREY, width=0.7)
+    axes.axhline(1.0, color=BLUE)
+    axes.set_xlabel("case")
+    axes.set_ylabel("worst over best optimum")
+    figure.tight_layout()
     return figure

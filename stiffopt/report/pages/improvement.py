@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from stiffopt.improvement.improvement import JOINT_LIMITS, Improvement, LimitUse
+from stiffopt.report.common import svg
 from stiffopt.report.common.page import PageFigures, write_page
-from stiffopt.report.common.svg import BLUE, GREY, VERMILLION, WIDTH, decimate_curve, figure_style
 from stiffopt.report.common.terminal import ReportSection, print_lines, print_section
 from stiffopt.report.common.text import MAX_LISTED, scale, si
 from stiffopt.result.compensation import COMMAND_FILE
@@ -37,7 +37,7 @@ def write_improvement_report(
         "notes": [*reasons, *notes(found)],
         "file": COMMAND_FILE if found.kept else "",
     }
-    return write_page("improvement/page.html.j2", folder / "report.html", context, figures)
+    return write_page("pages/improvement.html.j2", folder / "report.html", context, figures)
 
 
 def headline(found: Improvement) -> str:
@@ -187,6 +187,7 @@ def notes(found: Improvement) -> list[str]:
     return told
 
 
+@svg.figure_style()
 def error_figure(found: Improvement) -> Figure:
     """Plot the tool error over time, given and improved."""
     before = found.given.both
@@ -195,43 +196,41 @@ def error_figure(found: Improvement) -> Figure:
     after = found.compensation.optimised.simulated
     most = max(before.distance.max(), after.distance.max())
     factor, unit = scale(float(most), "m")
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, 3.0))
-        axes = figure.subplots()
-        for own, name, colour in ((before, GIVEN, VERMILLION), (after, IMPROVED, BLUE)):
-            axes.plot(*decimate_curve(own.time, factor * own.distance), color=colour, label=name)
-            axes.axvline(own.duration, color=colour, linewidth=0.8, linestyle=":")
-        axes.set_xlabel("time [s]")
-        axes.set_ylabel(f"tool error [{unit}]")
-        axes.set_ylim(bottom=0.0)
-        axes.set_title("Tool error on the elastic arm with its servo; dotted: arrival")
-        axes.legend(loc="upper right")
-        return figure
+    figure, axes = svg.subplots(3.0)
+    for own, name, colour in ((before, GIVEN, svg.VERMILLION), (after, IMPROVED, svg.BLUE)):
+        axes.plot(*svg.decimate_curve(own.time, factor * own.distance), color=colour, label=name)
+        axes.axvline(own.duration, color=colour, linewidth=0.8, linestyle=":")
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel(f"tool error [{unit}]")
+    axes.set_ylim(bottom=0.0)
+    axes.set_title("Tool error on the elastic arm with its servo; dotted: arrival")
+    axes.legend(loc="upper right")
+    return figure
 
 
+@svg.figure_style()
 def limits_figure(found: Improvement) -> Figure:
     """Plot the largest use of each limit over the joints, given and improved, over time."""
     limits = found.problem.active_limits
     shown = [name for name in JOINT_LIMITS if np.isfinite(getattr(limits, name)).any()]
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, 1.5 * max(len(shown), 1) + 0.6))
-        rows = np.atleast_1d(figure.subplots(max(len(shown), 1), 1, sharex=True))
-        for axes, name in zip(rows, shown, strict=False):
-            for own, colour, label in (
-                (found.given.assessment, VERMILLION, GIVEN),
-                (found.improved.assessment, BLUE, IMPROVED),
-            ):
-                share = np.max(np.abs(getattr(own, name)) / getattr(limits, name), axis=1)
-                axes.plot(*decimate_curve(own.time, 100.0 * share), color=colour, label=label)
-            axes.axhline(100.0, color=GREY, linewidth=0.9, linestyle=(0, (4, 2)))
-            axes.set_ylabel("[%]")
-            top = axes.get_ylim()[1]
-            axes.set_ylim(0.0, min(top, 400.0))
-            axes.set_title(f"Largest {name} of all joints, share of its limit")
-        rows[0].legend(loc="upper right", ncols=2)
-        rows[-1].set_xlabel("time [s]")
-        figure.subplots_adjust(hspace=0.55)
-        return figure
+    figure = Figure(figsize=(svg.WIDTH, 1.5 * max(len(shown), 1) + 0.6))
+    rows = np.atleast_1d(figure.subplots(max(len(shown), 1), 1, sharex=True))
+    for axes, name in zip(rows, shown, strict=False):
+        for own, colour, label in (
+            (found.given.assessment, svg.VERMILLION, GIVEN),
+            (found.improved.assessment, svg.BLUE, IMPROVED),
+        ):
+            share = np.max(np.abs(getattr(own, name)) / getattr(limits, name), axis=1)
+            axes.plot(*svg.decimate_curve(own.time, 100.0 * share), color=colour, label=label)
+        axes.axhline(100.0, color=svg.GREY, linewidth=0.9, linestyle=(0, (4, 2)))
+        axes.set_ylabel("[%]")
+        top = axes.get_ylim()[1]
+        axes.set_ylim(0.0, min(top, 400.0))
+        axes.set_title(f"Largest {name} of all joints, share of its limit")
+    rows[0].legend(loc="upper right", ncols=2)
+    rows[-1].set_xlabel("time [s]")
+    figure.subplots_adjust(hspace=0.55)
+    return figure
 
 
 def print_improvement(found: Improvement, folder: Path) -> None:

@@ -12,7 +12,7 @@ from stiffopt.budget.budget import ORIENTATION, POSITION, ErrorBudget
 from stiffopt.budget.measurements import Measurement
 from stiffopt.budget.volume import VolumeBudget
 from stiffopt.report.common.page import PageFigures, write_page
-from stiffopt.report.common.svg import PALETTE, WIDTH, figure_style
+from stiffopt.report.common.svg import PALETTE, figure_style, subplots
 from stiffopt.report.common.terminal import ReportSection, print_lines, print_section
 from stiffopt.report.common.text import MAX_LISTED, percent, scale, si
 
@@ -42,7 +42,7 @@ def write_budget_report(
         "volume": volume,
         "assumptions": assumptions,
     }
-    return write_page("budget/page.html.j2", folder / "report.html", context, figures)
+    return write_page("pages/budget.html.j2", folder / "report.html", context, figures)
 
 
 def headline(budget: ErrorBudget, volume: VolumeBudget) -> str:
@@ -126,64 +126,62 @@ def largest_causes(budget: ErrorBudget) -> ReportSection:
     )
 
 
+@figure_style()
 def bounds_figure(budget: ErrorBudget) -> Figure:
     """Plot the bounds of position and orientation over time, and the shares of the position."""
     time = budget.states.time
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, 5.4))
-        upper, middle, lower = figure.subplots(3, 1, sharex=True)
-        for axes, rows, unit, colour in (
-            (upper, POSITION, "m", PALETTE[0]),
-            (middle, ORIENTATION, "rad", PALETTE[1]),
-        ):
-            bound = budget.bound(rows)
-            factor, name = scale(float(bound.max()), unit)
-            mean = np.linalg.norm(budget.mean[:, rows], axis=1)
-            axes.plot(time, factor * bound, color=colour, label="95 % bound")
-            axes.plot(time, factor * mean, color=colour, linestyle="--", label="mean error")
-            axes.set_ylabel(f"[{name}]")
-            axes.set_ylim(bottom=0.0)
-            axes.legend(loc="upper right", ncols=2)
-        upper.set_title("Error of position and orientation")
-        shares = budget.shares(POSITION)
-        lower.stackplot(
-            time,
-            [100.0 * np.maximum(part, 0.0) for part in shares.values()],
-            labels=list(shares),
-            colors=PALETTE,
-            alpha=0.8,
-        )
-        lower.set_ylabel("share of the mean square [%]")
-        lower.set_xlabel("time [s]")
-        lower.set_ylim(0.0, 100.0)
-        lower.legend(loc="upper left", bbox_to_anchor=(0.0, -0.28), ncols=len(shares))
-        figure.subplots_adjust(left=0.07, right=0.98, hspace=0.25)
-        return figure
+    figure, (upper, middle, lower) = subplots(5.4, 3, 1, sharex=True)
+    for axes, rows, unit, colour in (
+        (upper, POSITION, "m", PALETTE[0]),
+        (middle, ORIENTATION, "rad", PALETTE[1]),
+    ):
+        bound = budget.bound(rows)
+        factor, name = scale(float(bound.max()), unit)
+        mean = np.linalg.norm(budget.mean[:, rows], axis=1)
+        axes.plot(time, factor * bound, color=colour, label="95 % bound")
+        axes.plot(time, factor * mean, color=colour, linestyle="--", label="mean error")
+        axes.set_ylabel(f"[{name}]")
+        axes.set_ylim(bottom=0.0)
+        axes.legend(loc="upper right", ncols=2)
+    upper.set_title("Error of position and orientation")
+    shares = budget.shares(POSITION)
+    lower.stackplot(
+        time,
+        [100.0 * np.maximum(part, 0.0) for part in shares.values()],
+        labels=list(shares),
+        colors=PALETTE,
+        alpha=0.8,
+    )
+    lower.set_ylabel("share of the mean square [%]")
+    lower.set_xlabel("time [s]")
+    lower.set_ylim(0.0, 100.0)
+    lower.legend(loc="upper left", bbox_to_anchor=(0.0, -0.28), ncols=len(shares))
+    figure.subplots_adjust(left=0.07, right=0.98, hspace=0.25)
+    return figure
 
 
+@figure_style()
 def volume_figure(budget: ErrorBudget, volume: VolumeBudget) -> Figure:
     """Plot the bound over the work volume, seen from above and from the side."""
     place = volume.budget.place
     bound = volume.budget.bound(POSITION) if len(place) else np.zeros(0)
     factor, unit = scale(float(bound.max(initial=0.0)), "m")
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, 3.6))
-        axes_pair = figure.subplots(1, 2)
-        for axes, (a, b), title in zip(
-            axes_pair, ((0, 1), (0, 2)), ("From above", "From the side"), strict=True
-        ):
-            axes.scatter(place[:, a], place[:, b], c=factor * bound, s=60, cmap="viridis")
-            axes.plot(budget.place[:, a], budget.place[:, b], color="#222222", label="motion")
-            axes.set_title(title)
-            axes.set_xlabel(f"{'xyz'[a]} [m]")
-            axes.set_ylabel(f"{'xyz'[b]} [m]")
-            axes.set_aspect("equal", adjustable="datalim")
-        figure.colorbar(
-            axes_pair[0].collections[0],
-            ax=list(axes_pair),
-            label=f"95 % bound of the position [{unit}]",
-        )
-        return figure
+    figure, axes_pair = subplots(3.6, 1, 2)
+    for axes, (a, b), title in zip(
+        axes_pair, ((0, 1), (0, 2)), ("From above", "From the side"), strict=True
+    ):
+        axes.scatter(place[:, a], place[:, b], c=factor * bound, s=60, cmap="viridis")
+        axes.plot(budget.place[:, a], budget.place[:, b], color="#222222", label="motion")
+        axes.set_title(title)
+        axes.set_xlabel(f"{'xyz'[a]} [m]")
+        axes.set_ylabel(f"{'xyz'[b]} [m]")
+        axes.set_aspect("equal", adjustable="datalim")
+    figure.colorbar(
+        axes_pair[0].collections[0],
+        ax=list(axes_pair),
+        label=f"95 % bound of the position [{unit}]",
+    )
+    return figure
 
 
 def print_budget(
