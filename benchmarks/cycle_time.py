@@ -25,6 +25,7 @@ import numpy as np
 
 from stiffopt.baseline.rivals import fair_rivals
 from stiffopt.command.compensation import rival_commands
+from stiffopt.command.simulated_solution import with_simulation
 from stiffopt.command.simulation import PlannedMotion, elastic_arm
 from stiffopt.cycle.solve_cycle import solve_cycle
 from stiffopt.errors import NoSolutionFound
@@ -34,7 +35,6 @@ from stiffopt.problem.limit import Limits
 from stiffopt.problem.objective import Objective
 from stiffopt.problem.resolve import resolve
 from stiffopt.result.compensation import CompensatedMotion
-from stiffopt.solver.simulated_solution import with_simulation
 from stiffopt.solver.solve import solve
 
 PROBLEMS = Path(__file__).resolve().parents[1] / "problems"

@@ -109,3 +109,11 @@ def complete_step(step: Callable[[], Answer]) -> tuple[Answer, bool]:
     except KeyboardInterrupt:
         with ignore_interrupts():
             return step(), True
+
+
+def until_interrupted(work: Callable[[], Answer], kept: Callable[[], Answer]) -> Answer:
+    """Return the result of the work; after Ctrl-C the best that is kept."""
+    try:
+        return work()
+    except KeyboardInterrupt:
+        return kept()

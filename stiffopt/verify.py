@@ -20,11 +20,11 @@ from stiffopt.problem.cycle_files import is_cycle, load_cycle
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.schema import ExpectedSection
 from stiffopt.result.cycle import CycleSolution
+from stiffopt.result.progress import ProgressCallback, SolveProgress
 from stiffopt.result.solution import Solution
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver.monitor import Progress
 from stiffopt.solver.solve import solve
-from stiffopt.solver.solve_run import ProgressCallback, SolveProgress
 from stiffopt.units import convert
 
 KINDS = ("trajectory", "preload")

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 # between; the value is below the resolution of a data sheet's two digits and far above rounding.
 CERTIFICATE_TOLERANCE = 5e-3
 
+# Limits of each drive, besides its position's.
+DRIVE_LIMITS = ("velocity", "acceleration", "jerk", "torque")
+
 # Share of a limit by which a boundary velocity or acceleration may be missed.
 _BOUNDARY_VALUE_TOLERANCE = 1e-3
 # Weight of a miss beyond a via's tolerance: more than that of all misses within it.

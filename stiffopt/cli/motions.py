@@ -67,6 +67,7 @@ def solve(
         return _solve_cycle(problem, out, changes, open_report, quiet, guess)
     with defer_until_result():
         from stiffopt.certificate.assess import assess
+        from stiffopt.command.simulated_solution import with_simulation
         from stiffopt.problem.files import load_problem
         from stiffopt.recipe.stored_result import (
             PREPARED_FILE,
@@ -87,7 +88,6 @@ def solve(
             write_trajectory,
         )
         from stiffopt.solver.family import ProblemFamily
-        from stiffopt.solver.simulated_solution import with_simulation
 
         stated = load_problem(problem, changes).problem
         found = None

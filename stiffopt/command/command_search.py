@@ -167,9 +167,12 @@ class CommandSearch:
         follows, command = self._follows, MotorMotion.of(made.motors)
         worst, drawn = self._worst_arms(command), self._box.drawn()
         arms = [self._nominal, *worst, *drawn]
+        # Both on one arm, one after the other: they share its static equilibria.
+        pairs = [Member(command=own, departure=each) for each in arms for own in (follows, command)]
+        peaks = self._many.peaks(pairs)
         planned, led = (
-            self._many.peaks([Member(command=own, departure=each) for each in arms])
-            for own in (follows, command)
+            [{name: own[first::2] for name, own in phase.items()} for phase in peaks]
+            for first in (0, 1)
         )
         return CommandOnArms(
             motion=self._motion,
@@ -197,36 +200,39 @@ class CommandSearch:
         # One command at a time: each of a motion of minutes has a hundred megabytes.
         least: tuple[float, ExistingCommand | None] = (np.inf, None)  # excess of limits
         kept: tuple[float, ExistingCommand | None] = (np.inf, None)  # peaks in flight and after
-        for made in self._candidates_within_limits():
-            command = MotorMotion.of(made.motors)
-            arms = arms or self._worst_arms(command)
-            members = [Member(command=command, departure=arm) for arm in arms]
-            peaks = float(self._many.position_peaks(members).max(axis=1).sum())
-            if not peaks < kept[0]:
-                continue
-            # The trial grid may miss excesses shorter than its step, such as the jerk at an end.
-            excess = self._excess_beyond_plan(made.motors)
-            if excess <= CERTIFICATE_TOLERANCE:
-                kept = peaks, made
-            elif excess < least[0]:
-                least = excess, made
-        leads = (deque(lead.commands(1.0), 1).pop() for lead in map(self._lead_of, self._spacings))
-        return kept[1] or least[1] or min(leads, key=lambda x: self._excess_beyond_plan(x.motors))
+        beyond: list[tuple[float, ExistingCommand]] = []  # where no candidate is within limits
+        for lead in map(self._lead_of, self._spacings):
+            for made in self._candidates_within_limits(lead):
+                command = MotorMotion.of(made.motors)
+                arms = arms or self._worst_arms(command)
+                members = [Member(command=command, departure=arm) for arm in arms]
+                peaks = float(self._many.position_peaks(members).max(axis=1).sum())
+                if not peaks < kept[0]:
+                    continue
+                # The trial grid may miss excesses shorter than its step, as of the jerk at an end.
+                excess = self._excess_beyond_plan(made.motors)
+                if excess <= CERTIFICATE_TOLERANCE:
+                    kept = peaks, made
+                elif excess < least[0]:
+                    least = excess, made
+            if kept[1] is None and least[1] is None:
+                made = deque(lead.commands(1.0), 1).pop()
+                beyond.append((self._excess_beyond_plan(made.motors), made))
+        return kept[1] or least[1] or min(beyond, key=lambda own: own[0])[1]
 
     def _worst_arms(self, command: MotorMotion) -> list[Departure]:
         """Return the corners with joints alike, and the worst arms of a command."""
         worst = worst_levels(self._many, command, self._box)
         return [self._box.departure(each) for each in (*self._box.alike_corners(), *worst)]
 
-    def _candidates_within_limits(self) -> Iterator[ExistingCommand]:
-        """Commands that keep the plan's limits on the trial grid."""
-        for lead in map(self._lead_of, self._spacings):
-            for share in _WINDUP_SHARES:
-                made = lead.commands(share)
-                kept = (each for each in made if self._keeps_plan_limits(each.motors))
-                yield from itertools.islice(kept, 1)
-                # The one without the servo's lag has the largest margin on a finer grid.
-                yield from deque(kept, maxlen=1)
+    def _candidates_within_limits(self, lead: _Lead) -> Iterator[ExistingCommand]:
+        """Commands of a lead that keep the plan's limits on the trial grid."""
+        for share in _WINDUP_SHARES:
+            made = lead.commands(share)
+            kept = (each for each in made if self._keeps_plan_limits(each.motors))
+            yield from itertools.islice(kept, 1)
+            # The one without the servo's lag has the largest margin on a finer grid.
+            yield from deque(kept, maxlen=1)
 
     def _command_as_chosen(self) -> ExistingCommand | None:
         """Return the command of the choice, None without one or where it exceeds a limit."""

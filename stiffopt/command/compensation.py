@@ -22,6 +22,8 @@ from stiffopt.command.command_search import (
     CommandSearch,
     ExistingCommand,
 )
+from stiffopt.elastic.uncertainty import AssumedUncertainty
+from stiffopt.problem.formulation import smoothing_stages
 from stiffopt.problem.motor_model import MotorLaw
 from stiffopt.result.compensation import (
     COMMAND_FILE,
@@ -57,19 +59,20 @@ def compensate(
     *,
     known: CommandOnArms | None = None,
     rivals: Sequence[CommandOnArms] | None = None,
+    law: MotorLaw | None = None,
     choice: CommandChoice | None = None,
     progress: Progress | None = None,
 ) -> Compensation:
     """Return the command of the first motion, and the effect of compensation on all motions.
 
     `motions` begin with the optimised one and are at rest at both ends; commands that exist already
-    are given as `known` and `rivals`, and the `choice` of the first one is kept where limits allow
-    it. Raises `NotSimulatedError`, and `RobotError` where an uncertainty takes a joint's damping
-    above critical.
+    are given as `known` and `rivals`, the problem's motor law as `law`, and the `choice` of the
+    first one is kept where limits allow it. Raises `NotSimulatedError`, and `RobotError` where an
+    uncertainty takes a joint's damping above critical.
     """
     own = known
     if own is None:
-        (own,) = commands_on_arms(problem, arm, motions[:1], choice=choice, progress=progress)
+        (own,) = commands_on_arms(problem, arm, motions[:1], law, choice=choice, progress=progress)
     refusal, command = _explain_refusal(problem, own.excess), None
     if not refusal:
         command = assess(problem, own.motors, times=export_times(own.motors.duration))
@@ -83,7 +86,7 @@ def compensate(
     )
     if rivals is None:
         rivals = rival_commands(problem, arm, motions[1:], own.law, progress=progress)
-    return compare_commands(problem, arm, own.motion, alone, rivals)
+    return compare_commands(problem, arm, own.motion, alone, rivals, own.law)
 
 
 def compare_commands(
@@ -92,6 +95,7 @@ def compare_commands(
     own: PlannedMotion,
     alone: Compensation,
     rivals: Sequence[CommandOnArms],
+    law: MotorLaw | None = None,
 ) -> Compensation:
     """Return a compensation with rivals beside the optimised motion, at equal duration."""
     motions = (*alone.motions, *(each.for_reports() for each in rivals))
@@ -103,7 +107,7 @@ def compare_commands(
         if each.rival.duration > (1.0 + MIN_SLOWDOWN) * own.duration
         and max(each.ratios.values(), default=0.0) > 1.0
     }
-    slowed = rival_commands(problem, arm, list(slower.values()))
+    slowed = rival_commands(problem, arm, list(slower.values()), law) if slower else []
     reports = (each.for_reports() for each in slowed)
     result = replace(result, slowed=dict(zip(slower, reports, strict=True)))
     best = result.best_rival
@@ -251,3 +255,9 @@ def _explain_refusal(problem: TrajectoryProblem, excess: tuple[Violation, ...]) 
         f"{exceeded} {other} within the motors' limits, allow a longer duration, or plan with "
         f"lower {limits}."
     )
+
+
+def requests_command(problem: TrajectoryProblem) -> bool:
+    """Return True where an objective, limit or stated uncertainty concerns the arm's elasticity."""
+    asked = problem.leads_on_path or problem.uncertainty != AssumedUncertainty()
+    return len(smoothing_stages(problem)) > 1 or asked

@@ -23,6 +23,7 @@ from stiffopt.result.simulation import (
     SETTLING_BAND,
     ElasticMotion,
     PeakRms,
+    SimulatedMotion,
     SimulatedPart,
     Simulation,
 )
@@ -193,7 +194,8 @@ def simulate_motions(
         simulated = simulate(arm, command, servo=servo, ahead=servo.dead_time, band=band, plan=plan)
         minimised = None
         if part:
-            minimised = _simulate_part(arm, part, each)
+            same = simulated if servo.follows_exactly else simulate(arm, command)
+            minimised = _part_of(arm, part, each, same)
         found.append(
             ElasticMotion(
                 name=each.name,
@@ -211,18 +213,15 @@ def simulate_motions(
     )
 
 
-def _simulate_part(
-    arm: ElasticArm,
-    name: str,
-    motion: PlannedMotion,
+def _part_of(
+    arm: ElasticArm, name: str, motion: PlannedMotion, simulated: SimulatedMotion
 ) -> SimulatedPart:
     """Return a part of the tool's deflection against the motors in flight, as objectives have it.
 
-    Motors follow exactly. The dynamic part is less the sag, that of the process less the motion
-    without it.
+    `simulated` is of motors that follow exactly. The dynamic part is less the sag, that of the
+    process less the motion without it.
     """
     command = motion.followed
-    simulated = simulate(arm, command)
     flight = simulated.time <= command.duration
     time = simulated.time[flight]
     unloaded = command.position(time)

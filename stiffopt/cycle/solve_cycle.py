@@ -15,6 +15,7 @@ import numpy as np
 
 from stiffopt.baseline.rivals import fair_rivals
 from stiffopt.certificate.objective_value import objective_value
+from stiffopt.command.simulated_solution import with_simulation
 from stiffopt.cycle.cycle_simulation import cycle_duty, simulate_cycle
 from stiffopt.cycle.duty_weights import DutyWeights
 from stiffopt.cycle.time_split import Combination, ShortestDuration, TimeSplit, combined
@@ -28,11 +29,10 @@ from stiffopt.problem.trajectory import Target, TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.cycle import CycleSolution, LegResult, RivalCycle
 from stiffopt.result.duty import DutyUse
+from stiffopt.result.progress import ProgressCallback, SolveProgress
 from stiffopt.result.solution import ObjectiveValue, Solution
 from stiffopt.result.status import SolveStatus
-from stiffopt.solver.simulated_solution import with_simulation
 from stiffopt.solver.solve import solve
-from stiffopt.solver.solve_run import ProgressCallback, SolveProgress
 
 # Rounds of the split; each solves every leg whose duration changed.
 _MAX_ROUNDS = 8

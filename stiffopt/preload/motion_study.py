@@ -23,12 +23,12 @@ from stiffopt.preload.problem import PreloadProblem
 from stiffopt.preload.solution import PreloadSolution
 from stiffopt.problem.objective import OBJECTIVES
 from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.progress import ProgressCallback, SolveProgress
 from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.solution import Solution
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver.family import ProblemFamily, WarmStart
 from stiffopt.solver.monitor import Progress
-from stiffopt.solver.solve_run import ProgressCallback, SolveProgress
 
 # Relative change of the deflection that ends the alternation: a tenth of the reported digits.
 _DEFLECTION_TOLERANCE = 1e-4

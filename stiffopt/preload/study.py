@@ -19,10 +19,10 @@ from stiffopt.preload.problem import OBJECTIVES, FreeElement, PreloadProblem
 from stiffopt.preload.sensitivity import Loosening, Sensitivity, loosening, sensitivity
 from stiffopt.preload.solution import PreloadSolution
 from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.progress import SolveProgress
 from stiffopt.result.provenance import versions
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver.monitor import Progress
-from stiffopt.solver.solve_run import SolveProgress
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -19,11 +19,11 @@ from stiffopt.recipe.stored_result import (
     read_problem,
     read_state,
 )
+from stiffopt.result.progress import ProgressCallback
 from stiffopt.result.provenance import versions
 from stiffopt.result.solution import Solution
 from stiffopt.result.store import RESULT_FILE, read_document
 from stiffopt.solver.family import ProblemFamily
-from stiffopt.solver.solve_run import ProgressCallback
 
 # Relative difference of objectives up to which two platforms agree.
 REPLAY_TOLERANCE = 1e-9

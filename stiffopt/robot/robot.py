@@ -161,8 +161,8 @@ class Robot:
         """Return whether an elastic joint moves the tool in any of some poses (K, n)."""
         springs = np.array([chain is not None and bool(chain.stages) for chain in self.chains])
         bodies = self.rigid_bodies()
-        arms = [bodies.jacobian(self.tool, pose)[:3, springs] for pose in poses]
-        return bool(np.max(np.abs(arms), initial=0.0) > _MIN_LEVER_ARM)
+        arms = (bodies.jacobian(self.tool, pose)[:3, springs] for pose in poses)
+        return any(bool(np.any(np.abs(arm) > _MIN_LEVER_ARM)) for arm in arms)
 
     @property
     def joint_names(self) -> tuple[str, ...]:

@@ -12,13 +12,12 @@ from dataclasses import replace
 import numpy as np
 
 from stiffopt.certificate.assess import assess, drive_violations
-from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE, DRIVE_LIMITS
 from stiffopt.errors import NotSimulatedError
 from stiffopt.problem.limit import LIMITS
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.solver.exact_rows import (
-    DRIVE_LIMITS,
     TARGET_EXCESS,
     ExactRows,
     allows_other_motion,

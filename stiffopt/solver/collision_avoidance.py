@@ -20,12 +20,13 @@ from stiffopt.path.path_search import FreeSpace
 from stiffopt.problem.input_checks import located_targets
 from stiffopt.result.assessment import Violation
 from stiffopt.result.joint_path import JointPath
+from stiffopt.result.progress import SolveProgress
 from stiffopt.solver.clearance_rows import ClearanceRows
 from stiffopt.solver.exchange import OutcomeOracle, Proposal, exchange, rank_outcome
 from stiffopt.solver.initial_guess import guess_from_motion
 from stiffopt.solver.programme import Outcome, solve_again
 from stiffopt.solver.refinement import refine
-from stiffopt.solver.solve_run import SolveProgress, SolveRun
+from stiffopt.solver.solve_run import SolveRun
 from stiffopt.solver.stage_plan import SolveStage, plan_stages
 from stiffopt.solver.stages import run_stages
 from stiffopt.transcription.mesh import Mesh

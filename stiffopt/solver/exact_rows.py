@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from stiffopt.certificate.assess import drive_violations
-from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE, DRIVE_LIMITS
 from stiffopt.command.smoothing_width import (
     KINK_EXCESS,
     MAX_REMAINING_EXCESS,
@@ -52,7 +52,6 @@ _MIN_EXPLAINED_SHARE = 0.5
 _CHECK_SMOOTHING_SHARE = 0.1
 # Excess that no correction removes: the smoothing is widened before the first one.
 _SPIKE_EXCESS = 4.0
-DRIVE_LIMITS = ("velocity", "acceleration", "jerk", "torque")
 
 
 class ExactRows(OutcomeOracle):

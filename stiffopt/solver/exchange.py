@@ -121,14 +121,6 @@ def rank_outcome(run: SolveRun, outcome: Outcome, excess: float | None = None) -
     return max(excess, CERTIFICATE_TOLERANCE), not ended, sign * value
 
 
-def until_interrupted(work: Callable[[], Answer], kept: Callable[[], Answer]) -> Answer:
-    """Return the result of the work; after Ctrl-C the best that is kept."""
-    try:
-        return work()
-    except KeyboardInterrupt:
-        return kept()
-
-
 def keep_better(run: SolveRun, outcome: Outcome) -> Outcome:
     """Return the outcome; it is the answer to Ctrl-C from now on, where it is the best so far."""
     if run.best is None or rank_outcome(run, outcome) <= rank_outcome(run, run.best):

@@ -19,6 +19,7 @@ from stiffopt.baseline.baselines import baselines
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.command.command_search import CommandChoice
 from stiffopt.command.simulation import check_simulation
+from stiffopt.interrupts import until_interrupted
 from stiffopt.problem.bounds import shortest_duration
 from stiffopt.problem.input_checks import check_clear_poses
 from stiffopt.problem.limits.travel import with_bounded_travel
@@ -27,10 +28,12 @@ from stiffopt.problem.resolve import resolve
 from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
+from stiffopt.result.progress import ProgressCallback
 from stiffopt.result.solution import Solution
 from stiffopt.solver.active_set import ActiveSetSolver
-from stiffopt.solver.exchange import exchange, interrupted_outcome, until_interrupted
+from stiffopt.solver.exchange import exchange, interrupted_outcome
 from stiffopt.solver.programme import (
+    WARM_BOUND_PUSH,
     Outcome,
     Programme,
     build_programme,
@@ -47,7 +50,7 @@ from stiffopt.solver.solve import (
     preliminary_notes,
     solve_with_state,
 )
-from stiffopt.solver.solve_run import ProgressCallback, SolveRun
+from stiffopt.solver.solve_run import SolveRun
 from stiffopt.solver.stage_plan import SolveStage, solver_options
 from stiffopt.solver.stationary_joints import fix_creeping_joints
 from stiffopt.solver.verdict import MAX_OBJECTIVE_GAP
@@ -55,9 +58,6 @@ from stiffopt.transcription.build import adapt
 from stiffopt.transcription.mesh import Mesh
 from stiffopt.transcription.nlp import BlockScales, Nlp
 
-# Least distance of a warm start from bounds, relative: with 1e-8 other active bounds than those of
-# the start take a third more iterations, as bounds move with the numbers.
-_WARM_BOUND_PUSH = 1e-4
 # Programmes in memory, the most recently used ones.
 _MAX_KEPT_PROGRAMMES = 4
 
@@ -238,9 +238,7 @@ class ProblemFamily:
         plain, made = made.transcription, _backed_off(made, warm.back_off / of_g)
         raw = solve_by_active_set(run, made, stage, begin.x, begin)
         if raw is None:
-            raw = solve_stage(
-                run, made, stage, begin.x, begin, "warm", "adaptive", _WARM_BOUND_PUSH
-            )
+            raw = solve_stage(run, made, stage, begin.x, begin, "warm", "adaptive", WARM_BOUND_PUSH)
         if not raw.converged:
             return None
         outcome = certify_outcome(run, made, raw, warm.smoothing)

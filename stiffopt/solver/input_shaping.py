@@ -18,19 +18,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 
 from stiffopt.baseline.baselines import better_baseline, strict_baseline
 from stiffopt.certificate.assess import assess, drive_violations
 from stiffopt.certificate.collisions import with_collisions
 from stiffopt.certificate.objective_value import improvement, objective_value
-from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE, DRIVE_LIMITS
 from stiffopt.command.smoothing_width import (
     KINK_EXCESS,
     KNOT_SPACINGS,
     motors_with_sufficient_smoothing,
 )
 from stiffopt.elastic.arm import ElasticArm
+from stiffopt.elastic.averaged_motion import AveragedMotion
 from stiffopt.elastic.modes import modes
 from stiffopt.elastic.smooth_motion import smooth_motion
 from stiffopt.errors import ProblemError
@@ -45,16 +45,13 @@ from stiffopt.result.assessment import Assessment
 from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.solution import Baseline, Solution
 from stiffopt.result.status import SolveStatus
-from stiffopt.result.trajectory import JointMotion, Trajectory
+from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.exchange import Oracle, Proposal, exchange
 from stiffopt.solver.solve_run import MIN_SOLVE_TIME, SolveRun
 
-# Samples of the motion that is averaged.
-_AVERAGING_SAMPLES = 8001
 _MAX_BACK_OFF_ROUNDS = 5
 # Shares of limits and via tolerances that remain at least.
 _MIN_LIMIT_SHARE = 0.1
-_BACKED_OFF_LIMITS = ("velocity", "acceleration", "jerk", "torque")
 # Back-off over the excess.
 _BACK_OFF_FACTOR = 1.1
 # Averaging windows in periods of the lowest mode: where a baseline that keeps all limits is better,
@@ -392,7 +389,7 @@ def _back_off_problem(
         cell = replace(inner.stated_cell, clearance=wider)
     drawn = {
         name: getattr(limits, name) * max(1.0 - more * excess[name], _MIN_LIMIT_SHARE)
-        for name in _BACKED_OFF_LIMITS
+        for name in DRIVE_LIMITS
         if name in excess
     }
     missed = any(name.startswith("via_") for name in excess)
@@ -407,45 +404,9 @@ def _back_off_problem(
 def _average_problems(loose: TrajectoryProblem, tight: TrajectoryProblem) -> TrajectoryProblem:
     """Return the tight problem with limits and tolerances midway between both."""
     before, after = loose.active_limits, tight.active_limits
-    middle = {
-        name: 0.5 * (getattr(before, name) + getattr(after, name)) for name in _BACKED_OFF_LIMITS
-    }
+    middle = {name: 0.5 * (getattr(before, name) + getattr(after, name)) for name in DRIVE_LIMITS}
     vias = tuple(
         replace(own, tolerance=0.5 * (own.tolerance + given.tolerance))
         for own, given in zip(tight.vias, loose.vias, strict=True)
     )
     return replace(tight, vias=vias, limits=Limits(after.values, **middle))
-
-
-@dataclass(frozen=True, eq=False)
-class AveragedMotion:
-    """Motion averaged over a window before each instant, longer by that window."""
-
-    motion: JointMotion
-    window: float  # averaging window [s]
-
-    @property
-    def duration(self) -> float:
-        """Duration [s]."""
-        return self.motion.duration + self.window
-
-    def __call__(self, t: np.ndarray, order: int = 0) -> np.ndarray:
-        """Return positions (K, n) at times (K,); derivatives are not available."""
-        if order:
-            raise ValueError("only the position of an averaged motion is known")
-        travelled = self._position_integral(t) - self._position_integral(
-            np.asarray(t) - self.window
-        )
-        return np.asarray(travelled / self.window)
-
-    def _position_integral(self, t: np.ndarray) -> np.ndarray:
-        """Return the integral of the position from the start (K, n), at rest outside the motion."""
-        end = self.motion.duration
-        times = np.linspace(0.0, end, _AVERAGING_SAMPLES)
-        position = self.motion(times)
-        whole = scipy.interpolate.CubicHermiteSpline(
-            times, position, self.motion(times, 1)
-        ).antiderivative()
-        outside = np.minimum(t, 0.0)[:, None] * position[0]
-        outside += np.maximum(np.asarray(t) - end, 0.0)[:, None] * position[-1]
-        return np.asarray(whole(np.clip(t, 0.0, end)) + outside)

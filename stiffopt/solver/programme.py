@@ -19,13 +19,14 @@ from stiffopt.problem.motor_model import LAW_SMOOTHING_FACTOR
 from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment, Violation
+from stiffopt.result.progress import SolveProgress
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.active_set import ActiveSetSolver
 from stiffopt.solver.exchange import keep_better
 from stiffopt.solver.ipopt import WARM_BARRIER, IpoptSolver, Multipliers, RawSolution
 from stiffopt.solver.monitor import FEASIBLE_VIOLATION, Progress
-from stiffopt.solver.solve_run import SolveProgress, SolveRun
-from stiffopt.solver.stage_plan import MANY_PHASES, SolveStage, solver_options
+from stiffopt.solver.solve_run import SolveRun
+from stiffopt.solver.stage_plan import MANY_PHASES, NEAR_BOUND_PUSH, SolveStage, solver_options
 from stiffopt.symbolic import array_of
 from stiffopt.transcription.build import transcribe
 from stiffopt.transcription.mesh import Mesh
@@ -44,10 +45,11 @@ _MIN_CORRECTION_ITERATIONS = 150
 # Objective of a correction over the one that the multipliers predict, up to which a stalled one is
 # acceptable.
 _MAX_STALLED_RISE = 1e-2
-# Least distance from backed-off bounds of a correction's start, and with many phases. There most
-# phases keep their motion, which an adaptive barrier would leave first: initial barrier after a
-# rough solve, and after another one over the tolerance, at which it stays.
-_CORRECTION_BOUND_PUSH, _MANY_PHASES_BOUND_PUSH = 1e-3, 1e-4
+# Least distance from bounds of a start that has nearly the same active ones: a similar problem's,
+# or a correction's with many phases, most of which keep their motion. An adaptive barrier would
+# leave it first: initial barrier after a rough solve, and after another one over the tolerance, at
+# which it stays.
+WARM_BOUND_PUSH = 1e-4
 _ROUGH_BARRIER, _SOLVED_BARRIER_SHARE = 1e-7, 0.5
 
 
@@ -164,7 +166,7 @@ def solve_again(
         raw,
         "correction",
         "monotone" if many else "adaptive",
-        _MANY_PHASES_BOUND_PUSH if many else _CORRECTION_BOUND_PUSH,
+        WARM_BOUND_PUSH if many else NEAR_BOUND_PUSH,
         max_iterations or most,
         raw.objective + predict_rise(before, nlp) + _MAX_STALLED_RISE * abs(raw.objective),
         last if many else WARM_BARRIER,

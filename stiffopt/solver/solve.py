@@ -18,11 +18,12 @@ from stiffopt.baseline.baselines import baselines, better_baseline, strict_basel
 from stiffopt.certificate.collisions import with_collisions
 from stiffopt.certificate.objective_value import improvement, objective_value
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE, describe_slips, find_slips
+from stiffopt.command import simulated_solution
 from stiffopt.command.command_search import CommandChoice
 from stiffopt.command.simulation import check_simulation
 from stiffopt.elastic.arm import questionable_springs
 from stiffopt.errors import NoSolutionFound, ProblemError
-from stiffopt.interrupts import end_deferral
+from stiffopt.interrupts import end_deferral, until_interrupted
 from stiffopt.path.path_duty import describe_duty
 from stiffopt.path.timed_path import FASTEST_REASON, timed_motion
 from stiffopt.problem.bounds import check_bounds, shortest_duration
@@ -38,20 +39,20 @@ from stiffopt.problem.objective import Scales
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
 from stiffopt.result.assessment import Assessment
+from stiffopt.result.progress import ProgressCallback
 from stiffopt.result.provenance import inputs_hash, versions
 from stiffopt.result.solution import Baseline, Solution
 from stiffopt.result.status import SolveStatus
-from stiffopt.solver import simulated_solution
 from stiffopt.solver.between_rivals import BetweenRivals
 from stiffopt.solver.collision_avoidance import avoid_collisions
-from stiffopt.solver.exchange import exchange, interrupted_outcome, until_interrupted
+from stiffopt.solver.exchange import exchange, interrupted_outcome
 from stiffopt.solver.initial_guess import guess_from_motion, initial_guess, perturb_guess
 from stiffopt.solver.input_shaping import Window, mark_solution_interrupted, solve_shaped
 from stiffopt.solver.programme import Outcome
 from stiffopt.solver.ringing import RingingBesideRivals
 from stiffopt.solver.robust_plan import choose_shaped_motion, robust_plan
 from stiffopt.solver.slowing import Slowing
-from stiffopt.solver.solve_run import MIN_SOLVE_TIME, ProgressCallback, SolveRun
+from stiffopt.solver.solve_run import MIN_SOLVE_TIME, SolveRun
 from stiffopt.solver.starts import BetterBaseline, best_of_starts
 from stiffopt.solver.trivial_outcomes import (
     baseline_as_optimum,
@@ -194,6 +195,7 @@ def complete_solution(
             run.motion,
             run.command,
             run.rivals,
+            run.motors if stated.plans_links else None,
             choice=choice,
             compare=beside_rivals,
         )

@@ -1,4 +1,4 @@
-"""State of a solve in progress: clock, record, intermediate results, progress events."""
+"""State of a solve in progress: clock, record, intermediate results."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from stiffopt.problem.formulation import formulate, law_smoothing
 from stiffopt.problem.motor_model import MotorLaw, round_lags
 from stiffopt.problem.objective import Scales
 from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
+from stiffopt.result.progress import ProgressCallback
 from stiffopt.result.solution import Baseline
 from stiffopt.solver.clearance_rows import ClearanceRows
 from stiffopt.solver.ipopt import RawSolution
@@ -41,21 +42,6 @@ MIN_SOLVE_TIME = 0.1
 _FREE_ARRIVAL_ITERATION_SHARE = 0.4
 # Smoothed quintic motion from which the initial smoothing width follows.
 _QUINTIC_SPLINE_PIECES, _QUINTIC_SAMPLES = 30, 3001
-
-
-@dataclass(frozen=True)
-class SolveProgress:
-    """One iteration, for displays."""
-
-    stage: str  # number of the stage, intervals and smoothing
-    iteration: int
-    objective: float  # in SI, of the smoothed model at the nodes
-    violation: float  # worst row, relative to its scale
-    row: str  # its name; empty without a violation
-    elapsed: float  # since the solve began [s]
-
-
-ProgressCallback = Callable[[SolveProgress], object]
 
 
 @dataclass

@@ -10,7 +10,7 @@ from stiffopt.problem.formulation import smoothing_stages
 from stiffopt.problem.stage_terms import WINDUP_SMOOTHING, Smoothing
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.joint_path import JointPath
-from stiffopt.solver.ipopt import IpoptOptions
+from stiffopt.solver.ipopt import WARM_BARRIER, IpoptOptions
 from stiffopt.transcription.mesh import Mesh, refine_mesh, split_counts, uniform_mesh
 from stiffopt.transcription.ocp import Guess, OptimalControlProblem
 from stiffopt.transcription.transcription import Transcription
@@ -32,20 +32,18 @@ _FRICTION_WIDENINGS = (16.0, 4.0)
 # one of a hundred phases shortens the steps of all. Tolerance of the stages before, over the number
 # of phases, each of which has that share of the objective: below it they converge linearly.
 _FINE_FRICTION_WIDENINGS, _CONVEX_STAGE_TOLERANCE = (2.0, 1.0), 1e-3
-# Initial barrier parameter of a smooth problem that starts near its optimum.
-_INITIAL_NEAR_BARRIER = 1e-4
+# Initial barrier parameter of a smooth problem, or one of planned links, that starts near its
+# optimum; least distance from bounds of the latter's start and that of a correction.
+_INITIAL_NEAR_BARRIER, NEAR_BOUND_PUSH = 1e-4, 1e-3
 # Phases for which the iteration limit of a problem holds; more phases have proportionally more.
 _ITERATION_LIMIT_PHASES = 10
 # Iterations without a nearly feasible point, after which infeasibility is analysed.
 _INFEASIBLE_ITERATIONS = 100
-# Initial barrier parameter, and so bound multipliers, where the duration is minimised.
-_INITIAL_DURATION_BARRIER = 1e-3
-# That of a peak on a fine mesh, from the motion of a coarse one; and IPOPT's decrease of the
-# inertia correction.
-_NEAR_PEAK_BARRIER, _INERTIA_CORRECTION_DECREASE = 1e-6, 0.1
-# With many phases: that from a guess, and the largest from the motion of a coarse mesh, which an
-# adaptive barrier else raises so far that the motion is forgotten.
-_INITIAL_PEAK_BARRIER, _MAX_NEAR_PEAK_BARRIER = 1e-3, 1e-5
+# Initial barrier parameter, and so bound multipliers, of one duration or one peak of many phases
+# from a guess. On a fine mesh, from the motion of a coarse one, a peak has that of a warm start and
+# this decrease of IPOPT's inertia correction; with many phases this largest barrier, which else
+# adapts so far upwards that the motion is forgotten.
+_INITIAL_BARRIER, _INERTIA_CORRECTION_DECREASE, _MAX_NEAR_PEAK_BARRIER = 1e-3, 0.1, 1e-5
 # Tolerances of a peak of many phases before the last mesh, whose digits are those of another mesh,
 # and on it, where a correction of its rows follows.
 _PEAK_TOLERANCES = (1e-4, 1e-5)
@@ -149,22 +147,22 @@ def solver_options(problem: TrajectoryProblem, *, near: bool = False) -> IpoptOp
     fastest = any(each.name == "duration" for each in problem.objectives)
     if fastest and not problem.plans_links:
         # Beside one duration, multipliers of 1 at thousands of bounds lead far into the interior.
-        extra |= {"bound_mult_init_method": "mu-based", "mu_init": _INITIAL_DURATION_BARRIER}
+        extra |= {"bound_mult_init_method": "mu-based", "mu_init": _INITIAL_BARRIER}
     peak = smoothing_stages(problem) == WINDUP_SMOOTHING and not fastest
     if peak and not problem.plans_links and method.intervals > _MAX_MIDDLE_INTERVALS:
         many = phases >= MANY_PHASES
         if near or many:
             # All nodes share the peak's multiplier. Multipliers of 1 each distort the Hessian so
             # much that the inertia correction is far too large, which takes many short steps.
-            barrier = _NEAR_PEAK_BARRIER if near else _INITIAL_PEAK_BARRIER
+            barrier = WARM_BARRIER if near else _INITIAL_BARRIER
             extra |= {"bound_mult_init_method": "mu-based", "mu_init": barrier}
         if near:
             extra["perturb_dec_fact"] = _INERTIA_CORRECTION_DECREASE
             extra |= {"mu_max": _MAX_NEAR_PEAK_BARRIER} if many else {}
     if problem.plans_links and near:
         # Multipliers of a small barrier, else the first steps lead far away from the start.
-        extra |= {"bound_mult_init_method": "mu-based", "mu_init": 1e-4}
-        extra |= dict.fromkeys(_BOUND_PUSH_OPTIONS, 1e-3)
+        extra |= {"bound_mult_init_method": "mu-based", "mu_init": _INITIAL_NEAR_BARRIER}
+        extra |= dict.fromkeys(_BOUND_PUSH_OPTIONS, NEAR_BOUND_PUSH)
     return IpoptOptions(
         tol=method.tolerance,
         max_iterations=int(

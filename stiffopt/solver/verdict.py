@@ -19,8 +19,13 @@ from stiffopt.certificate.agreement import Disagreement, find_disagreements
 from stiffopt.certificate.assess import assess
 from stiffopt.certificate.collisions import COLLISION_LIMIT, describe_collision_scope
 from stiffopt.certificate.objective_value import is_maximised, objective_value
-from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE, describe_slips, find_slips
-from stiffopt.elastic.uncertainty import AssumedUncertainty
+from stiffopt.certificate.violations import (
+    CERTIFICATE_TOLERANCE,
+    DRIVE_LIMITS,
+    describe_slips,
+    find_slips,
+)
+from stiffopt.command.compensation import requests_command
 from stiffopt.problem.formulation import smoothing_stages
 from stiffopt.problem.prediction import predict_motion
 from stiffopt.problem.stage_terms import Smoothing
@@ -46,15 +51,11 @@ _MIN_FRICTION_SHARE = 0.5
 # Ratio of every baseline's deflection to its limit from which on the limit is reported as out of
 # reach: no known optimum is so far below its baselines.
 _OUT_OF_REACH_RATIO = 10.0
-# A baseline may benefit from the tolerance of the limits: it has to be better by more than that.
-_MIN_BASELINE_GAIN = CERTIFICATE_TOLERANCE
 # Bounds of states and controls are limits of the joints: "control rate, acceleration of joint 1 (at
 # 50 %)" is the limit of the jerk.
 _BOUND_ENTRY = re.compile(r"(state|control|control rate|\w+ within interval), (\w+) of (joint .*)")
 # Blocks of the programme that hold the motion: fixed values in them are those of start and end.
 _MOTION_BLOCKS = ("state", "control", "control at the start", "spline")
-# Limits of joints, some of which may not be stated.
-_JOINT_LIMITS = ("position", "velocity", "acceleration", "jerk", "torque")
 _DERIVATIVE_NAMES = {"velocity": "acceleration", "acceleration": "jerk"}
 
 
@@ -100,12 +101,6 @@ def judge_outcome(
         SolveStatus.ACCEPTABLE if optimal else found.status,
         f"{told} has a better objective and keeps all limits as well: {run}{more}",
     )
-
-
-def requests_command(problem: TrajectoryProblem) -> bool:
-    """Return True where an objective, limit or stated uncertainty concerns the arm's elasticity."""
-    asked = problem.leads_on_path or problem.uncertainty != AssumedUncertainty()
-    return len(smoothing_stages(problem)) > 1 or asked
 
 
 def _explain_unreachable_deflection(
@@ -230,7 +225,8 @@ def find_better_baseline(
         return best
     own, rival = objective_value(problem, outcome.assessment).value, best.objective
     gain = rival - own if is_maximised(problem) else own - rival
-    return best if gain > _MIN_BASELINE_GAIN * max(abs(own), abs(rival)) else None
+    # A baseline may benefit from the tolerance of the limits: it must be better by more than that.
+    return best if gain > CERTIFICATE_TOLERANCE * max(abs(own), abs(rival)) else None
 
 
 def describe_optimality(
@@ -306,7 +302,7 @@ def _status_message(problem: TrajectoryProblem, outcome: Outcome, motion: Assess
         )
     if status is SolveStatus.OPTIMAL:
         held = {v.limit for v in assessment.violations}
-        listed = ", ".join(each for each in _JOINT_LIMITS if each in held)
+        listed = ", ".join(each for each in ("position", *DRIVE_LIMITS) if each in held)
         return status.sentence.replace(
             ". ",
             f", so the motion may be run as far as {listed} and the stated requirements go. ",

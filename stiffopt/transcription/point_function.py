@@ -14,6 +14,7 @@ CasADi's own colouring of the same graph takes several times as long.
 from __future__ import annotations
 
 import hashlib
+import inspect
 from collections import OrderedDict
 from collections.abc import Callable
 from pathlib import Path
@@ -39,12 +40,6 @@ kept_batches: OrderedDict[str, tuple[Batch, ...]] = OrderedDict()
 def stage_functions(stage: NumberedStage) -> tuple[ca.Function, ...]:
     """Return a stage's values, Jacobian and Hessian, of one point or several side by side."""
     return _prepare_once(stage.formula, lambda: stage.derivatives)
-
-
-def batched_function(function: ca.Function) -> ca.Function:
-    """Return a function (w, p, numbers) -> values, of one point or several side by side."""
-    formula = hashlib.sha256(function.serialize().encode()).hexdigest()
-    return _prepare_once(formula, lambda: (function,))[0]
 
 
 def _prepare_once(
@@ -81,12 +76,18 @@ def _load_batches(
     return loaded if len(loaded) == len(several) else None
 
 
+def _name_with_source(extended: Callable[[ca.SX, ca.SX], tuple[ca.SX, ca.SX]]) -> str:
+    """Return the name of a function and a hash of the file that it is in."""
+    source = Path(inspect.getfile(extended)).read_bytes()
+    return f"{extended.__qualname__} {hashlib.sha256(source).hexdigest()}"
+
+
 class PointFunction:
     """Values, without derivatives, of a function at any number of points.
 
     `function`: (x, u, z, p) -> (m,), of SX. `extended`: (variables, values) -> (variables, values)
     to be evaluated in their place, as derivatives: numbers are extracted from the short function,
-    before it is extended.
+    before it is extended. It depends on nothing but that function and code of its file.
     """
 
     def __init__(
@@ -95,12 +96,17 @@ class PointFunction:
         extended: Callable[[ca.SX, ca.SX], tuple[ca.SX, ca.SX]] | None = None,
     ) -> None:
         own = extract_numbers(function)
-        variables, *same = own.function.sx_in()
-        values = own.function.call([variables, *same])[1]
-        if extended is not None:
-            variables, values = extended(variables, values)
-        found = ca.Function("values", [variables, *same], [ca.densify(values)])
-        self._function, self._numbers = batched_function(found), own.numbers
+
+        def evaluated() -> tuple[ca.Function]:
+            variables, *same = own.function.sx_in()
+            values = own.function.call([variables, *same])[1]
+            if extended is not None:
+                variables, values = extended(variables, values)
+            return (ca.Function("values", [variables, *same], [ca.densify(values)]),)
+
+        name = "values" if extended is None else _name_with_source(extended)
+        self._function = _prepare_once(f"{name} of {own.formula}", evaluated)[0]
+        self._numbers = own.numbers
 
     def __call__(self, variables: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """Values (m, k).

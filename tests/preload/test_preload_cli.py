@@ -13,8 +13,8 @@ from stiffopt.preload.files import load_study
 from stiffopt.preload.store import study_document
 from stiffopt.preload.study import named_values, preload_study, value_units
 from stiffopt.report.common.progress import StudyProgress
+from stiffopt.result.progress import SolveProgress
 from stiffopt.solver.monitor import Progress
-from stiffopt.solver.solve_run import SolveProgress
 
 MORE = """[pareto]
 points = 3

@@ -11,10 +11,10 @@ from synthetic_solution import solution
 from stiffopt import Limits, SolveStatus, Target, solve
 from stiffopt.baseline.baselines import baselines
 from stiffopt.cli import run
+from stiffopt.command.simulated_solution import with_simulation
 from stiffopt.errors import NotSimulatedError, ProblemError
 from stiffopt.problem.bounds import check_bounds
 from stiffopt.problem.resolve import resolve
-from stiffopt.solver.simulated_solution import with_simulation
 
 # Slopes and steps of the reducer that the small arms have.
 K1 = 8e3
@@ -247,7 +247,7 @@ def test_motion_with_deflection_between_the_ends_is_simulated(aside_between, mon
     def met(*given):
         raise NotSimulatedError("as far as the arm.")
 
-    monkeypatch.setattr("stiffopt.solver.simulated_solution.elastic_arm", met)
+    monkeypatch.setattr("stiffopt.command.simulated_solution.elastic_arm", met)
     quintic = baselines(aside_between, resolve(aside_between))["quintic"].assessment
     noted = with_simulation(aside_between, solution(3, assessment=quintic)).notes[-1]
     assert noted == "Not simulated on the elastic arm: as far as the arm."

@@ -13,6 +13,7 @@ from small_arms import load
 from stiffopt.baseline.rivals import quintic_law
 from stiffopt.budget.floor import geometry_floor
 from stiffopt.certificate import assess as certificate
+from stiffopt.command.simulated_solution import _judge_beside_rivals, with_simulation
 from stiffopt.connection import Constant
 from stiffopt.drivetrain.bearing import OutputBearing
 from stiffopt.drivetrain.chain import Chain, Stage
@@ -40,7 +41,6 @@ from stiffopt.solver.ipopt import RawSolution
 from stiffopt.solver.programme import solve_stage
 from stiffopt.solver.ringing import RingingBesideRivals
 from stiffopt.solver.rival_errors import RivalErrors
-from stiffopt.solver.simulated_solution import _judge_beside_rivals, with_simulation
 from stiffopt.solver.solve import solve
 from stiffopt.solver.solve_run import SolveRun
 from stiffopt.solver.stage_plan import SolveStage

@@ -271,7 +271,8 @@ def test_without_a_command_within_the_limits_the_one_of_least_excess_is_taken(
     motion = replace(planned(problem, 0.31), exceeded=())
     arm, law = elastic_arm(problem, motion.position[0]), MotorLaw(problem.robot)
     search = command_search.CommandSearch(problem, arm, motion, law)
-    assert not list(search._candidates_within_limits())
+    leads = map(search._lead_of, search._spacings)
+    assert not any(list(search._candidates_within_limits(lead)) for lead in leads)
     monkeypatch.setattr(search, "_worst_arms", None)  # nothing is simulated
     leads = [list(search._lead_of(each).commands(1.0))[-1] for each in search._spacings]
     excess = [search._excess_beyond_plan(each.motors) for each in leads]

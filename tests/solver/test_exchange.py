@@ -5,12 +5,12 @@ from types import SimpleNamespace
 import pytest
 
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
+from stiffopt.interrupts import until_interrupted
 from stiffopt.solver.exchange import (
     Oracle,
     OutcomeOracle,
     Proposal,
     exchange,
-    until_interrupted,
 )
 
 

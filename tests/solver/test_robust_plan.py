@@ -10,6 +10,7 @@ from small_arms import load
 
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.command.compensation import compensate_motion
+from stiffopt.command.simulated_solution import with_simulation
 from stiffopt.command.simulation import PlannedMotion, elastic_arm
 from stiffopt.elastic.uncertainty import AssumedUncertainty, Uncertainty
 from stiffopt.problem.objective import Objective
@@ -17,7 +18,6 @@ from stiffopt.problem.resolve import resolve
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver import robust_plan
 from stiffopt.solver.input_shaping import windows_for_arms
-from stiffopt.solver.simulated_solution import with_simulation
 from stiffopt.solver.solve import solve, solve_with_state
 
 DEVIATION = 'objective = "tool_deviation"'

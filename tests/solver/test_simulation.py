@@ -10,6 +10,7 @@ from small_arms import load
 
 from stiffopt.baseline.baselines import baselines, slowed_quintic
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
+from stiffopt.command.simulated_solution import with_simulation
 from stiffopt.command.simulation import rival_motions
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import RobotError
@@ -22,7 +23,6 @@ from stiffopt.report.solve.wording import (
     simulation_section,
 )
 from stiffopt.result.store import result_document
-from stiffopt.solver.simulated_solution import with_simulation
 from stiffopt.solver.solve import solve
 
 PEAK = 'objective = "dynamic_deflection"'
@@ -189,7 +189,7 @@ def test_interruption_names_missing_results(solved, monkeypatch, stage, told):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(f"stiffopt.solver.simulated_solution.{stage}", interrupted)
+    monkeypatch.setattr(f"stiffopt.command.simulated_solution.{stage}", interrupted)
     found = with_simulation(problem, replace(solution, simulation=None, compensation=None))
     assert found.compensation is None
     assert (found.simulation is None) == (stage == "simulate_motions")
@@ -201,7 +201,7 @@ def test_rivals_of_the_solve_are_not_searched_again(solved, monkeypatch):
     problem, solution = solved
     searched = []
     monkeypatch.setattr(
-        "stiffopt.solver.simulated_solution.rival_motions", lambda *_: searched.append(1) or []
+        "stiffopt.command.simulated_solution.rival_motions", lambda *_: searched.append(1) or []
     )
     plain = replace(solution, simulation=None, compensation=None)
     assert with_simulation(problem, plain, rivals=(solution.duration, [], [])).simulation

@@ -8,6 +8,7 @@ from scipy.sparse import csc_matrix
 from small_arms import CONSTANT, joint, problem_text, reducer, write_robot
 
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
+from stiffopt.command import motor_change
 from stiffopt.command.simulation import elastic_arm
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
@@ -231,9 +232,9 @@ def test_limit_after_arrival_gets_twice_as_many_changes(monkeypatch):
 
 
 def test_nearly_used_limit_allows_no_change():
-    used = np.array([0.0, 0.5, 1.0 - 0.5 * vibration_suppression._LIMIT_RESERVE, 1.003])
-    room = vibration_suppression._remaining_limit(used)
-    np.testing.assert_allclose(room[:2], 1.0 - used[:2] - vibration_suppression._LIMIT_RESERVE)
+    used = np.array([0.0, 0.5, 1.0 - 0.5 * motor_change._LIMIT_RESERVE, 1.003])
+    room = motor_change._remaining_limit(used)
+    np.testing.assert_allclose(room[:2], 1.0 - used[:2] - motor_change._LIMIT_RESERVE)
     # One that is exceeded has to give way.
     np.testing.assert_allclose(room[2:], [0.0, -0.003], atol=1e-12)
 
@@ -281,13 +282,11 @@ def test_quadratic_programme_with_flat_hessian_is_solved():
     rows = csc_matrix(rng.normal(size=(300, 60)))
     # Bounds that nothing reaches, and one that is.
     most = np.full(300, 1e2)
-    found = vibration_suppression._solve_quadratic_programme(
-        hessian, -hessian @ wanted, rows, -most, most
-    )
+    found = motor_change._solve_quadratic_programme(hessian, -hessian @ wanted, rows, -most, most)
     assert found == pytest.approx(wanted, abs=1e-3)
     # Where a row cannot give way it gets no worse.
     rows, most = csc_matrix(np.eye(60)[[0, 0]]), np.array([1e2, -1.0])
-    stays = vibration_suppression._solve_quadratic_programme(
+    stays = motor_change._solve_quadratic_programme(
         hessian, -hessian @ wanted, rows, np.array([0.0, -1e2]), most
     )
     assert stays[0] == pytest.approx(0.0, abs=1e-6)

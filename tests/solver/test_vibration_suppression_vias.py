@@ -9,8 +9,8 @@ import pytest
 from small_arms import load
 
 from stiffopt import Target
+from stiffopt.command.motor_change import _Splines, _via_rows
 from stiffopt.result.assessment import Violation
-from stiffopt.solver.vibration_suppression import _Splines, _via_rows
 
 TIMES = np.linspace(0.0, 1.0, 101)
 AT = 40

@@ -72,15 +72,21 @@ def test_two_payloads_share_one_formula() -> None:
 
 def test_least_recently_used_functions_are_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(point_function, "MAX_KEPT", 2)
-    x, p, number = ca.SX.sym("x"), ca.SX.sym("p"), ca.SX.sym("n")
-    squares, cubes, fourth = (
-        ca.Function("values", [x, p, number], [x**power]) for power in (2, 3, 4)
-    )
-    first = point_function.batched_function(squares)
-    point_function.batched_function(cubes)
-    assert point_function.batched_function(squares) is first
-    point_function.batched_function(fourth)
-    assert point_function.batched_function(squares) is first
+    point_function.kept_functions.clear()
+    x, p, empty = ca.SX.sym("x"), ca.SX.sym("p"), ca.SX(0, 1)
+
+    def use(power: int) -> None:
+        values = ca.Function("values", [x, empty, empty, p], [x**power])
+        point_function.PointFunction(values)
+
+    use(2)
+    (first,) = point_function.kept_functions.values()
+    use(3)
+    use(2)
+    assert list(point_function.kept_functions.values())[-1] is first
+    use(4)
+    use(2)
+    assert list(point_function.kept_functions.values())[-1] is first
     assert len(point_function.kept_functions) == 2
     # What a result folder stores of them are those in use.
     formulas = {formula for formula, _ in point_function.kept_functions}

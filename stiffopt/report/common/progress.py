@@ -9,8 +9,8 @@ from rich.console import Console
 
 from stiffopt.report.common.terminal import StatusLine
 from stiffopt.report.common.text import si
+from stiffopt.result.progress import SolveProgress
 from stiffopt.solver.monitor import Progress
-from stiffopt.solver.solve_run import SolveProgress
 
 
 class ProgressDisplay(StatusLine):

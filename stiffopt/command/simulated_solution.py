@@ -13,23 +13,13 @@ import numpy as np
 from stiffopt.budget.floor import error_floor_note
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.command.command_search import CommandChoice, CommandOnArms
-from stiffopt.command.compensation import compare_commands, compensate, rival_commands
+from stiffopt.command.compensation import (
+    compare_commands,
+    compensate,
+    requests_command,
+    rival_commands,
+)
 from stiffopt.command.path_notes import with_path_notes
-from stiffopt.elastic.arm import ElasticArm
-from stiffopt.errors import NotSimulatedError
-from stiffopt.interrupts import end_deferral
-from stiffopt.problem.resolve import resolve
-from stiffopt.problem.trajectory import ResolvedMotion
-from stiffopt.result.simulation import Simulation
-from stiffopt.result.status import SolveStatus
-from stiffopt.solver.exchange import until_interrupted
-from stiffopt.solver.solve_run import ProgressCallback, SolveProgress
-from stiffopt.solver.verdict import requests_command
-
-if TYPE_CHECKING:
-    from stiffopt.problem.trajectory import TrajectoryProblem
-    from stiffopt.result.solution import Solution
-
 from stiffopt.command.simulation import (
     PlannedMotion,
     damping_sensitivity_note,
@@ -37,6 +27,19 @@ from stiffopt.command.simulation import (
     rival_motions,
     simulate_motions,
 )
+from stiffopt.elastic.arm import ElasticArm
+from stiffopt.errors import NotSimulatedError
+from stiffopt.interrupts import end_deferral, until_interrupted
+from stiffopt.problem.motor_model import MotorLaw
+from stiffopt.problem.resolve import resolve
+from stiffopt.problem.trajectory import ResolvedMotion
+from stiffopt.result.progress import ProgressCallback, SolveProgress
+from stiffopt.result.simulation import Simulation
+from stiffopt.result.status import SolveStatus
+
+if TYPE_CHECKING:
+    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.result.solution import Solution
 
 _COMMAND_NOT_REQUESTED = (
     "No command.csv: no objective or limit concerns the arm's elasticity. State [uncertainty] for "
@@ -58,14 +61,15 @@ def with_simulation(
     motion: ResolvedMotion | None = None,
     command: CommandOnArms | None = None,
     rivals: tuple[float, list[PlannedMotion], list[CommandOnArms]] | None = None,
+    law: MotorLaw | None = None,
     *,
     choice: CommandChoice | None = None,
     compare: bool = True,
 ) -> Solution:
     """Return the solution with its simulation and its command, or with a note on why there is none.
 
-    `motion` are the problem's poses where they are resolved already; `command` and `rivals` are of
-    the solve, used where they belong to this solution and its duration, `choice` is that of a
+    `motion` and `law` are the problem's where they exist already; `command` and `rivals` are of the
+    solve, used where they belong to this solution and its duration, `choice` is that of a
     similar motion's command. Other rivals are simulated only with `compare`.
     """
     stopped, assessment = solution.status is SolveStatus.INTERRUPTED, solution.assessment
@@ -105,7 +109,14 @@ def with_simulation(
         known = rivals[2] if rivals else None
         compensation = until_interrupted(
             lambda: compensate(
-                problem, arm, motions, known=command, rivals=known, choice=choice, progress=tell
+                problem,
+                arm,
+                motions,
+                known=command,
+                rivals=known,
+                law=law,
+                choice=choice,
+                progress=tell,
             ),
             lambda: None,
         )
