@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from stiffopt.elastic.arm import ElasticArm
-from stiffopt.elastic.bearing_lead import LedPlan, bearing_lead
+from stiffopt.elastic.bearings import LedPlan, bearing_lead
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.servo import Servo
 from stiffopt.elastic.uncertain_arms import Member, UncertainArms
