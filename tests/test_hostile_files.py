@@ -129,6 +129,16 @@ def test_a_urdf_is_checked_before_its_library_sees_it(case, tmp_path):
         load_urdf(path)
 
 
+def test_prefixes_of_a_urdf_need_no_declaration(tmp_path):
+    """Files with extensions of simulators often lack it, and other readers take them."""
+    path = tmp_path / "r.urdf"
+    joint = JOINT.format("j", "a", "b").replace("<limit", '<limit drake:acceleration="2.5"')
+    assert "drake:" in joint
+    links = "".join(map(LINK.format, "ab"))
+    path.write_text(f'<robot name="r">{links}{joint}<drake:joint/></robot>')
+    assert list(load_urdf(path).joints) == ["j"]
+
+
 def test_entities_of_a_urdf_do_not_multiply(tmp_path):
     path = tmp_path / "r.urdf"
     rows = "".join(f'<!ENTITY e{k} "{f"&e{k - 1};" * 10}">' for k in range(1, 12))

@@ -39,7 +39,9 @@ def test_the_command_needs_nothing_heavy_for_a_wrong_command_line():
 
 
 def test_cases_of_a_sweep_are_read_while_workers_load_what_is_heavy():
-    code = "import stiffopt.report.sweep.terminal\nfrom stiffopt.sweep.cases import load_sweep"
+    code = (
+        "import stiffopt.report.pages.sweep_terminal\nfrom stiffopt.sweep.cases import load_sweep"
+    )
     assert not loaded(code) & (HEAVY - {"numpy", "pydantic"})
 
 

@@ -13,7 +13,7 @@ from stiffopt.budget.sources import ErrorSource, KnownError, States, ToolJacobia
 from stiffopt.elastic.simulate import TYPICAL_HALF_LOOP
 from stiffopt.elastic.springs import joint_springs
 from stiffopt.elastic.uncertainty import UNIFORM_MEAN_SQUARE, Uncertainty
-from stiffopt.robot.bearing_deflection import bearing_deflections, correcting_joints
+from stiffopt.robot.bearings import bearing_deflections, correcting_joints
 from stiffopt.robot.robot import Robot
 
 # Standard deviation of a parameter that lies evenly between its bounds, over the bound.

@@ -20,16 +20,16 @@ from stiffopt.certificate.rigid_body import (
 )
 from stiffopt.certificate.violations import find_drive_violations, find_violations
 from stiffopt.elastic.arm import ElasticArm
-from stiffopt.elastic.led_error import led_error
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
 from stiffopt.elastic.smooth_motion import smooth_motion
+from stiffopt.elastic.worst_arms import led_error
 from stiffopt.errors import NotSimulatedError
 from stiffopt.exact.chain import compliance_along, windup_along
 from stiffopt.problem.objective import OBJECTIVES
 from stiffopt.result.assessment import Assessment, DriveHistory, LowestStiffness, Violation
 from stiffopt.result.trajectory import JointMotion
-from stiffopt.robot.bearing_deflection import bearing_deflections
+from stiffopt.robot.bearings import bearing_deflections
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem

@@ -14,7 +14,6 @@ from stiffopt.result.assessment import Assessment, DriveHistory, Violation
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import Target, TrajectoryProblem
-    from stiffopt.result.assessment import Assessment
     from stiffopt.robot.robot import Robot
 
 # Share by which a limit may be exceeded: above it a motion fails the certificate and a baseline is

@@ -47,7 +47,7 @@ def budget(
     from stiffopt.problem.files import load_problem
     from stiffopt.recipe.motion_states import problem_states, solved_states
     from stiffopt.recipe.stored_result import read_result
-    from stiffopt.report.budget.page import print_budget, write_budget_report
+    from stiffopt.report.pages.budget import print_budget, write_budget_report
     from stiffopt.units import to_si
 
     around = to_si(number_or_text(margin), "length", "--margin")

@@ -186,12 +186,12 @@ def _simulate_cycle(result: Path, folder: Path, problem: Path | None, **settings
     import numpy as np
 
     from stiffopt.cycle.cycle_simulation import simulate_motions
-    from stiffopt.export.cycle_motion import StoredCycle, read_stored
+    from stiffopt.export.folder_motions import StoredCycle, read_stored
     from stiffopt.export.motion import SplineMotion
     from stiffopt.files import load_json
     from stiffopt.problem.cycle_files import load_cycle
     from stiffopt.recipe.stored_result import problem_file, read_changes
-    from stiffopt.report.cycle.page import print_simulated_cycle
+    from stiffopt.report.pages.cycle import print_simulated_cycle
     from stiffopt.result.cycle import CYCLE_FILE, write_cycle_simulation
 
     stored = read_stored(result, "motor", problem)

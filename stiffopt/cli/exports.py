@@ -58,7 +58,7 @@ def export(
     out
         Folder for the files; default: the folder of the result.
     """
-    from stiffopt.export.cycle_motion import read_stored
+    from stiffopt.export.folder_motions import read_stored
     from stiffopt.export.format import FORMATS
     from stiffopt.export.model_format import MODEL_FORMATS
     from stiffopt.improvement.improvement_files import IMPROVEMENT_FILE

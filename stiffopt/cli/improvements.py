@@ -49,7 +49,7 @@ def improve(
     from stiffopt.improvement.improvement import improve as improve_motion
     from stiffopt.improvement.improvement_files import write_improvement
     from stiffopt.problem.files import load_problem
-    from stiffopt.report.improvement.page import print_improvement, write_improvement_report
+    from stiffopt.report.pages.improvement import print_improvement, write_improvement_report
     from stiffopt.result.compensation import COMMAND_FILE
     from stiffopt.result.store import TRAJECTORY_FILE
     from stiffopt.robot.files import load_robot

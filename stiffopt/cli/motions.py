@@ -168,7 +168,7 @@ def _solve_cycle(
     from stiffopt.cycle.cycle_store import read_cycle_guess, write_cycle_result
     from stiffopt.cycle.solve_cycle import solve_cycle
     from stiffopt.problem.cycle_files import load_cycle
-    from stiffopt.report.cycle.page import print_cycle, write_cycle_report
+    from stiffopt.report.pages.cycle import print_cycle, write_cycle_report
 
     cycle = load_cycle(problem, changes).cycle
     guesses = [] if guess is None else read_cycle_guess(guess, cycle)
@@ -278,7 +278,7 @@ def stiffness(
     default: out/stiffness_NAME, with the changes of --set. `drivetrain`: robot file (TOML) with the
     drivetrain of a URDF or MJCF.
     """
-    from stiffopt.report.stiffness.page import write_stiffness_report
+    from stiffopt.report.pages.stiffness import write_stiffness_report
     from stiffopt.robot.files import load_robot
     from stiffopt.robot.stiffness_study import stiffness_study, write_stiffness_csv
 

@@ -199,9 +199,9 @@ def check(
     from stiffopt.discovery.catalogue import CATALOGUE
     from stiffopt.discovery.identifiable import effect_checks
     from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
+    from stiffopt.discovery.sanity.command_doubts import take_errors_as_commands
     from stiffopt.discovery.sanity.doubt import DoubtfulRecordings
     from stiffopt.discovery.sanity.gate import judge_plausibility
-    from stiffopt.discovery.sanity.position_errors import take_errors_as_commands
     from stiffopt.discovery.training import open_training_runs
     from stiffopt.discovery.user_effects import load_effects
     from stiffopt.recording.check import check_recordings
@@ -280,7 +280,7 @@ def identify_stiffness(
     from stiffopt.identification.result import write_static
     from stiffopt.identification.stiffness import identify_stiffness as identify
     from stiffopt.recording.static_set import load_static_set
-    from stiffopt.report.identification.page import (
+    from stiffopt.report.pages.identification import (
         print_comparison,
         print_static,
         write_static_report,

@@ -60,7 +60,7 @@ def start_workers(workers: int | None, scheduler: str | None) -> Workers:
 
 def run_cases(sweep: Sweep, folder: Path, pool: Workers, *, open_report: bool, quiet: bool) -> int:
     """Solve the cases of a sweep, write its results and return the exit code."""
-    from stiffopt.report.sweep.terminal import SweepDisplay, print_sweep
+    from stiffopt.report.pages.sweep_terminal import SweepDisplay, print_sweep
     from stiffopt.sweep.run import run_sweep
     from stiffopt.sweep.summary import PARQUET_FILE, SweepSummary, write_sweep
 
@@ -70,7 +70,7 @@ def run_cases(sweep: Sweep, folder: Path, pool: Workers, *, open_report: bool, q
             _load_report_meanwhile(pool),
         ):
             results, interrupted = run_sweep(sweep, folder, pool, progress)
-        from stiffopt.report.sweep.page import write_sweep_report
+        from stiffopt.report.pages.sweep import write_sweep_report
 
         summary = SweepSummary(sweep, results, interrupted)
         if set(summary.statuses()) == {"invalid"}:
@@ -101,7 +101,7 @@ def _load_report_meanwhile(pool: Workers) -> Iterator[None]:
 
 
 def _load_report_modules() -> None:
-    import_module("stiffopt.report.sweep.page")
+    import_module("stiffopt.report.pages.sweep")
     # A failing import is reported where the module is needed.
     with suppress(ImportError):
         import_module("pyarrow.parquet")

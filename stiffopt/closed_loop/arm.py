@@ -15,6 +15,7 @@ import numpy as np
 from stiffopt import native
 from stiffopt.actuator.law import ActuatorLaw
 from stiffopt.closed_loop.balance import Balance
+from stiffopt.closed_loop.factors import factorize, solve
 from stiffopt.closed_loop.parameters import BODY_PARAMETERS, JOINT_PARAMETERS
 from stiffopt.closed_loop.physics import LoopPhysics
 from stiffopt.dynamics.newton_euler import own_bodies, torque_of_bodies
@@ -172,24 +173,22 @@ class CommandedArm:
         place, speed = ca.vertcat(reading, load), ca.vertcat(rate, other)
         mass, (force, slope) = model.mass(place, speed), model.force(place, speed)
         rates, slopes = model.rates(place), model.slopes(place)
-        symmetric = self.physics.torque is None  # others may depend on accelerations anyhow
         # Negative slopes, as of dry friction that a fit drives below zero, stay explicit.
         shift = _STAGE_WEIGHT * h
-        implicit = _factorize(
+        implicit = factorize(
             mass + ca.diag(shift * ca.fmax(slope, 0)) + shift**2 * ca.mtimes(slopes, rates),
-            symmetric=symmetric,
+            symmetric=model.symmetric,
         )
 
         def stage(rate: ca.SX, right: ca.SX) -> tuple[ca.SX, ca.SX]:
             """Solve (1 - gamma h J) k = (rate, right / mass)."""
-            second = _solve(implicit, right - shift * ca.mtimes(slopes, rate))
+            second = solve(implicit, right - shift * ca.mtimes(slopes, rate))
             return rate + shift * ca.mtimes(rates, second), second
 
         first = stage(ca.mtimes(rates, speed), force)
         ahead, ahead_speed = place + h * first[0], speed + h * first[1]
-        mass_ahead = model.mass(ahead, ahead_speed)
         force_ahead = model.force(ahead, ahead_speed)[0]
-        acceleration = _solve(_factorize(mass_ahead, symmetric=symmetric), force_ahead)
+        acceleration = solve(model.factor(ahead, ahead_speed), force_ahead)
         second = stage(
             ca.mtimes(model.rates(ahead), ahead_speed) - 2.0 * first[0],
             ca.mtimes(mass, acceleration - 2.0 * first[1]),
@@ -215,38 +214,3 @@ class CommandedArm:
             first * ca.repmat(factor, 3, 1) + each[1:4, :],
             inertia * ca.kron(factor, ca.DM.ones(3, 3)) + about,
         )
-
-
-def _factorize(matrix: ca.SX, *, symmetric: bool) -> list[list[ca.SX]]:
-    """Return triangular factors of a matrix (n, n) in one, which share their diagonal.
-
-    Without pivots: masses outweigh what torques by accelerations add.
-    """
-    n = matrix.shape[0]
-    factor: list[list[ca.SX]] = [[ca.SX(0)] * n for _ in range(n)]
-    for i in range(n):
-        for j in range(i):
-            for row, column in ((i, j), (j, i)):
-                rest = matrix[row, column]
-                rest -= sum(factor[row][k] * factor[k][column] for k in range(j))
-                factor[row][column] = rest / factor[j][j]
-                if symmetric:
-                    factor[j][i] = factor[i][j]
-                    break
-        rest = matrix[i, i] - sum(factor[i][k] * factor[k][i] for k in range(i))
-        factor[i][i] = ca.sqrt(rest)
-    return factor
-
-
-def _solve(factor: list[list[ca.SX]], right: ca.SX) -> ca.SX:
-    """Solve with the factors of a matrix."""
-    n = len(factor)
-    forward: list[ca.SX] = []
-    for i in range(n):
-        rest = right[i] - sum(factor[i][k] * forward[k] for k in range(i))
-        forward.append(rest / factor[i][i])
-    found: list[ca.SX] = [ca.SX(0)] * n
-    for i in reversed(range(n)):
-        rest = forward[i] - sum(factor[i][k] * found[k] for k in range(i + 1, n))
-        found[i] = rest / factor[i][i]
-    return ca.vertcat(*found)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
+from stiffopt.closed_loop.factors import factorize, solve
 from stiffopt.closed_loop.physics import LoopSignals
 from stiffopt.dynamics.newton_euler import torque_of_bodies
 
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from stiffopt.closed_loop.arm import CommandedArm
 
 # Rounding of the magnitude of the torque that load friction goes with [N m].
-_LOAD_WIDTH = 0.1
+_LOAD_WIDTH = 0.02
 
 
 class Balance:
@@ -33,6 +34,9 @@ class Balance:
         self.n, self.command = loop.n, command
         # By place and speed, which live as long as a step is built.
         self._bodies_at: dict[tuple[int, int], tuple[ca.SX, ca.SX]] = {}
+        self._factors_at: dict[tuple[int, int], list[list[ca.SX]]] = {}
+        # Torques of the physics may depend on accelerations anyhow.
+        self.symmetric = loop.physics.torque is None
         law = loop.law
         stiffness = np.where(np.isfinite(law.stiffness), law.stiffness, 0.0)
         self.kp = ca.DM(stiffness) * (1.0 + own["gain"])
@@ -92,10 +96,17 @@ class Balance:
             found += ca.mtimes(self._of_motor, ca.jacobian(added, rate))
         return found
 
+    def factor(self, place: ca.SX, speed: ca.SX) -> list[list[ca.SX]]:
+        """Return the factors of the forces per acceleration."""
+        key = (id(place), id(speed))
+        if key not in self._factors_at:
+            self._factors_at[key] = factorize(self.mass(place, speed), symmetric=self.symmetric)
+        return self._factors_at[key]
+
     def force(self, place: ca.SX, speed: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Return the forces that accelerate, and the slope of all losses by the speed."""
         torque, losses, slope = self._drive(place, speed)
-        bias = self._still(place, speed)[1]
+        past, bias = torque - losses, self._still(place, speed)[1]
         if self.loop.physics.torque is not None:
             still = ca.SX.zeros(speed.shape[0])
             more, by_speed = self._added(place, speed, still)
@@ -111,10 +122,33 @@ class Balance:
             found[motor] -= carried
             slopes[link] += damping
             slopes[motor] += damping
+        direction = ca.tanh(ca.mtimes(self._of_motor.T, speed) / self.width)
+        dry = self._load_friction(place, speed, past, found, direction)
+        found -= ca.mtimes(self._of_motor, dry * direction)
+        slopes += ca.mtimes(self._of_motor, dry / self.width * (1.0 - direction**2))
         return found, slopes
 
+    def _load_friction(
+        self, place: ca.SX, speed: ca.SX, past: ca.SX, force: ca.SX, direction: ca.SX
+    ) -> ca.SX:
+        """Return the friction (n,) that goes with the torques that gears transmit to their links.
+
+        `past`: torques past the other friction of the drives, `force`: all that accelerates without
+        this friction. A rotor takes its share of both.
+        """
+        own = self.own
+        rate = ca.mtimes(self._of_motor.T, solve(self.factor(place, speed), force))
+        load = past - own["armature"] * rate
+        inertia = ca.mtimes(self._of_motor.T, ca.diag(self.mass(place, speed)))
+        share = 1.0 - own["armature"] / inertia
+        for k, joint in enumerate(self.loop.elastic):
+            load[joint], share[joint] = place[self.n + k], 0.0
+        size = ca.sqrt(load**2 + _LOAD_WIDTH**2)
+        against = 1.0 + own["load_friction"] * share * direction * load / size
+        return own["load_friction"] * load**2 / size / against
+
     def _drive(self, place: ca.SX, speed: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Return torques of the actuators, losses of the drives and the slopes of both."""
+        """Return torques of the actuators, losses of the drives but by load, and their slopes."""
         own, law = self.own, self.loop.law
         q, v = place[: self.n], ca.mtimes(self._of_motor.T, speed)
         # An actuator damps by the speed that it reads.
@@ -124,13 +158,7 @@ class Balance:
             torque[joint] = ca.fmax(ca.fmin(torque[joint], largest), -largest)
         direction = ca.tanh(v / self.width)
         dry = own["coulomb"] + own["friction_slope"] * (q - ca.DM(self.loop.middle))
-        by_speed = own["viscous"] * v + own["drag"] * v * ca.fabs(v)
-        # What of the torque reaches the load, past friction by the load as well.
-        past = torque - dry * direction - by_speed
-        size = ca.sqrt(past**2 + _LOAD_WIDTH**2)
-        against = 1.0 + own["load_friction"] * direction * past / size
-        dry += own["load_friction"] * (size - _LOAD_WIDTH) / against
-        losses = dry * direction + by_speed
+        losses = dry * direction + own["viscous"] * v + own["drag"] * v * ca.fabs(v)
         slope = self.kd + own["viscous"] + dry / self.width * (1.0 - direction**2)
         return torque, losses, slope
 

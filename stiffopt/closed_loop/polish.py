@@ -26,6 +26,8 @@ _LEADING_SECONDS = 40.0
 _REFINEMENT_RATIO = 2.0
 # Limits of drives that a fit may begin with, over what filtered torques tell.
 _LIMIT_FACTORS = np.linspace(0.8, 1.6, 17)
+# Variance of the third difference of independent values over theirs: 1 + 9 + 9 + 1.
+_THIRD_DIFFERENCE = 20.0
 # Longest lag over which residuals repeat one another [s].
 _MAX_REPETITION = 1.0
 
@@ -38,6 +40,8 @@ class Polished:
     deviations: np.ndarray  # (p,) one standard deviation of each; 0 of those that were not fitted
     # (n,) root mean square of the positions' residual in the training runs [rad].
     residual: np.ndarray
+    # (n,) standard deviation of the encoders' noise [rad]; nan of readings that never change.
+    noise: np.ndarray
     # (n,) root mean square of what no steps and no width of dry friction would change [rad].
     discretisation: np.ndarray
     places: np.ndarray  # (m,) fitted parameters
@@ -255,6 +259,7 @@ class _Fit:
             parameters=current,
             deviations=spread,
             residual=residual,
+            noise=self.encoder_noise(point),
             discretisation=discretisation,
             places=self.places,
             covariance=covariance,
@@ -311,6 +316,27 @@ class _Fit:
             slopes.append(each.slopes[lead:])
         size = self._size if len(free) else 1.0
         return _Point(np.vstack(residual), np.concatenate(slopes) * size)
+
+    def encoder_noise(self, point: _Point) -> np.ndarray:
+        """Return the standard deviation (n,) of readings that change independently [rad].
+
+        The third difference of white noise has 20 times its variance, that of what else a
+        simulation leaves vanishes: held commands, whose steps bend the motion itself, are in it.
+        NaN of readings that never change.
+        """
+        rows = [
+            own.end - own.begin + 1 - lead
+            for own, lead in zip(self._stretches, self._leads, strict=True)
+        ]
+        squares, counts = np.zeros(self._loop.n), np.zeros(self._loop.n)
+        parts = np.split(point.residual, np.cumsum(rows)[:-1])
+        for part, own in zip(parts, self._stretches, strict=True):
+            moved = np.ptp(own.run.position[own.begin : own.end + 1], axis=0) > 0.0
+            jumps = np.where(moved, np.diff(part, n=3, axis=0), np.nan)
+            squares += np.nansum(jumps**2, axis=0)
+            counts += np.isfinite(jumps).sum(axis=0)
+        mean = squares / np.where(counts > 0.0, counts, np.nan)
+        return np.asarray(np.sqrt(mean / _THIRD_DIFFERENCE))
 
     def noise(self, point: _Point) -> np.ndarray:
         """Return the standard deviation (n,) that a residual has as if rows were independent."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import functools
+import itertools
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -14,7 +16,7 @@ from stiffopt.certificate.assess import drive_history
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE, find_drive_violations
 from stiffopt.command.force_compensation import force_lead, led_against_force
 from stiffopt.command.smoothing_width import KNOT_SPACINGS, motors_with_sufficient_smoothing
-from stiffopt.elastic.bearing_lead import LedPlan, bearing_lead
+from stiffopt.elastic.bearings import LedPlan, bearing_lead
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import REST, simulate
 from stiffopt.elastic.smooth_motion import smooth_motion
@@ -205,7 +207,7 @@ class CommandSearch:
                 kept = peaks, made
             elif excess < least[0]:
                 least = excess, made
-        leads = (list(lead.commands(1.0))[-1] for lead in map(self._lead_of, self._spacings))
+        leads = (deque(lead.commands(1.0), 1).pop() for lead in map(self._lead_of, self._spacings))
         return kept[1] or least[1] or min(leads, key=lambda x: self._excess_beyond_plan(x.motors))
 
     def _worst_arms(self, command: MotorMotion) -> list[Departure]:
@@ -217,10 +219,11 @@ class CommandSearch:
         """Commands that keep the plan's limits on the trial grid."""
         for lead in map(self._lead_of, self._spacings):
             for share in _WINDUP_SHARES:
-                made = list(lead.commands(share))
-                kept = [each for each in made if self._keeps_plan_limits(each.motors)]
+                made = lead.commands(share)
+                kept = (each for each in made if self._keeps_plan_limits(each.motors))
+                yield from itertools.islice(kept, 1)
                 # The one without the servo's lag has the largest margin on a finer grid.
-                yield from kept[:1] + kept[1:][-1:]
+                yield from deque(kept, maxlen=1)
 
     def _command_as_chosen(self) -> ExistingCommand | None:
         """Return the command of the choice, None without one or where it exceeds a limit."""

@@ -10,10 +10,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from stiffopt.discovery.channel import Channel
-from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.extended.planning import planner_model
 from stiffopt.discovery.extended.value_changes import ValueChange, extended_model, value_changes
+from stiffopt.discovery.names import Channel, ValueName
 from stiffopt.formatting import pm, scale, significant
 from stiffopt.units import joint_unit
 

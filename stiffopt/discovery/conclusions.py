@@ -11,7 +11,6 @@ from scipy import special
 
 from stiffopt.closed_loop.parameters import BODY_PARAMETERS
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.channel import Channel, channel_name
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension
 from stiffopt.discovery.diagnosis import (
@@ -27,6 +26,7 @@ from stiffopt.discovery.judging.unexplained import ChannelVerdict, Unexplained
 from stiffopt.discovery.laws.law import LAW_FAMILY
 from stiffopt.discovery.loop_effects import loop_parameter
 from stiffopt.discovery.loop_fit import stated_tolerance
+from stiffopt.discovery.names import Channel, channel_name
 from stiffopt.discovery.position_fit import ClosedLoopModel
 from stiffopt.discovery.search.left_out_gain import left_out_gains
 from stiffopt.discovery.search.rivals import Selected
@@ -272,10 +272,12 @@ def _with_loop_value(
         return finding
     if found is None:
         # One with memory, without which the simulation leaves nothing in its joint.
-        spare = located.is_of_one_joint and located.run is None and not model.misses[places]
+        spare = located.is_of_one_joint and located.run is None and not model.lacks[places]
         return refuted(finding, 1.0) if spare and not located.calibrated else finding
     numbers, values, covariance = found
-    amplitudes = np.array(finding.estimated.amplitudes)
+    count = len(finding.estimated.amplitudes)
+    whole = np.array([*finding.estimated.amplitudes, *located.shapes])
+    sized = [k for k, number in enumerate(numbers) if number < count]
     if entry.limits_drive:
         limit, sd = float(values[0]), float(np.sqrt(covariance[0, 0]))
         own = tuple(
@@ -283,28 +285,30 @@ def _with_loop_value(
             for each in finding.parameters
         )
         return replace(finding, parameters=own)
-    reversed_sign = len(numbers) == 1 and values[0] * amplitudes[numbers[0]] <= 0.0
+    reversed_sign = len(sized) == 1 and values[sized[0]] * whole[numbers[sized[0]]] <= 0.0
     deviations = np.sqrt(np.diag(covariance))
     correlation = covariance / np.outer(deviations, deviations)
     if not located.calibrated:
         # What reverses or vanishes where reversals are simulated was an error of filtered torques.
         # Parameters of a body move together: fewer are free than it has.
-        solved, _, free, _ = np.linalg.lstsq(correlation, values / deviations)
-        chance = float(special.chdtrc(free, values / deviations @ solved))
+        sizes = (values / deviations)[sized]
+        solved, _, free, _ = np.linalg.lstsq(correlation[np.ix_(sized, sized)], sizes)
+        chance = float(special.chdtrc(free, sizes @ solved))
         finding = refuted(finding, 1.0 if reversed_sign else chance)
     if reversed_sign:
         return finding
-    amplitudes[numbers] = values
-    steps = np.zeros((len(numbers), len(amplitudes)))
+    whole[numbers] = values
+    steps = np.zeros((len(numbers), len(whole)))
     steps[range(len(numbers)), numbers] = deviations
 
     def report(at: np.ndarray) -> np.ndarray:
-        told = entry.parameters(tuple(at), located.shapes, located.constants(constants))
+        own = tuple(at[:count]), tuple(at[count:])
+        told = entry.parameters(*own, located.constants(constants))
         return np.array([told[each.name] for each in finding.parameters])
 
-    slopes = np.array([report(amplitudes + step) - report(amplitudes - step) for step in steps]) / 2
+    slopes = np.array([report(whole + step) - report(whole - step) for step in steps]) / 2
     spread = np.sqrt(np.einsum("ik,ij,jk->k", slopes, correlation, slopes))
-    each = zip(finding.parameters, report(amplitudes), spread, strict=True)
+    each = zip(finding.parameters, report(whole), spread, strict=True)
     parameters = (
         replace(own, value=float(value), sd=float(sd)) if sd > 0.0 else own
         for own, value, sd in each
@@ -328,8 +332,8 @@ def _loop_amplitudes(
 ) -> tuple[list[int], np.ndarray, np.ndarray] | None:
     """Return numbers, values and covariance of a finding's amplitudes that the simulation has.
 
-    None without any. A nominal value is as uncertain as its tolerance. `alike`: amplitudes of the
-    same effect in the starting model.
+    Numbers of shapes follow those of amplitudes. None without any. A nominal value is as uncertain
+    as its tolerance. `alike`: amplitudes of the same effect in the starting model.
     """
     located, entry, fitted = finding.located, finding.effect, model.fitted
     assert model.polished is not None

@@ -42,13 +42,17 @@ from stiffopt.discovery.judging.held_out import HeldOutRuns
 from stiffopt.discovery.judging.left_open import add_left_open_deviation, build_left_open
 from stiffopt.discovery.judging.modes import mode_shifts
 from stiffopt.discovery.judging.run_deviations import find_friction_drift, find_run_deviations
-from stiffopt.discovery.judging.tool_force import explain_by_tool_force
-from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings, judge_channels
+from stiffopt.discovery.judging.unexplained import (
+    Unexplained,
+    assess_findings,
+    explain_by_tool_force,
+    judge_channels,
+)
 from stiffopt.discovery.law_search.find import LawSearch, find_laws, located_tables
 from stiffopt.discovery.loop_search import LoopSearch, with_findings
 from stiffopt.discovery.opening import open_set
 from stiffopt.discovery.position_fit import model_section, simulate_held_out
-from stiffopt.discovery.prediction_bands import choose_prediction_bands
+from stiffopt.discovery.prediction import choose_prediction_bands
 from stiffopt.discovery.progress import Say, repeat_progress
 from stiffopt.discovery.search.candidates import Scorer
 from stiffopt.discovery.search.rivals import Selected
@@ -131,7 +135,9 @@ def diagnose(
         try:
             return _run_diagnosis(
                 recordings,
-                _load_user_effects(effects),
+                load_effects(Path(effects))
+                if isinstance(effects, str | os.PathLike)
+                else tuple(effects),
                 settings or Settings(),
                 say,
                 model,
@@ -219,9 +225,13 @@ def _run_diagnosis(
     parameters = add_scale_deviation(parameters, selected)
     located = tuple(s.located for s in selected)
     again = np.ones(len(selected))
+
+    def perturbed() -> tuple[np.ndarray, tuple[Selected, ...]]:
+        other = None if training.runs[0].vibration is not None else half_band()
+        return recurrence(result.comparison, selected, other, free_bodies=training.free_bodies)
+
     if selected:
-        perturb = partial(_perturb_findings, training, result, selected, half_band)
-        again, selected = steps.run(ENSEMBLE, perturb) or (again, selected)
+        again, selected = steps.run(ENSEMBLE, perturbed) or (again, selected)
     findings = steps.finish(
         lambda: build_findings(result.comparison, selected, parameters, training, again)
     )
@@ -256,7 +266,12 @@ def _run_diagnosis(
     tracks = steps.finish(lambda: training_tracks(result.comparison, result.fit))
     parts = split_extension(found, recordings.unstated)
     held_out = HeldOutRuns(training, found, parts, opened.every, tracks)
-    _predict_held_out(held_out, recordings, steps)
+    if training.free_bodies and not training.robot.vibrates:
+        steps.run(NOISE_CEILING, lambda: held_out.fit_noise_ceiling(say))
+    try:
+        held_out.predict_all(recordings, say, hurried=bool(steps.stopped))
+    except KeyboardInterrupt:
+        steps.stopped.append(held_out.describe_interruption())
     simulated = steps.finish(lambda: simulate_held_out(recordings, loop))
     lasting = [each for each in asked if not each.only_in]
     tables = Extension(effects=tuple(t for each in laws.refused for t in located_tables(each)))
@@ -361,28 +376,6 @@ def _with_prediction_bands(
     )
 
 
-def _perturb_findings(
-    training: Training,
-    result: SearchResult,
-    selected: Sequence[Selected],
-    half_band: Callable[[], Comparison | None],
-) -> tuple[np.ndarray, tuple[Selected, ...]]:
-    """Return how often each finding is named again in the ensemble, and their odds there."""
-    vibrates = training.runs[0].vibration is not None
-    other = None if vibrates else half_band()
-    return recurrence(result.comparison, selected, other, free_bodies=training.free_bodies)
-
-
-def _predict_held_out(opened: HeldOutRuns, recordings: RecordingSet, steps: OptionalSteps) -> None:
-    """Predict the held-out runs; Ctrl-C ends it."""
-    if opened.needs_noise_ceiling:
-        steps.run(NOISE_CEILING, lambda: opened.fit_noise_ceiling(steps.say))
-    try:
-        opened.predict_all(recordings, steps.say, hurried=bool(steps.stopped))
-    except KeyboardInterrupt:
-        steps.stopped.append(opened.describe_interruption())
-
-
 def _assess_left_open(
     training: Training,
     whole: Extension,
@@ -395,9 +388,3 @@ def _assess_left_open(
     if training.free_bodies:
         found = steps.run(SUSPECTS, lambda: build_left_open(training, whole, asked, before))
     return found or steps.finish(lambda: build_left_open(training, whole, (), before))
-
-
-def _load_user_effects(effects: Sequence[Effect] | str | os.PathLike[str]) -> tuple[Effect, ...]:
-    if isinstance(effects, str | os.PathLike):
-        return load_effects(Path(effects))
-    return tuple(effects)

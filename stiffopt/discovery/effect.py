@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 from stiffopt.symbolic import Quantity
 
@@ -33,30 +33,58 @@ Reported = Mapping[str, float]
 Report = Callable[[Values, Values, Any], Reported]
 # What to do, from amplitudes, shapes and constants.
 Remedy = Callable[[Values, Values, Any], str]
-# Property of the joint or the recording set without which an effect cannot show.
-Need = Literal[
-    "torque",
-    "link",
-    "sensor",
-    "torque_sensor",
-    "commanded",
-    "stated_gain",
-    "windup",
-    "moves",
-    "reverses",
-    "slow",
-    "speeds",
-    "load_changes_sign",
-    "rotor_slow",
-    "ripple_slow",
-    "warmer",
-    "gear_ratio",
-    "pole_pairs",
-    "tool_frame",
-    "before",
-    "runs",
-    "three_runs",
-]
+
+
+class Need(NamedTuple):
+    """Property of the joint or the recording set without which an effect cannot show."""
+
+    phrase: str  # for the catalogue's page
+    missing: str  # clause about a joint, or a set, without it
+
+
+NEEDS = {
+    "torque": Need("torque", "its torque is not recorded"),
+    "link": Need("link encoder", "it has no link encoder"),
+    "sensor": Need("torque or link encoder", "neither its torque nor its link angle is recorded"),
+    "torque_sensor": Need(
+        "measured, not derived from commands",
+        "torques are derived from commands, by their clock and scale",
+    ),
+    "commanded": Need(
+        "torques derived from commands", "its torque is measured, or its actuator is not known"
+    ),
+    "stated_gain": Need(
+        "no gain that is estimated from the recordings", "its gain is not stated but estimated"
+    ),
+    "windup": Need(
+        "link encoder, or elastic vibration",
+        "it has no link encoder, and not every joint has stiffness and damping",
+    ),
+    "moves": Need("motion", "it does not move"),
+    "reverses": Need("both directions", "it moves in one direction only"),
+    "slow": Need("slow motion", "it never moves slowly (0.005 to 0.1 rad/s)"),
+    "speeds": Need("several speeds", "it moves at one speed only"),
+    "load_changes_sign": Need(
+        "load on both sides", "neither gravity nor inertia changes the sign of its load"
+    ),
+    "rotor_slow": Need(
+        "slow turns of the rotor",
+        "it moves too fast for the sampling rate to resolve turns of the rotor",
+    ),
+    "ripple_slow": Need(
+        "slow turns of the motor's poles",
+        "it moves too fast for the sampling rate to resolve the motor's poles",
+    ),
+    "warmer": Need(
+        "cold and warm runs", "all runs are equally warm, or their session times are not given"
+    ),
+    "gear_ratio": Need("gear ratio", "nominal.gear_ratio is not given"),
+    "pole_pairs": Need("pole pairs", "nominal.pole_pairs is not given"),
+    "tool_frame": Need("tool frame", "tool_frame is not given"),
+    "before": Need("a joint before it", "there is no joint before it"),
+    "runs": Need("several runs", "there is only one training run"),
+    "three_runs": Need("three runs", "there are fewer than three training runs"),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -240,10 +268,10 @@ class Effect:
     # Nominal values (fields of `Tolerance`) that it changes beyond what their tolerances allow;
     # default: `nominal`.
     tolerances: tuple[str, ...] = ()
-    # Properties of the recordings without which it cannot show at a joint, the most basic first.
+    # Keys of `NEEDS` without which it cannot show at a joint, the most basic first.
     # Default: the sensor that the term acts on, and motion.
-    needs: tuple[Need, ...] = ()
-    only_without: tuple[Need, ...] = ()  # nominal values with which another entry takes its place
+    needs: tuple[str, ...] = ()
+    only_without: tuple[str, ...] = ()  # nominal values with which another entry takes its place
     # Names of effects that ordinary motions separate poorly from it; declared on one side.
     confused_with: tuple[str, ...] = ()
     # Name of an effect that is nearly equivalent, with an amplitude where the other has a shape.
@@ -263,9 +291,8 @@ class Effect:
     # (amplitudes, shapes, constants) -> sampling error of reported values by name, from the small
     # number of runs [its unit].
     drawn: Report | None = None
-    # (names) -> the entry with one amplitude per run, random about a common mean; (names,
-    # seen=False) -> the same for runs that were not recorded; (names, states=states) -> random
-    # about the mean of each state of the robot.
+    # (names, states) -> the entry with one amplitude per run, random about the mean of each state
+    # of the robot; of one state by default.
     of_runs: Callable[..., Effect] | None = None
     change_robot: ChangeRobot | None = None  # changes the robot that a planner computes with
     # Names of the runs in which it acts: those of one state of the robot. Default: all runs.
@@ -302,11 +329,6 @@ class Effect:
     def acts_in(self, run: str) -> bool:
         """Return True where the effect acts in a run of this name."""
         return not self.only_in or run in self.only_in
-
-    @property
-    def has_distinctive(self) -> bool:
-        """True where some amplitudes distinguish it from other effects."""
-        return any(each.own for each in self.amplitudes)
 
     @property
     def distinctive_amplitudes(self) -> list[int]:

@@ -10,14 +10,14 @@ import numpy as np
 
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.comparison.located_effect import Extension, LocatedEffect
-from stiffopt.discovery.effect import Amplitude, Effect, Need
+from stiffopt.discovery.effect import NEEDS, Amplitude, Effect
 from stiffopt.discovery.signals import JointConstants
 from stiffopt.discovery.user_effects import acts_at_rest, sample_term
 from stiffopt.recording.joint_facts import JointFacts
 from stiffopt.recording.recording_set import RecordingSet
 
 # Where one of these is missing, further missing data are not listed.
-_PREREQUISITE_NEEDS: tuple[Need, ...] = (
+_PREREQUISITE_NEEDS: tuple[str, ...] = (
     "torque",
     "link",
     "sensor",
@@ -29,7 +29,7 @@ _PREREQUISITE_NEEDS: tuple[Need, ...] = (
     "gear_ratio",
 )
 # Properties of a motion, which poses at rest replace by effects that act at rest.
-_MOTION_NEEDS: tuple[Need, ...] = (
+_MOTION_NEEDS: tuple[str, ...] = (
     "moves",
     "reverses",
     "slow",
@@ -38,29 +38,6 @@ _MOTION_NEEDS: tuple[Need, ...] = (
     "rotor_slow",
     "ripple_slow",
 )
-MISSING_DATA: dict[Need, str] = {
-    "torque": "its torque is not recorded",
-    "link": "it has no link encoder",
-    "sensor": "neither its torque nor its link angle is recorded",
-    "torque_sensor": "torques are derived from commands, by their clock and scale",
-    "commanded": "its torque is measured, or its actuator is not known",
-    "stated_gain": "its gain is not stated but estimated",
-    "windup": "it has no link encoder, and not every joint has stiffness and damping",
-    "moves": "it does not move",
-    "reverses": "it moves in one direction only",
-    "slow": "it never moves slowly (0.005 to 0.1 rad/s)",
-    "speeds": "it moves at one speed only",
-    "load_changes_sign": "neither gravity nor inertia changes the sign of its load",
-    "rotor_slow": "it moves too fast for the sampling rate to resolve turns of the rotor",
-    "ripple_slow": "it moves too fast for the sampling rate to resolve the motor's poles",
-    "warmer": "all runs are equally warm, or their session times are not given",
-    "gear_ratio": "nominal.gear_ratio is not given",
-    "pole_pairs": "nominal.pole_pairs is not given",
-    "tool_frame": "tool_frame is not given",
-    "before": "there is no joint before it",
-    "runs": "there is only one training run",
-    "three_runs": "there are fewer than three training runs",
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +63,7 @@ class EffectCheck:
         }
 
 
-def required_signals(effect: Effect) -> tuple[Need, ...]:
+def required_signals(effect: Effect) -> tuple[str, ...]:
     """Return the data that an effect needs: as declared, else by the channels that it acts on."""
     if effect.needs:
         return effect.needs
@@ -94,7 +71,7 @@ def required_signals(effect: Effect) -> tuple[Need, ...]:
     acts_on_torque = any(
         np.any(part) for part in (term.drive_torque, term.link_torque, term.previous_torque)
     )
-    own: tuple[Need, ...] = ("torque" if acts_on_torque else "link", "moves")
+    own: tuple[str, ...] = ("torque" if acts_on_torque else "link", "moves")
     return (*own, "runs") if effect.scope in ("run", "recording") else own
 
 
@@ -109,7 +86,7 @@ def effect_checks(
     `facts` (n,): of the training runs.
     """
     nominal, law = recordings.nominal, recordings.actuator
-    of_set: dict[Need, bool] = {
+    of_set: dict[str, bool] = {
         "torque_sensor": not recordings.signals.commanded,
         "commanded": recordings.signals.commanded,
         "gear_ratio": nominal.gear_ratio is not None,
@@ -119,7 +96,7 @@ def effect_checks(
         "three_runs": training_runs >= 3,
     }
 
-    def met(need: Need, joint: int | None) -> bool:
+    def met(need: str, joint: int | None) -> bool:
         if need in of_set:
             return of_set[need]
         if need == "before":
@@ -131,14 +108,14 @@ def effect_checks(
 
     still = any(one.at_rest for one in facts)
 
-    def check(effect: Effect, wanted: Iterable[Need], joint: int | None) -> EffectCheck:
+    def check(effect: Effect, wanted: Iterable[str], joint: int | None) -> EffectCheck:
         """Check an effect; with poses at rest it must act without motion."""
         missing = [need for need in wanted if not met(need, joint)]
         if still:
             missing = [need for need in missing if need not in _MOTION_NEEDS]
         elif missing and missing[0] in _PREREQUISITE_NEEDS:
             missing = missing[:1]
-        lacks = [MISSING_DATA[need] for need in missing]
+        lacks = [NEEDS[need].missing for need in missing]
         if still and not lacks and (effect.of_runs is not None or not acts_at_rest(effect)):
             lacks = ["all poses are at rest"]
         place = None if joint is None else joint + 1
@@ -197,7 +174,7 @@ def locate_unstated(
         LocatedEffect(effect=_remove_upper_bounds(effect), joint=j, calibrated=True)
         for effect in catalogue
         if not effect.only_in
-        and (_replaces_unstated(effect, recordings) or (usual and effect.usual))
+        and (effect.nominal in recordings.unstated or (usual and effect.usual))
         for j, constants in enumerate(joints)
         if effect.applies is None or effect.applies(constants)
     )
@@ -223,7 +200,7 @@ def select_unseen(
 def remove_bounds(catalogue: Sequence[Effect], recordings: RecordingSet) -> tuple[Effect, ...]:
     """Return the catalogue without upper bounds on values that the nominal model does not state."""
     return tuple(
-        _remove_upper_bounds(each) if _replaces_unstated(each, recordings) else each
+        _remove_upper_bounds(each) if each.nominal in recordings.unstated else each
         for each in catalogue
     )
 
@@ -242,10 +219,6 @@ def widen_for_changes(catalogue: Sequence[Effect]) -> tuple[Effect, ...]:
     return tuple(
         replace(entry, amplitudes=tuple(map(wider, entry.amplitudes))) for entry in catalogue
     )
-
-
-def _replaces_unstated(effect: Effect, recordings: RecordingSet) -> bool:
-    return effect.nominal in recordings.unstated
 
 
 def _remove_upper_bounds(entry: Effect) -> Effect:

@@ -6,7 +6,7 @@ A term that needs more than an instant (memory, clocks, temperatures) has no par
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -51,6 +51,8 @@ LOOP_VALUES = {
 # Deviation of a drive's limit before a fit, over the limit: what asks for more is seen at once.
 _LIMIT_DEVIATION = 0.2
 _SIGNAL_NAMES = tuple(each.name for each in fields(LoopSignals))
+# Name, symbol, value, deviation and lower bound.
+_Unknown = tuple[tuple[Any, int], ca.SX, float, float, float]
 
 
 def loop_parameter(entry: Effect) -> tuple[str, float] | None:
@@ -68,7 +70,8 @@ def robot_in_loop(
 
     Values are by name of the loop's parameter and joint (from 0) of the robot. Effects with memory,
     of sensors and of single runs are in none of these. Amplitudes of the physics are named by the
-    key of their finding and their number; those of `more`, which the robot has not, come last.
+    key of their finding and their number, shapes after amplitudes; those of `more`, which the robot
+    has not, come last, without shapes.
     """
     planner = planner_model(recordings.robot, model)
     instant = _Instant(recordings, model)
@@ -90,7 +93,7 @@ def robot_in_loop(
                 whole = getattr(planner.robot, each.effect.loses)[place]
                 values[DRIVE_PARAMETERS[each.effect.loses], place] -= each.amplitudes[-1] * whole
     for each in more:
-        instant.add(each)
+        instant.add(each, with_shapes=False)
     return planner.robot, instant.physics(planner.robot.added_torques), values
 
 
@@ -124,11 +127,10 @@ class _Instant:
         self.windup: dict[int, ca.SX] = {}
         self.at_output: set[int] = set()
         self.limits: dict[int, ca.SX] = {}
-        # Name, symbol, value, deviation and lower bound of each unknown.
-        self.unknown: list[tuple[tuple[Any, int], ca.SX, float, float, float]] = []
+        self.unknown: list[_Unknown] = []
 
-    def add(self, each: EstimatedEffect) -> None:
-        """Add a finding, if it is a formula of an instant."""
+    def add(self, each: EstimatedEffect, *, with_shapes: bool = True) -> None:
+        """Add a finding, if it is a formula of an instant; its shapes are unknown on request."""
         key, located = each.located.key, each.located
         if each.effect.limits_drive:
             assert located.joint is not None
@@ -140,15 +142,15 @@ class _Instant:
             self.unknown.append(((key, 0), self.limits[place], value, deviation, 0.0))
             return
         amplitudes, s = ca.SX.sym("amplitude", len(each.amplitudes)), self.symbols
-        parts = self._parts(each, amplitudes)
+        shapes = self._unknown_shapes(each) if with_shapes else {}
+        parts = self._parts(each, amplitudes, shapes)
+        if parts is None and shapes:  # a term that takes numbers alone
+            shapes, parts = {}, self._parts(each, amplitudes, {})
         if parts is None:
             return
-        sizes, bounds = located.sizes(self.constants), located.bounds(self.constants)
-        for k, value in enumerate(each.amplitudes):
-            if ca.depends_on(ca.vertcat(parts.torque, parts.deflection), amplitudes[k]):
-                size, lower = float(sizes[k]), float(bounds[k, 0] * sizes[k])
-                own = (key, k), amplitudes[k], value, max(size, abs(value)), lower
-                self.unknown.append(own)
+        given = ca.vertcat(parts.torque, parts.deflection)
+        unknown = self._unknowns(each, amplitudes, shapes)
+        self.unknown += [own for own in unknown if ca.depends_on(given, own[1])]
         turns_other_side = each.effect.at_motor is not None
         torque = parts.torque
         if ca.depends_on(parts.deflection, s.position):
@@ -166,6 +168,32 @@ class _Instant:
                 self.displacement[place] += wound
             if not turns_other_side:  # otherwise by the motion of both sides
                 self._add_torque(place, torque[j])
+
+    def _unknown_shapes(self, each: EstimatedEffect) -> dict[int, ca.SX]:
+        """Return symbols of the shapes that a report tells, by number.
+
+        Their initial values of a search tell how far they may be.
+        """
+        starts = each.located.starts(self.constants)
+        return {
+            k: ca.SX.sym(entry.name)
+            for k, entry in enumerate(each.effect.shapes)
+            if entry.reported and entry.fit == "free" and len(starts[k]) > 1
+        }
+
+    def _unknowns(
+        self, each: EstimatedEffect, amplitudes: ca.SX, shapes: Mapping[int, ca.SX]
+    ) -> Iterator[_Unknown]:
+        """Yield the unknown amplitudes and shapes of an effect."""
+        located, key = each.located, each.located.key
+        sizes, bounds = located.sizes(self.constants), located.bounds(self.constants)
+        for k, value in enumerate(each.amplitudes):
+            size, lower = float(sizes[k]), float(bounds[k, 0] * sizes[k])
+            yield (key, k), amplitudes[k], value, max(size, abs(value)), lower
+        for k, shape in shapes.items():
+            spread = 0.5 * float(np.ptp(located.starts(self.constants)[k]))
+            number, lower = len(each.amplitudes) + k, each.effect.shapes[k].lower
+            yield (key, number), shape, each.shapes[k], spread, lower
 
     def _add_torque(self, place: int, torque: ca.SX) -> None:
         """Add a torque; one that bends with the load takes the actuator's torque for it.
@@ -234,7 +262,9 @@ class _Instant:
 
         return LoopSpring(windup=windup, damping=damping, encoder_at_output=place in self.at_output)
 
-    def _parts(self, each: EstimatedEffect, amplitudes: ca.SX) -> _Parts | None:
+    def _parts(
+        self, each: EstimatedEffect, amplitudes: ca.SX, shapes: Mapping[int, ca.SX]
+    ) -> _Parts | None:
         """Return what an effect adds; None where its term is no formula of an instant."""
         s = self.symbols
         split = [
@@ -243,7 +273,8 @@ class _Instant:
         try:
             inside = [np.array([own], dtype=object) for own in split]
             units = np.eye(len(each.amplitudes)).tolist()
-            found = [self._evaluate(each, unit, inside, 0.0) for unit in units]
+            symbolic: Any = tuple(shapes.get(k, value) for k, value in enumerate(each.shapes))
+            found = [self._evaluate(each, symbolic, unit, inside, 0.0) for unit in units]
         except (TypeError, RuntimeError, ValueError, AttributeError, LookupError):
             return None  # written for arrays of samples alone
         inputs = [getattr(s, name) for name in _SIGNAL_NAMES]
@@ -257,7 +288,9 @@ class _Instant:
             )
         )
         sizes = each.located.sizes(self.constants).tolist()
-        fitted = ca.substitute([parts.torque, parts.deflection], [amplitudes], [ca.DM(sizes)])
+        symbols = [amplitudes, *shapes.values()]
+        values = [ca.DM(sizes), *(ca.DM(each.shapes[k]) for k in shapes)]
+        fitted = ca.substitute([parts.torque, parts.deflection], symbols, values)
         function = ca.Function("parts", inputs, fitted)
         rng = np.random.default_rng(0)
         limits = np.array([joint.torque_max for joint in self.joints])
@@ -271,7 +304,7 @@ class _Instant:
         samples = list(given.values())
         # What a formula does not know takes any values: terms that depend on it differ.
         other = np.cumsum(rng.uniform(0.5, 1.5, _SAMPLE_COUNT))
-        along = self._evaluate(each, sizes, samples, other)
+        along = self._evaluate(each, each.shapes, sizes, samples, other)
         in_robot = [x[:, np.argsort(self.order)].T for x in samples]
         both = function.map(_SAMPLE_COUNT)(*in_robot)
         for one, two in zip(along, both, strict=True):
@@ -281,7 +314,12 @@ class _Instant:
         return parts if any(_is_given(own) for own in (parts.torque, parts.deflection)) else None
 
     def _evaluate(
-        self, each: EstimatedEffect, amplitudes: Values, given: Sequence[np.ndarray], other: Any
+        self,
+        each: EstimatedEffect,
+        shapes: Values,
+        amplitudes: Values,
+        given: Sequence[np.ndarray],
+        other: Any,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return torques and deflections (K, n) by signals (K, n) in the order of the set."""
         q, v, a, direction, torque, spring, drive = given
@@ -307,7 +345,7 @@ class _Instant:
             assert located.joint is not None
             columns = [located.joint] if located.joint == 0 else [located.joint, located.joint - 1]
             own = self._of_joint(values, torque, located.joint, rest)
-            term = each.effect.at_instant(own, amplitudes, each.shapes)
+            term = each.effect.at_instant(own, amplitudes, shapes)
             parts = (term.drive_torque + term.link_torque, term.previous_torque)
             for column, part in zip(columns, parts, strict=False):
                 found[0][:, column] = part
@@ -325,7 +363,7 @@ class _Instant:
             asked_torque=torque,
             **values,
         )
-        term = each.effect.at_instant(seen, amplitudes, each.shapes)
+        term = each.effect.at_instant(seen, amplitudes, shapes)
         torques = np.broadcast_to(term.drive_torque + term.link_torque, q.shape)
         return torques, np.broadcast_to(term.deflection, q.shape)
 

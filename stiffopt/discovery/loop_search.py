@@ -145,7 +145,7 @@ class LoopSearch:
                 joint = int(self.recordings.order[located.joint])
                 place = fitted.place(name).start + joint
                 sd, prior = model.deviations[place], model.expected_deviations[place]
-                is_open = bool(entry.nominal) and bool(model.misses[joint])
+                is_open = bool(entry.nominal) and bool(model.lacks[joint])
                 if is_open or sd <= 0.0 or any(located.same_place(other) for other in taken):
                     continue
                 taken = [*taken, located]

@@ -13,9 +13,9 @@ from stiffopt.discovery.extended.left_open import rescale_to_rate
 from stiffopt.discovery.extended.model import ExtendedModel, load_extended
 from stiffopt.discovery.progress import Say
 from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
+from stiffopt.discovery.sanity.command_doubts import take_errors_as_commands
 from stiffopt.discovery.sanity.doubt import Doubt
 from stiffopt.discovery.sanity.gate import judge_plausibility, leave_out_unscaled
-from stiffopt.discovery.sanity.position_errors import take_errors_as_commands
 from stiffopt.discovery.training import open_training_runs
 from stiffopt.recording.decimation import (
     decimate_noise,

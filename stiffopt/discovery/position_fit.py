@@ -39,8 +39,8 @@ from stiffopt.recording.run import RecordedRun
 from stiffopt.robot.batched_kinematics import frame_positions
 from stiffopt.units import joint_unit
 
-# Residual over the encoders' noise from which something is missing: fits of arms that lack nothing
-# leave up to 1.2.
+# Residual over the encoders' noise and the simulation's own error from which something is missing:
+# fits of arms that lack nothing leave up to 1.2.
 _OPEN_NOISE_RATIO = 1.3
 
 
@@ -54,7 +54,7 @@ class ClosedLoopModel:
     nominal: Parameters
     fitted: Parameters
     deviations: np.ndarray  # (p,) one standard deviation of each fitted parameter
-    # The fit, and its residual (n,) over the noise of the encoders; None of a model that was read.
+    # The fit, and its residual (n,) over noise and own error; None of a model that was read.
     polished: Polished | None = None
     noise_ratio: np.ndarray | None = None
     # expected, expected_deviations: the same before the fit; None of a model that was read.
@@ -65,22 +65,16 @@ class ClosedLoopModel:
 
     @property
     def misfit(self) -> float:
-        """Sum of the logarithms of the residuals over the encoders' noise."""
-        assert self.noise_ratio is not None
-        return float(np.log(self.noise_ratio).sum())
+        """Sum of the logarithms of the residuals; fits of the same runs differ by it."""
+        assert self.polished is not None
+        changing = np.isfinite(self.polished.noise)
+        return float(np.log(self.polished.residual[changing]).sum())
 
     @property
     def lacks(self) -> np.ndarray:
-        """Return the joints (n,) in which the simulation leaves more than noise."""
+        """Return the joints (n,) in which it leaves more than noise and its own error."""
         assert self.noise_ratio is not None
         return np.asarray(self.noise_ratio > _OPEN_NOISE_RATIO)
-
-    @property
-    def misses(self) -> np.ndarray:
-        """Return the joints (n,) in which it leaves more than noise and its own error."""
-        assert self.polished is not None
-        own = self.polished.discretisation / self.polished.residual
-        return np.asarray(self.lacks & (_OPEN_NOISE_RATIO * own < 1.0))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -141,29 +135,13 @@ def fit_positions(
         deviations=fitted.deviations,
         polished=fitted,
         # A joint that stands in all runs lacks nothing.
-        noise_ratio=np.nan_to_num(fitted.residual / _encoder_noise(recordings, runs), nan=1.0),
+        noise_ratio=np.nan_to_num(
+            fitted.residual / np.hypot(fitted.noise, fitted.discretisation), nan=1.0
+        ),
         expected=fitted.expected,
         expected_deviations=fitted.expected_deviations,
         ratios=_ratios_to_gain(loop.law, fitted),
     )
-
-
-def _encoder_noise(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> np.ndarray:
-    """Return the standard deviation (n,) of readings that change independently [rad].
-
-    The third difference of a slow motion vanishes, that of white noise has 20 times its variance.
-    NaN of readings that never change.
-    """
-    each = np.array(
-        [
-            np.nanstd(np.diff(commanded_run(recordings, run).position, n=3, axis=0), axis=0)
-            for run in runs
-            if is_commanded(run)
-        ]
-    )
-    changing = (own[own > 0.0] for own in each.T)
-    found = [np.median(own) if own.size else np.nan for own in changing]
-    return np.asarray(np.array(found) / np.sqrt(20.0))
 
 
 def _ratios_to_gain(law: ActuatorLaw, fitted: Polished) -> dict[str, tuple[np.ndarray, np.ndarray]]:

@@ -7,8 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from stiffopt.discovery.comparison.bands import candidate_bands
 from stiffopt.discovery.comparison.channel_rows import KnownNoise
 from stiffopt.discovery.comparison.extended_run import extend_run
+from stiffopt.discovery.comparison.filtering import interpolate_linear
 from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.comparison.prepared_run import PreparedRun, prepare_run
 from stiffopt.discovery.settings import MIN_MOVING_SPEED, PREDICTION_CUTOFF
@@ -44,7 +46,7 @@ class Predictor:
     ) -> None:
         self.robot, self.run = training.robot, run
         self._training, self._vibrating = training, vibrating
-        self._position = _interpolate_columns(run.time, run.position, run.stamps)
+        self._position = interpolate_linear(run.time, run.position, run.stamps)
         # Joints by their band, where that differs from the usual one.
         self._others: dict[float, list[int]] = {}
         if prepared is not None and prepared.vibration is not None:
@@ -72,7 +74,7 @@ class Predictor:
     @property
     def velocity(self) -> np.ndarray:
         """Joint velocities (K, n), recorded or else derived from positions [rad/s]."""
-        derived = _interpolate_columns(
+        derived = interpolate_linear(
             self.nominal.time, self.nominal.signals.motor_velocity, self.run.time
         )
         if self.run.velocity is None:
@@ -104,24 +106,15 @@ class Predictor:
             drive, deflection = channels.pop(0)
             yield Prediction(
                 stamps=stamps,
-                torque=_interpolate_columns(time, drive, stamps),
-                link_position=self._position - _interpolate_columns(time, deflection, stamps),
+                torque=interpolate_linear(time, drive, stamps),
+                link_position=self._position - interpolate_linear(time, deflection, stamps),
             )
 
     def torque(self, band: float, *extensions: Extension) -> np.ndarray:
         """Predict the drive torques (R, n) from the motion in one band [Hz]."""
         own = self.nominal if band == self.nominal.low_pass.cutoff else self._prepare_band(band)
         drive = extend_run(own, *extensions).signals.drive_torque
-        return _interpolate_columns(own.time, drive, self.run.stamps)
-
-
-def _interpolate_columns(time: np.ndarray, values: np.ndarray, stamps: np.ndarray) -> np.ndarray:
-    """Interpolate columns (K, n) to other times (R, n), across missing samples."""
-    columns = []
-    for column in values.T:
-        known = np.isfinite(column)
-        columns.append(np.interp(stamps, time[known], column[known]))
-    return np.column_stack(columns)
+        return interpolate_linear(own.time, drive, self.run.stamps)
 
 
 @dataclass(frozen=True)
@@ -224,3 +217,60 @@ def used_samples(run: RecordedRun, velocity: np.ndarray) -> Iterator[tuple[str, 
                 used &= moving[:, joint]
             if used.any():
                 yield kind, joint, used
+
+
+# Share of the least mean square that a wider band may cost: encoder noise is visible in the
+# training runs, the needs of a faster motion are not.
+_MAX_WIDER_BAND_COST = 0.05
+
+
+def choose_prediction_bands(training: Training, found: Extension) -> tuple[float, ...]:
+    """Return the band [Hz] for each joint in which the model predicts the training runs best.
+
+    A wide band follows reversals and pulses; a narrow one keeps the noise of twice differentiated
+    encoders out of the torque. How much noise passes depends on the inertia of the model: a fit
+    with a free inertia for every band would shrink it until the noise costs nothing.
+    """
+    tried = candidate_bands(training.recorded, PREDICTION_CUTOFF)
+    errors = _torque_errors(training, found, tried)
+    # The link motion of an elastic joint is computable only below its resonance.
+    slower = int(np.searchsorted(tried, PREDICTION_CUTOFF, side="right"))
+    counts = [slower if joint.elastic else len(tried) for joint in training.constants.joints]
+    return tuple(
+        _select_widest_adequate(tried[:count], column[:count])
+        for count, column in zip(counts, errors.T, strict=True)
+    )
+
+
+def _torque_errors(training: Training, found: Extension, bands: Sequence[float]) -> np.ndarray:
+    """Return the mean square errors (b, n) of unfiltered torques, by band; nan without samples."""
+    n = training.robot.n
+    usual = replace(training.settings, predict=(PREDICTION_CUTOFF,) * n)
+    square, count = np.zeros((len(bands), n)), np.zeros((len(bands), n))
+    for run in training.recorded:
+        predictor = Predictor(replace(training, settings=usual), run)
+        places = np.searchsorted(run.stamps, run.time)
+        used = [each for each in used_samples(run, predictor.velocity) if each[0] == "torque"]
+        for k, band in enumerate(bands):
+            torque = predictor.torque(band, *training.before, found)
+            for _, joint, samples in used:
+                left = run.torque[samples, joint] - torque[places[samples], joint]
+                square[k, joint] += float(left @ left)
+                count[k, joint] += len(left)
+    return np.asarray(np.divide(square, count, out=np.full(square.shape, np.nan), where=count > 0))
+
+
+def _select_widest_adequate(tried: Sequence[float], errors: np.ndarray) -> float:
+    """Return the widest band of an adequate error, to two digits.
+
+    Between the last adequate band and the next the error is interpolated: a little less of the
+    recordings moved an answer from one band to the next, and its residual by a tenth.
+    """
+    if not np.isfinite(errors).all():
+        return PREDICTION_CUTOFF
+    most = (1.0 + _MAX_WIDER_BAND_COST) * errors.min()
+    last = int(np.flatnonzero(errors <= most)[-1])
+    if last + 1 == len(tried):
+        return tried[last]
+    share = (most - errors[last]) / (errors[last + 1] - errors[last])
+    return float(f"{tried[last] * (tried[last + 1] / tried[last]) ** share:.2g}")

@@ -11,7 +11,7 @@ import numpy as np
 from stiffopt.discovery.extended.model import ExtendedModel
 from stiffopt.discovery.loop_fit import is_commanded
 from stiffopt.discovery.position_fit import PositionRun, read_model, simulate_run
-from stiffopt.discovery.sanity.position_errors import take_errors_as_commands
+from stiffopt.discovery.sanity.command_doubts import take_errors_as_commands
 from stiffopt.discovery.store import position_entry
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.files import atomic_write, to_json_types, write_csv

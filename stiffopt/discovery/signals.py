@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cached_property
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -253,46 +254,21 @@ class RobotSignals(MotionSignals):
         coulomb, viscous = np.array([[j.coulomb, j.viscous] for j in self.constants.joints]).T
         return coulomb * self.motor_direction + viscous * self.motor_velocity
 
-    @property
-    def tool_position(self) -> Quantity:
-        """Tool position in the base frame (K, 3) [m]."""
-        return self.arm.tool_position
-
-    @property
-    def tool_jacobian(self) -> Quantity:
-        """Jacobian of the tool position (K, 3, n)."""
-        return self.arm.tool_jacobian
-
-    @property
-    def tool_levers(self) -> Quantity:
-        """Work of forces at the tool (K, n, 6) [m]: along the axes of the base, then of the tool.
-
-        Columns of J^T, and of J^T R with the rotation R of the last link.
-        """
-        return self.arm.tool_levers
-
-    @property
-    def body_regressor(self) -> Any:
-        """Joint torques per inertial parameter of every body (K, n, 10 n) [N m per unit].
-
-        Parameters (m, m c, I) of the moving bodies, one body after another; entries [..., k] where
-        it is evaluated on demand.
-        """
-        return self.arm.body_regressor
-
-    @property
-    def weight(self) -> Quantity:
-        """Spring torque per gravity along the axes of the base (K, n, 3) [N m per m/s^2]."""
-        return self.arm.weight
-
-    @property
-    def zero_harmonics(self) -> Any:
-        """Harmonics of the spring torque over the zero of every joint (K, n, 4 n) [N m].
-
-        A zero of joint j moved by x adds the sum of columns 4 j to 4 j + 3 times sin x, cos x - 1,
-        sin 2x, cos 2x - 1; entries [..., k] where it is evaluated on demand.
-        """
-        return self.arm.zero_harmonics
+    # Of the arm as a whole: tool position in the base frame (K, 3) [m], and its Jacobian (K, 3, n).
+    tool_position = property(attrgetter("arm.tool_position"))
+    tool_jacobian = property(attrgetter("arm.tool_jacobian"))
+    # Work of forces at the tool (K, n, 6) [m], along the axes of the base, then of the tool:
+    # columns of J^T, and of J^T R with the rotation R of the last link.
+    tool_levers = property(attrgetter("arm.tool_levers"))
+    # Joint torques per inertial parameter (m, m c, I) of every moving body, one body after another
+    # (K, n, 10 n) [N m per unit]; entries [..., k] where it is evaluated on demand.
+    body_regressor = property(attrgetter("arm.body_regressor"))
+    # Spring torque per gravity along the axes of the base (K, n, 3) [N m per m/s^2].
+    weight = property(attrgetter("arm.weight"))
+    # Harmonics of the spring torque over the zero of every joint (K, n, 4 n) [N m]: a zero of joint
+    # j moved by x adds columns 4 j to 4 j + 3 times sin x, cos x - 1, sin 2x, cos 2x - 1; entries
+    # [..., k] where it is evaluated on demand.
+    zero_harmonics = property(attrgetter("arm.zero_harmonics"))
 
     def head(self, count: int) -> RobotSignals:
         """Return the first samples."""
@@ -317,9 +293,6 @@ class RobotSignals(MotionSignals):
         def before(name: str) -> Quantity:
             return of(name, index - 1) if index else 0.0 * self.time
 
-        def own(name: str) -> Quantity:
-            return of(name, index)
-
         return JointSignals(
             time=self.time,
             run=self.run,
@@ -329,25 +302,16 @@ class RobotSignals(MotionSignals):
             previous_velocity=before("motor_velocity"),
             previous_acceleration=before("motor_acceleration"),
             constants=self.constants.joints[index],
-            asked_torque=None if self.asked_torque is None else own("asked_torque"),
-            command_rate=None if self.command_rate is None else own("command_rate"),
-            **{name: own(name) for name in JOINT_SIGNAL_NAMES},
+            **{
+                name: None if getattr(self, name) is None else of(name, index)
+                for name in (*JOINT_SIGNAL_NAMES, "asked_torque", "command_rate")
+            },
         )
 
 
 # Fields of `MotionSignals` with one column per joint.
-JOINT_SIGNAL_NAMES = (
-    "temperature_rise",
-    "motor_position",
-    "motor_velocity",
-    "motor_acceleration",
-    "motor_direction",
-    "link_position",
-    "link_velocity",
-    "link_acceleration",
-    "transmitted_torque",
-    "spring_torque",
-    "windup",
-    "drive_torque",
-    "drive_torque_rate",
+JOINT_SIGNAL_NAMES = tuple(
+    each.name
+    for each in fields(MotionSignals)
+    if each.default is MISSING and each.name not in ("time", "dt", "session_time")
 )

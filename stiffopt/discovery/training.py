@@ -138,8 +138,14 @@ def prepare_training(
         settings = replace(settings, cutoff=PoseFilter().cutoff)
     elif settings.cutoff is None and not robot.vibrates:
         say("choose how fast a motion to follow")
-        settings, note = _choose_fit_band(robot, opened, settings)
-        notes.append(note)
+        band = choose_fit_band(
+            robot, opened, slow=settings.slow, fit=settings.fit_band, predict=PREDICTION_CUTOFF
+        )
+        settings = replace(settings, cutoff=band)
+        notes.append(
+            f"Fits follow the recordings up to {band:g} Hz: chosen by cross-validation over"
+            " stretches of the training runs."
+        )
         # Release memory before the runs are prepared again.
         prepared.clear()
         del probe
@@ -190,7 +196,8 @@ def prepare_training(
         tolerance=tolerance,
         free_bodies=free,
         reidentified=free and model is None,
-        most=_max_effects(free, isinstance(recordings, StatePair)),
+        # What both of two states lack does not take the place of what changed.
+        most=(MAX_EFFECTS_FREE if free else MAX_EFFECTS) * (1 + isinstance(recordings, StatePair)),
         settings=settings,
         assumptions=(*recordings.assumptions, *noise.assumptions(recordings.prismatic), *notes),
         least=least,
@@ -214,24 +221,6 @@ def _require_one_kind(recordings: RecordingSet, opened: Sequence[RecordedRun]) -
             "runs",
             f"{still}: poses at rest; {moving}: motion. A set holds one kind: give each its own.",
         )
-
-
-def _max_effects(free: bool, two_states: bool) -> int:
-    # What both states lack does not take the place of what changed.
-    return (MAX_EFFECTS_FREE if free else MAX_EFFECTS) * (1 + two_states)
-
-
-def _choose_fit_band(
-    robot: RobotModel, runs: Sequence[RecordedRun], settings: Settings
-) -> tuple[Settings, str]:
-    band = choose_fit_band(
-        robot, runs, slow=settings.slow, fit=settings.fit_band, predict=PREDICTION_CUTOFF
-    )
-    note = (
-        f"Fits follow the recordings up to {band:g} Hz: chosen by cross-validation over stretches"
-        " of the training runs."
-    )
-    return replace(settings, cutoff=band), note
 
 
 def _check_nominal(robot: RobotModel, run: RecordedRun, ready: PreparedRun) -> None:

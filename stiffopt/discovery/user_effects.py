@@ -16,7 +16,7 @@ from typing import Any, get_args
 import numpy as np
 
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.effect import Effect, Need, Scope, Term
+from stiffopt.discovery.effect import NEEDS, Effect, Scope, Term
 from stiffopt.discovery.signals import (
     JointConstants,
     JointSignals,
@@ -302,9 +302,9 @@ def _find_parameter_faults(
 ) -> Iterator[str]:
     if effect.scope not in SCOPES:
         yield f"scope {effect.scope!r} is none of {', '.join(SCOPES)}."
-    unknown = [need for need in effect.needs if need not in get_args(Need)]
+    unknown = [need for need in effect.needs if need not in NEEDS]
     if unknown:
-        yield f"it needs {unknown[0]!r}; known are {', '.join(get_args(Need))}."
+        yield f"it needs {unknown[0]!r}; known are {', '.join(NEEDS)}."
     if not effect.amplitudes:
         yield "it has no amplitude; at least one number must scale its term."
     names = [a.name for a in effect.amplitudes] + [s.name for s in effect.shapes]

@@ -1,6 +1,6 @@
 """Displacement of the tool by elastic output bearings and bending links, symbolic.
 
-As `robot.bearing_deflection`, by the wrenches of the symbolic recursion.
+As `robot.bearings`, by the wrenches of the symbolic recursion.
 """
 
 from __future__ import annotations

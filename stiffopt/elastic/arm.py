@@ -129,9 +129,8 @@ class ElasticArm:
         raise RobotError(
             f"uncertainty.damping lets the damping of {self.robot.joint_names[j]}, nominally "
             f"{self.damping[j]:.4g} N m s/rad, be {factor * self.damping[j]:.4g}, above the "
-            f"critical {self._critical[j]:.4g} of the single-joint vibration; allowed here: "
-            f"from 0 to {largest:g}. Give a smaller share, such as uncertainty.damping = "
-            f"{largest:g}."
+            f"critical {self._critical[j]:.4g} of the single-joint vibration; allowed here: from 0 "
+            f"to {largest:g}. Give a smaller share, such as uncertainty.damping = {largest:g}."
         )
 
     def _check_damping(self) -> None:

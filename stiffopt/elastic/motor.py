@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 
-if TYPE_CHECKING:
-    from stiffopt.result.trajectory import JointMotion
+from stiffopt.result.trajectory import JointMotion
 
 # Between samples [s]; cubic interpolation is then exact to a nanoradian.
 SAMPLE_INTERVAL = 5e-4

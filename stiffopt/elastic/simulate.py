@@ -17,9 +17,9 @@ import scipy
 
 from stiffopt.elastic import native
 from stiffopt.elastic.arm import MIN_FOLLOWING_FREQUENCY, ElasticArm
-from stiffopt.elastic.bearing_joints import BearingJoints
+from stiffopt.elastic.bearings import BearingJoints
 from stiffopt.elastic.modes import modes
-from stiffopt.elastic.motor import MotorMotion
+from stiffopt.elastic.motor import SAMPLE_INTERVAL, MotorMotion
 from stiffopt.elastic.servo import Servo
 from stiffopt.errors import NotSimulatedError
 from stiffopt.result.simulation import SETTLING_BAND, SimulatedMotion
@@ -32,7 +32,6 @@ REST = 1.0
 # up to 0.5 um where the motors' acceleration jumps often (toppra), in a third more time.
 _RELATIVE_TOLERANCE = 2e-10
 _ABSOLUTE_TOLERANCES = (2e-9, 2e-7, 1e-4)
-_SAMPLE_INTERVAL = 5e-4  # of the result [s]
 # Between two samples.
 _MAX_INTEGRATOR_STEPS = 10000
 # Half width of a reducer's hysteresis where none is stated [rad]: 45 to 56 urad were measured.
@@ -328,10 +327,10 @@ def _zero_torque(_: float) -> float:
 
 
 def _sample_times(duration: float, end: float) -> np.ndarray:
-    flight = np.linspace(0.0, duration, max(2, int(np.ceil(duration / _SAMPLE_INTERVAL)) + 1))
+    flight = np.linspace(0.0, duration, max(2, int(np.ceil(duration / SAMPLE_INTERVAL)) + 1))
     if end <= duration:
         return flight
-    rest = np.linspace(duration, end, int(np.ceil((end - duration) / _SAMPLE_INTERVAL)) + 1)
+    rest = np.linspace(duration, end, int(np.ceil((end - duration) / SAMPLE_INTERVAL)) + 1)
     return np.concatenate([flight, rest[1:]])
 
 

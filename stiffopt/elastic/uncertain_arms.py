@@ -16,7 +16,7 @@ import numpy as np
 
 from stiffopt.elastic import native
 from stiffopt.elastic.arm import ElasticArm
-from stiffopt.elastic.bearing_joints import BearingJoints
+from stiffopt.elastic.bearings import BearingJoints
 from stiffopt.elastic.modes import modes
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.servo import Servo

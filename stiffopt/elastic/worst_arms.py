@@ -1,4 +1,4 @@
-"""Worst arms within an uncertainty, by exchange of the corners of its parameters.
+"""Worst arms within an uncertainty, and the tool error that an exact lead leaves on them.
 
 In flight errors are almost additive in the parameters; after arrival they depend on the phases of
 the modes, and no arm with all joints alike is the worst. From the worst corners with joints alike,
@@ -7,16 +7,16 @@ parameters whose change alone makes the error larger are changed together, those
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from stiffopt.elastic.uncertain_arms import Member
-
-if TYPE_CHECKING:
-    from stiffopt.elastic.motor import MotorMotion
-    from stiffopt.elastic.uncertain_arms import UncertainArms
-    from stiffopt.elastic.uncertainty import ParameterBox
+from stiffopt.elastic.arm import ElasticArm
+from stiffopt.elastic.bearings import LedPlan, bearing_lead
+from stiffopt.elastic.motor import MotorMotion
+from stiffopt.elastic.servo import Servo
+from stiffopt.elastic.uncertain_arms import Member, UncertainArms
+from stiffopt.elastic.uncertainty import ParameterBox, Uncertainty
+from stiffopt.result.tool_error import LedError
+from stiffopt.result.trajectory import JointMotion
 
 # Rounds of exchanges: most searches end after three.
 _MAX_ROUNDS = 5
@@ -68,3 +68,85 @@ def worst_levels(many: UncertainArms, command: MotorMotion, box: ParameterBox) -
         worst[active[better]] = found[better]
         active = active[better]
     return levels
+
+
+_TIME_STEP = 1e-3  # of the lead [s]
+# Rate at which the servo's response to a constant speed is evaluated [1/s].
+_SLOW_RATE = 1e-3
+
+
+def led_error(
+    arm: ElasticArm, plan: JointMotion, uncertainty: Uncertainty, servo: Servo
+) -> LedError:
+    """Return the worst tool errors of uncertain arms whose motors lead a plan exactly.
+
+    `plan`: motion of the links, at rest at both ends. `servo`: nominal one, whose lag the command
+    leads.
+    """
+    worst_servo = uncertainty.worst_servo(servo)
+    differs = worst_servo != servo
+    many = UncertainArms(arm, plan, worst=_ServoChange(servo, worst_servo) if differs else None)
+    box = ParameterBox(uncertainty, arm.robot, servo=differs)
+    command = _ideal_command(arm, plan, uncertainty)
+    worst = worst_levels(many, command, box)
+    # Beside the worst arms the nominal one, and those with one parameter at its bound.
+    alone = np.tile(box.nominal, (1 + len(box.free), 1))
+    alone[np.arange(1, len(alone)), box.free] = 1.0
+    levels = np.concatenate([worst, alone])
+    members = [Member(command=command, departure=box.departure(each)) for each in levels]
+    error = many.simulate(members)
+    flight, after = (error.peak(each) for each in (error.flight, error.after))
+    hardest = int(np.argmax(flight[: len(worst)]))
+    instant = int(np.argmax(np.where(error.flight, error.distance[hardest], -1.0)))
+    nominal, *single = error.position[len(worst) :, instant]
+    squares: dict[str, float] = {}
+    for place, own in zip(box.free.tolist(), single, strict=True):
+        kind = box.kind(place)
+        squares[kind] = squares.get(kind, 0.0) + float(np.sum((own - nominal) ** 2))
+    whole = sum(squares.values()) or 1.0
+    return LedError(
+        in_flight=float(flight.max()),
+        after_arrival=float(after.max()),
+        shares={kind: square / whole for kind, square in squares.items()},
+    )
+
+
+def _ideal_command(arm: ElasticArm, plan: JointMotion, uncertainty: Uncertainty) -> MotorMotion:
+    """Motors that lead the plan by wind-up and bearings, quasi-static ones, beyond their sag."""
+    time = np.linspace(0.0, plan.duration, int(np.ceil(plan.duration / _TIME_STEP)) + 1)
+    if arm.robot.tilts:
+        plan = LedPlan(plan, bearing_lead(arm, plan))
+    q, v, a = (np.array(plan(time, k)) for k in range(3))
+    # Both ends are at rest.
+    v[[0, -1]] = a[[0, -1]] = 0.0
+    pushed, bodies = arm.force_torque(q), arm.robot.bodies_in_motion()
+    sag = arm.windup(bodies.torque(q, 0.0 * v, 0.0 * a) - pushed)
+    dynamic = arm.windup(bodies.torque(q, v, a) - pushed) - sag
+    # Dampers carry part of the torque, by which the wind-up is late.
+    dynamic -= arm.lag(q[0]) * np.gradient(dynamic, time, axis=0)
+    # Mean of 1 / (1 - b) and 1 / (1 + b).
+    position = q + dynamic / (1.0 - uncertainty.shares(arm.robot.n) ** 2)
+    velocity = np.gradient(position, time, axis=0)
+    velocity[[0, -1]] = 0.0
+    return MotorMotion(time, position, velocity)
+
+
+class _ServoChange:
+    """Response of one servo to a command that leads another one exactly."""
+
+    follows_exactly = False
+
+    def __init__(self, servo: Servo, worst: Servo) -> None:
+        self._servo, self._worst = servo, worst
+
+    def follow(self, command: MotorMotion, until: float, ahead: float = 0.0) -> MotorMotion:
+        """Motion until a time [s], by the transfer functions, padded by as long a rest."""
+        steps = int(np.ceil(until / _TIME_STEP))
+        time = np.linspace(0.0, until, steps + 1)
+        s = 2j * np.pi * np.fft.rfftfreq(2 * len(time), until / steps)
+        s[0] = _SLOW_RATE
+        spectrum = np.fft.rfft(command(time, 1), 2 * len(time), axis=0)
+        spectrum *= ((self._worst.transfer(s) / self._servo.transfer(s) - 1.0) / s)[:, None]
+        s[0] = 0.0
+        late, rate = (np.fft.irfft(spectrum * s[:, None] ** k, axis=0)[: len(time)] for k in (0, 1))
+        return MotorMotion(time, command(time) + late, command(time, 1) + rate)

@@ -1,1 +1,1 @@
-"""Export of motions and robots for controllers, simulators and other tools, one format per file."""
+"""Export of motions and robots for controllers, simulators and other tools, by format."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.errors import InputFileError, format_relative
-from stiffopt.export.cycle_motion import read_stored
+from stiffopt.export.folder_motions import read_stored
 from stiffopt.export.format import FORMATS, UNSEALED_SUFFIXES, is_whole, read_seal
 from stiffopt.files import read_text
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy.interpolate import BPoly, CubicSpline, make_interp_spline
@@ -21,6 +21,8 @@ from stiffopt.export.motion_checks import (
     solved_problem,
 )
 from stiffopt.folders import check_result
+from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.assessment import Violation
 from stiffopt.result.compensation import COMMAND_FILE
 from stiffopt.result.store import (
     RESULT_FILE,
@@ -29,10 +31,6 @@ from stiffopt.result.store import (
     read_document,
     read_joints,
 )
-
-if TYPE_CHECKING:
-    from stiffopt.problem.trajectory import TrajectoryProblem
-    from stiffopt.result.assessment import Violation
 
 Which = Literal["motor", "link"]
 

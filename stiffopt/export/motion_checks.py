@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -21,13 +21,11 @@ from stiffopt.discovery.extended.planning import extended_problem, planner_model
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.files import read_table
 from stiffopt.problem.cycle_files import load_cycle
+from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.recipe.stored_result import check_inputs, problem_file, read_changes, read_problem
+from stiffopt.result.assessment import Violation
 from stiffopt.result.cycle import leg_folder
 from stiffopt.result.store import RESULT_FILE, export_times, file_hash, motion_seal, read_document
-
-if TYPE_CHECKING:
-    from stiffopt.problem.trajectory import TrajectoryProblem
-    from stiffopt.result.assessment import Violation
 
 # Tolerance of times on the grid of 2 ms [s]: rounding of the file.
 _TIME_ROUNDING = 1e-9

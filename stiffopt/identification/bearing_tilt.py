@@ -24,14 +24,18 @@ from stiffopt.identification.robust_compliance import (
     jackknife_deviation,
     rms,
 )
-from stiffopt.identification.torque_dependence import FittedFamily, is_determined, paired_test
+from stiffopt.identification.torque_dependence import (
+    MIN_GAIN,
+    FittedFamily,
+    is_determined,
+    paired_test,
+)
 from stiffopt.recording.static_set import StaticSet
 from stiffopt.robot.joint_load import joint_frames, joint_wrenches
 
-# Adjusted p-value below this, and error on poses left out lower by this share. Student's t is only
-# near the distribution of robust fits: the level is well below the rate of false alarms accepted.
+# Adjusted p-value below this, besides an error on poses left out lower by MIN_GAIN. Student's t is
+# only near the distribution of robust fits: the level is well below the false alarms accepted.
 MAX_CHANCE = 0.001
-MIN_GAIN = 0.02
 # Probability by chance that a rival's errors exceed those found so often: above it, both are told.
 _MAX_RIVAL_CHANCE = 0.05
 

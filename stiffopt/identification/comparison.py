@@ -19,6 +19,7 @@ from stiffopt.files import atomic_write, write_csv
 from stiffopt.formatting import listed
 from stiffopt.identification.result import JointStiffness, StaticStiffness
 from stiffopt.robot.robot import Robot
+from stiffopt.robot.tolerances import TOLERANCE_IN_STANDARD_DEVIATIONS
 
 COMPARISON_FILE, TABLE_FILE, UNCERTAINTY_FILE = (
     "comparison.json",
@@ -30,7 +31,6 @@ COMPARISON_FILE, TABLE_FILE, UNCERTAINTY_FILE = (
 _CATALOGUE_SPREAD, _ESTIMATED_SPREAD = 0.2, float(np.log(2.0))
 # Difference that is named [standard deviations], and the most a relative bound can be.
 _MIN_NAMED_DIFFERENCE, _MAX_BOUND = 2.0, 0.99
-_BOUND_IN_STANDARD_DEVIATIONS = 2.0
 # Of joints that no set identifies: the default of [uncertainty].
 _DEFAULT_BOUND = 0.2
 
@@ -124,7 +124,7 @@ def _compare_joint(sets: Sequence[JointStiffness], robot: Robot | None, j: int) 
         "model": 1.0 / modelled,
         "difference": difference,
         "bound": min(
-            abs(ratio - 1.0) + _BOUND_IN_STANDARD_DEVIATIONS * own / mean * ratio, _MAX_BOUND
+            abs(ratio - 1.0) + TOLERANCE_IN_STANDARD_DEVIATIONS * own / mean * ratio, _MAX_BOUND
         ),
     }
     if abs(difference) >= _MIN_NAMED_DIFFERENCE:

@@ -10,7 +10,7 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from stiffopt.elastic.smooth_motion import smooth_motion
 from stiffopt.errors import ProblemError
-from stiffopt.problem.path_fit import fit_joint_path
+from stiffopt.problem.pose_following import fit_joint_path
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.trajectory import JointMotion, Trajectory
 

@@ -22,6 +22,7 @@ from stiffopt.fastening.utilisation import UtilisationRow
 from stiffopt.fastening.verification import Verification
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.utilisation import governing_safety
+from stiffopt.robot.tolerances import TOLERANCE_IN_STANDARD_DEVIATIONS
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -115,10 +116,6 @@ def _bolt_axial_forces(steps: Verification, load: np.ndarray, angles: np.ndarray
     return axial_forces(load, steps.count, steps.flange.circle_diameter, angles)
 
 
-# Standard deviations from the mean to either end of a stated range.
-_DEVIATIONS_PER_SIDE = 2.0
-
-
 @dataclass(frozen=True, kw_only=True)
 class SlipProbability:
     """Probability that the remaining preload of a bolt is below its share of the load."""
@@ -160,9 +157,9 @@ def slip_probability(
     # Factor on the lowest friction at the upper end of the scatter.
     factor = (steps.scatter * setting / preload - pitch) / (setting / preload - pitch)
     means = [mu * (1.0 + factor) / 2.0 for mu in lowest]
-    deviations = [mu * (factor - 1.0) / (2.0 * _DEVIATIONS_PER_SIDE) for mu in lowest]
+    deviations = [mu * (factor - 1.0) / (2.0 * TOLERANCE_IN_STANDARD_DEVIATIONS) for mu in lowest]
     # Accuracy of a torque wrench, +-5 %.
-    wrench = setting * 0.05 / _DEVIATIONS_PER_SIDE
+    wrench = setting * 0.05 / TOLERANCE_IN_STANDARD_DEVIATIONS
     needed = _needed_preload(steps)
     force = needed + steps.loss
     mean = setting - force * (pitch + sum(a * mu for a, mu in zip(levers, means, strict=True)))

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -41,10 +40,7 @@ from stiffopt.preload.optimise import (
 from stiffopt.preload.problem import Choice, PreloadProblem
 from stiffopt.preload.solution import PreloadSolution, evaluate_design
 from stiffopt.result.status import SolveStatus
-
-if TYPE_CHECKING:
-    from stiffopt.robot.robot import Robot
-
+from stiffopt.robot.robot import Robot
 
 NO_BETTER = "bound: no better than the best found"
 NONE_KEEPS_ALL = "bound: no combination keeps all requirements"
@@ -59,12 +55,14 @@ class CatalogueChoice:
     # before the search ended.
     status: SolveStatus
     message: str
-    designs: Mapping[str, CatalogueDesign]  # by element key: empty if infeasible
-    objective: float  # of the study, in its unit; nan without a design
-    solution: PreloadSolution | None  # the chosen design evaluated by the exact law
-    continuous: PreloadSolution | None  # optimum preloads of the same bolts at arbitrary torques
-    gap: float  # relative loss of the catalogue design against `continuous` [-]
-    problem: PreloadProblem | None  # the study with the chosen bolts in the robot
+    # By element key: empty if infeasible.
+    designs: Mapping[str, CatalogueDesign] = field(default_factory=dict)
+    objective: float = float("nan")  # of the study, in its unit; nan without a design
+    solution: PreloadSolution | None = None  # the chosen design evaluated by the exact law
+    # Optimum preloads of the same bolts at arbitrary torques, and the relative loss against it [-].
+    continuous: PreloadSolution | None = None
+    gap: float = float("nan")
+    problem: PreloadProblem | None = None  # the study with the chosen bolts in the robot
     table: tuple[TableRow, ...]  # one for each element, size, grade and count
     proof: SearchProof  # of the search for the best objective
     # Of the searches among designs of equal objective, if any.
@@ -235,8 +233,6 @@ class _ChoiceSearch:
             objective=solution.objective,
             cost=sum(d.cost for d in chosen),
             solution=solution,
-            continuous=None,
-            gap=float("nan"),
             problem=study,
             table=best_torques(self.model, self.designs, programme, picks),
             proof=proof,
@@ -259,12 +255,6 @@ class _ChoiceSearch:
         return CatalogueChoice(
             status=status,
             message=f"{begin} {reasons}".strip(),
-            designs={},
-            objective=float("nan"),
-            solution=None,
-            continuous=None,
-            gap=float("nan"),
-            problem=None,
             table=best_torques(self.model, self.designs, programme, None),
             proof=proof,
             stoppers=stoppers,

@@ -307,8 +307,7 @@ def describe_proof(
         )
     out = sum(proof.excluded.values())
     text = (
-        f"Best design of the catalogue: {bolts}. Of {proof.combinations:,} combinations "
-        f"{out:,} were excluded by limits and bounds and {proof.evaluated:,} evaluated; none is "
-        "better."
+        f"Best design of the catalogue: {bolts}. Of {proof.combinations:,} combinations {out:,} "
+        f"were excluded by limits and bounds and {proof.evaluated:,} evaluated; none is better."
     )
     return text if solution.status.usable else f"{text} {solution.message}"

@@ -185,7 +185,6 @@ def _stiffness_stopper(model: PreloadModel, row: UtilisationRow, upper: np.ndarr
     return Stopper.of_row(
         row,
         " and ".join(ends) if ends else "no preload of this joint is free",
-        f"the preloaded connections have {100 * share:.1f} % of the compliance, so larger "
-        "bolts gain at most that; beyond it a stiffer reducer, stiffer elements, or a lower "
-        "requirement",
+        f"the preloaded connections have {100 * share:.1f} % of the compliance, so larger bolts "
+        "gain at most that; beyond it a stiffer reducer, stiffer elements, or a lower requirement",
     )

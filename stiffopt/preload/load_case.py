@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -106,51 +105,6 @@ class LoadHistory:
             time=float(self.time[index]),
             source=self.source,
         )
-
-    def worst(
-        self,
-        joints: tuple[int, ...],
-        compliance: Callable[[int, np.ndarray], np.ndarray],
-        windup: Callable[[int, np.ndarray], np.ndarray],
-        critical: Callable[[LoadHistory], set[int]] | None = None,
-        tilted: Callable[[LoadHistory], np.ndarray] | None = None,
-    ) -> tuple[LoadCase, ...]:
-        """Return the worst instants for slip, stiffness and tool deflection, in order of time.
-
-        Each of the `joints`, from 1, contributes its largest torque and its least stiffness, by
-        `compliance` and `windup` of joint and torques (K,) at the design. `critical` gives indices
-        of the worst instants for the checks of the bolts, `tilted` the tool deflection by tilting
-        flanges (K, 3) [m].
-        """
-        found = critical(self) if critical else set()
-        for joint in joints:
-            torque = self.torque[:, joint - 1]
-            found.add(int(np.argmax(np.abs(torque))))
-            found.add(int(np.argmax(compliance(joint, torque))))
-        if self.jacobian is not None:
-            found.add(int(np.argmax(self._deflection_sizes(windup, tilted))))
-        return tuple(self.at(index) for index in sorted(found))
-
-    def _deflection_sizes(
-        self,
-        windup: Callable[[int, np.ndarray], np.ndarray],
-        tilted: Callable[[LoadHistory], np.ndarray] | None,
-    ) -> np.ndarray:
-        """Return the magnitude of the tool deflection (K,) [m]."""
-        assert self.jacobian is not None
-        angles = np.zeros_like(self.torque)
-        for j in range(self.torque.shape[1]):
-            angles[:, j] = windup(j + 1, self.torque[:, j])
-            if self.reference_torque is not None:
-                reference = windup(j + 1, self.reference_torque[:, j])
-                # Slip under the reference torque is an infinite deflection as well.
-                lost = np.isinf(angles[:, j]) | np.isinf(reference)
-                angles[:, j] = np.where(lost, np.inf, angles[:, j] - np.where(lost, 0.0, reference))
-        turned = np.zeros((len(self.torque), 3)) if tilted is None else tilted(self)
-        held = np.isfinite(angles).all(axis=1) & np.isfinite(turned).all(axis=1)
-        vectors = np.einsum("kin,kn->ki", self.jacobian, np.where(held[:, None], angles, 0.0))
-        vectors = vectors + np.where(held[:, None], turned, 0.0)
-        return np.where(held, np.linalg.norm(vectors, axis=1), np.inf)
 
 
 def _require_finite(loads: LoadCase | LoadHistory, owner: str) -> None:

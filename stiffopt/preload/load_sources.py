@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -17,13 +16,10 @@ from stiffopt.certificate.rigid_body import RigidBodyHistory, rigid_body_history
 from stiffopt.errors import InputFileError, ProblemError
 from stiffopt.files import read_table
 from stiffopt.preload.load_case import LoadCase, LoadHistory
+from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.assessment import Assessment
 from stiffopt.robot.joint_load import joint_frames, joint_wrenches
-
-if TYPE_CHECKING:
-    from stiffopt.problem.trajectory import TrajectoryProblem
-    from stiffopt.result.assessment import Assessment
-    from stiffopt.robot.robot import Robot
-
+from stiffopt.robot.robot import Robot
 
 # Tolerance of recorded torques over the largest one for the same arm and load [-].
 _TORQUE_TOLERANCE = 1e-3

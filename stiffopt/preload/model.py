@@ -263,6 +263,21 @@ class PreloadModel:
                     found[k] = -(case.jacobian @ angles[:, k] + turned) if held else np.inf
         return found
 
+    def deflection_sizes(self, history: LoadHistory, preloads: np.ndarray) -> np.ndarray:
+        """Return the magnitude of the tool deflection along a motion with poses (K,) [m]."""
+        assert history.jacobian is not None
+        angles, reference = np.zeros_like(history.torque), history.reference_torque
+        for j in range(self.problem.robot.n):
+            angles[:, j] = self.exact_windup(preloads, j + 1, history.torque[:, j])
+            if reference is not None:
+                still = self.exact_windup(preloads, j + 1, reference[:, j])
+                angles[:, j] = _net_windup(angles[:, j], still)
+        turned = self.tilt_deflection(history, preloads)
+        held = np.isfinite(angles).all(axis=1) & np.isfinite(turned).all(axis=1)
+        vectors = np.einsum("kin,kn->ki", history.jacobian, np.where(held[:, None], angles, 0.0))
+        vectors = vectors + np.where(held[:, None], turned, 0.0)
+        return np.where(held, np.linalg.norm(vectors, axis=1), np.inf)
+
     # ---- tilting flanges
 
     @cached_property
@@ -326,9 +341,7 @@ class PreloadModel:
     def net_windups(self, preloads: np.ndarray, joint: int) -> np.ndarray:
         """Return the exact wind-up of a joint less that at the reference torque (cases,) [rad]."""
         angles = self.exact_windup(preloads, joint, np.concatenate(self.torques(joint)))
-        loaded, unloaded = np.split(angles, 2)
-        slips = np.isinf(loaded) | np.isinf(unloaded)
-        return np.asarray(np.where(slips, np.inf, loaded - np.where(slips, 0.0, unloaded)))
+        return _net_windup(*np.split(angles, 2))
 
     # ---- parts
 
@@ -403,6 +416,12 @@ def preload_of(element: FreeElement) -> float:
     assert fastened.preload is not None
     net = isinstance(fastened, BoltedFlange) and fastened.preload_is == "net"
     return float(element.largest(fastened.preload) if net else fastened.preload)
+
+
+def _net_windup(loaded: np.ndarray, unloaded: np.ndarray) -> np.ndarray:
+    """Return the difference of wind-ups; slip under either load is infinite."""
+    slips = np.isinf(loaded) | np.isinf(unloaded)
+    return np.asarray(np.where(slips, np.inf, loaded - np.where(slips, 0.0, unloaded)))
 
 
 def _match_type(preloads: Quantity, torques: np.ndarray) -> Quantity:

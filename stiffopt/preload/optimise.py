@@ -103,24 +103,26 @@ def with_worst_instants(
     model = PreloadModel(problem, cases)
     found = {case.name: case for case in cases}
     for history in problem.histories:
-        worst = history.worst(
-            problem.joints,
-            lambda joint, torques: model.exact_compliance(preloads, joint, torques),
-            lambda joint, torques: model.exact_windup(preloads, joint, torques),
-            lambda motion: _critical_instants(model, motion),
-            lambda motion: model.tilt_deflection(motion, preloads),
-        )
-        for case in worst:
+        for case in _worst_instants(model, history, preloads):
             found.setdefault(case.name, case)
     return tuple(found.values())
 
 
-def _critical_instants(model: PreloadModel, motion: LoadHistory) -> set[int]:
-    """Return the instants that are worst for any check of any flange."""
-    tightening = model.problem.tightening
-    return set().union(
-        *(critical_instants(e.stage, e.joint, motion, tightening) for e in model.elements)
-    )
+def _worst_instants(
+    model: PreloadModel, history: LoadHistory, preloads: np.ndarray
+) -> tuple[LoadCase, ...]:
+    """Return the worst instants for bolts, slip, stiffness and deflection, in order of time."""
+    found: set[int] = set()
+    for element in model.elements:
+        tightening = model.problem.tightening
+        found |= critical_instants(element.stage, element.joint, history, tightening)
+    for joint in model.problem.joints:
+        torque = history.torque[:, joint - 1]
+        found.add(int(np.argmax(np.abs(torque))))
+        found.add(int(np.argmax(model.exact_compliance(preloads, joint, torque))))
+    if history.jacobian is not None:
+        found.add(int(np.argmax(model.deflection_sizes(history, preloads))))
+    return tuple(history.at(index) for index in sorted(found))
 
 
 def objective_levels(model: PreloadModel) -> Levels:

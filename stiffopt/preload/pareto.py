@@ -95,7 +95,8 @@ class _FrontTrace:
         self, problem: PreloadProblem, cases: tuple[LoadCase, ...], progress: ProgressReport | None
     ) -> None:
         self.progress, self.cases = progress, cases
-        self.problem = _without_stiffness(problem)
+        needs = replace(problem.requirements, joint_stiffness={})
+        self.problem = replace(problem, requirements=needs)
         model = PreloadModel(self.problem, cases)
         self.levels: Levels = objective_levels(model)
         self.model = model
@@ -198,11 +199,6 @@ class _FrontTrace:
         )
 
 
-def _without_stiffness(problem: PreloadProblem) -> PreloadProblem:
-    needs = replace(problem.requirements, joint_stiffness={})
-    return replace(problem, requirements=needs)
-
-
 def _chord_distances(points: Sequence[ParetoPoint]) -> np.ndarray:
     """Return the distance of each point from the chord, both axes scaled to 0 to 1."""
     total = np.array([p.total_preload for p in points])
@@ -218,7 +214,8 @@ def _knee_position(points: Sequence[ParetoPoint]) -> int:
 
 def _knee_reason(points: Sequence[ParetoPoint], knee: int) -> str:
     at = points[knee]
-    place = f"{at.total_preload / 1e3:.1f} kN in all, {_format_percent(at.level, points[-1].level)}"
+    share = 100 * at.level / points[-1].level
+    place = f"{at.total_preload / 1e3:.1f} kN in all, {share:.2f} % of the largest stiffness"
     if len(points) < 3:
         return f"Too few points for a knee; the least preload is used: {place}."
     distance = float(_chord_distances(points)[knee])
@@ -226,10 +223,6 @@ def _knee_reason(points: Sequence[ParetoPoint], knee: int) -> str:
         "The knee is the point farthest from the chord between the ends, with both axes scaled to "
         f"run from 0 to 1 (distance {distance:.2f}; 0 is a straight front, 0.71 a corner): {place}."
     )
-
-
-def _format_percent(level: float, most: float) -> str:
-    return f"{100 * level / most:.2f} % of the largest stiffness"
 
 
 def _describe_front(points: Sequence[ParetoPoint]) -> str:

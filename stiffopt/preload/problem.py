@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 
@@ -36,10 +36,8 @@ from stiffopt.fastening.limits import (
 from stiffopt.fastening.tightening import SCATTER_BY_METHOD, Tightening
 from stiffopt.fastening.utilisation import PreloadLimit
 from stiffopt.preload.load_case import LoadCase, LoadHistory
+from stiffopt.robot.robot import Robot
 from stiffopt.symbolic import Quantity
-
-if TYPE_CHECKING:
-    from stiffopt.robot.robot import Robot
 
 OBJECTIVES = {
     "total_preload": "N",

@@ -36,6 +36,7 @@ def study_document(study: PreloadStudy) -> dict[str, Any]:
     """Content of study.json as plain data; missing parts (front, choice, motion) are None."""
     with with_own(study.problem.robot.own):
         problem, solution = study.problem, study.solution
+        sheets = bolt_sheets(PreloadModel(problem, solution.cases), solution.vector)
         document = {
             "schema": SCHEMA,
             "status": str(solution.status),
@@ -60,7 +61,7 @@ def study_document(study: PreloadStudy) -> dict[str, Any]:
             "rows": [
                 {"name": row.name, **vars(row), "active": row.active} for row in solution.rows
             ],
-            "bolts": {sheet.key: _sheet_entry(sheet) for sheet in _study_sheets(study)},
+            "bolts": {sheet.key: _sheet_entry(sheet) for sheet in sheets},
             "stoppers": solution.stoppers,
             "load_cases": [
                 {
@@ -139,11 +140,6 @@ def _stiffness_entries(study: PreloadStudy) -> dict[str, Any]:
             j: _values_by_case(study.solution, row) for j, row in of_joint.items()
         }
     return document
-
-
-def _study_sheets(study: PreloadStudy) -> tuple[BoltSheet, ...]:
-    model = PreloadModel(study.problem, study.solution.cases)
-    return bolt_sheets(model, study.solution.vector)
 
 
 def _sheet_entry(sheet: BoltSheet) -> dict[str, Any]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,13 +18,11 @@ from stiffopt.preload.pareto import ParetoFront, pareto_front
 from stiffopt.preload.problem import OBJECTIVES, FreeElement, PreloadProblem
 from stiffopt.preload.sensitivity import Loosening, Sensitivity, loosening, sensitivity
 from stiffopt.preload.solution import PreloadSolution
+from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.provenance import versions
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver.monitor import Progress
 from stiffopt.solver.solve_run import SolveProgress
-
-if TYPE_CHECKING:
-    from stiffopt.problem.trajectory import TrajectoryProblem
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -14,6 +14,7 @@ from itertools import product
 import numpy as np
 
 from stiffopt.dynamics.inverse_kinematics import UnreachablePoseError, solve_pose
+from stiffopt.problem.limit import Limits
 from stiffopt.robot.frames import LinkFrame
 from stiffopt.robot.robot import Robot
 
@@ -174,6 +175,7 @@ def _branch_sides(robot: Robot, q: np.ndarray) -> tuple[float, float, float]:
     )
 
 
-def within_limits(robot: Robot, lower: np.ndarray, upper: np.ndarray) -> Robot:
-    """Robot with other position limits (n,), for inverse kinematics."""
+def within_limits(robot: Robot, limits: Limits) -> Robot:
+    """Robot with the position limits of a problem, for inverse kinematics."""
+    lower, upper = limits.position_lower, limits.position_upper
     return replace(robot, position_lower=lower, position_upper=upper)

@@ -220,9 +220,7 @@ class PathCoordinates(Coordinates):
         """Infinite bounds: joint limits are path rows."""
         return np.array([-np.inf]), np.array([np.inf])
 
-    def rate_bounds(self, margins: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-        """Infinite bounds."""
-        return np.array([-np.inf]), np.array([np.inf])
+    rate_bounds = control_bounds
 
     def boundary_states(self, motion: ResolvedMotion) -> tuple[np.ndarray, np.ndarray]:
         """Rest at both ends of the path."""

@@ -23,8 +23,16 @@ from stiffopt.problem.branches import (
     solutions_of_pose,
     within_limits,
 )
-from stiffopt.problem.cycle import MIN_LEG_TIME, Cycle, CycleEvent, Leg, Posture, Stop
-from stiffopt.problem.cycle_loads import CarriedLoad, follow_loads
+from stiffopt.problem.cycle import (
+    MIN_LEG_TIME,
+    CarriedLoad,
+    Cycle,
+    CycleEvent,
+    Leg,
+    Posture,
+    Stop,
+    follow_loads,
+)
 from stiffopt.problem.files import (
     PoseReader,
     check_expected_unit,
@@ -301,11 +309,7 @@ class _CycleReader:
         target = step.target
         with locate_errors(self._path, step.where):
             loads = {self._loads[k] for each in visits for k in (max(each.move - 1, 0), each.move)}
-            robot = within_limits(
-                self._robot(self._loads[max(step.move - 1, 0)]),
-                limits.position_lower,
-                limits.position_upper,
-            )
+            robot = within_limits(self._robot(self._loads[max(step.move - 1, 0)]), limits)
             if target.joints is not None:
                 check_range(robot, limits, "joints", target.joints)
                 return [target.joints]

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 
-if TYPE_CHECKING:
-    from stiffopt.problem.freedom_task import FreedomTask
+from stiffopt.problem.freedom_task import FreedomTask
 
 # Share of the limits of velocity and acceleration that is used: the rest is for corners and ends.
 _USED_SHARE = 0.9

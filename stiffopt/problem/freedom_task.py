@@ -3,27 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING
+from functools import cached_property, partial
 
 import casadi as ca
 import numpy as np
 
-from stiffopt.drivetrain.compact import CompactChain
 from stiffopt.dynamics.deflection import spring_torques, tool_deflection
 from stiffopt.dynamics.inverse_kinematics import LENGTH_PER_RADIAN
 from stiffopt.dynamics.kinematics import frame_jacobian, frame_pose
 from stiffopt.errors import ProblemError
-from stiffopt.problem.path_deflection import COUNTED_AXES
+from stiffopt.problem.limit import Limits
+from stiffopt.problem.path_force import COUNTED_AXES, ForceFrame, PathForce
 from stiffopt.problem.path_freedom import PathFreedom, TurnBasis
 from stiffopt.problem.pose_following import MIN_CONDITION
+from stiffopt.problem.stage_model import compact_chains, windups
+from stiffopt.problem.tool_path import ToolPath
+from stiffopt.robot.robot import Robot
 from stiffopt.symbolic import Quantity
-
-if TYPE_CHECKING:
-    from stiffopt.problem.limit import Limits
-    from stiffopt.problem.path_force import ForceFrame, PathForce
-    from stiffopt.problem.tool_path import ToolPath
-    from stiffopt.robot.robot import Robot
 
 # A scan takes each fourth node.
 SCAN_STRIDE = 4
@@ -150,7 +146,8 @@ class FreedomTask:
             rest = ca.SX.zeros(robot.n)
             jacobian = frame_jacobian(robot.tree, robot.tool, q)
             torques = spring_torques(robot.tree, q, rest, rest, ca.mtimes(jacobian.T, pushed))
-            moved = tool_deflection(jacobian, torques, self._windup).process
+            windup = partial(windups, compact_chains(robot), smoothing=1.0)
+            moved = tool_deflection(jacobian, torques, windup).process
             error = ca.mtimes([ca.reshape(rows, 3, 3), placed.T, moved])
         return ca.Function("node", [q, placement, turns, data], [residual, error])
 
@@ -219,20 +216,6 @@ class FreedomTask:
         left, values, right = np.linalg.svd(whole, full_matrices=False)
         _, slope = function(joints.T, left[:, :, 5].T, right[:, 5].T)
         return values[:, 5], values[:, 0], np.asarray(slope).T
-
-    def _windup(self, torque: Quantity) -> Quantity:
-        angles = [
-            0.0 if chain is None else chain.windup(torque[j], smoothing=1.0)
-            for j, chain in enumerate(self._chains)
-        ]
-        return ca.vertcat(*angles)
-
-    @cached_property
-    def _chains(self) -> list[CompactChain | None]:
-        return [
-            None if chain is None else CompactChain(chain, float(self.robot.torque_max[j]))
-            for j, chain in enumerate(self.robot.chains)
-        ]
 
     def errors(
         self, q: np.ndarray, placement: np.ndarray, turns: np.ndarray, data: np.ndarray

@@ -1,6 +1,6 @@
 """Limits of a motion: their values, and the interface of each kind of limit.
 
-A kind is one class in one file of `problem/limits/`. Schema, optimiser, certificate, report and
+A kind is a class in a file of `problem/limits/`. Schema, optimiser, certificate, report and
 file reference use the registry, so that a new limit needs only a new file.
 """
 
@@ -65,13 +65,17 @@ class LimitKind(ABC):
     def active(self, limits: Limits) -> bool:
         """Return True if `limits` include this kind."""
 
-    @abstractmethod
     def read(self, section: Section, joints: JointLists) -> dict[str, Any]:
-        """Read attributes of `Limits` from the section [limits] of a file."""
+        """Read attributes of `Limits` from the section [limits] of a file, with their defaults."""
+        given = {key: getattr(section, key.key) for key in self.keys}
+        return {
+            key.name: key.value(joints.robot) if value is None else value
+            for key, value in given.items()
+        }
 
-    @abstractmethod
     def rows(self, problem: TrajectoryProblem, model: StageModel, margin: float) -> list[PathRows]:
         """Constraint rows, backed off by the share `margin`; called only while active."""
+        return []
 
     @abstractmethod
     def violations(self, limits: Limits, motion: Assessment) -> list[Violation]:

@@ -20,23 +20,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
 
 from stiffopt.dynamics.deflection import Deflection
 from stiffopt.dynamics.kinematics import point_jacobian
+from stiffopt.elastic.servo import Servo
+from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.problem.commanded_error import CommandedError
-from stiffopt.problem.stage_model import StageModel
+from stiffopt.problem.stage_model import StageModel, windups
 from stiffopt.result.trajectory import Trajectory
+from stiffopt.robot.robot import Robot
 from stiffopt.symbolic import Quantity
 from stiffopt.transcription.point_function import PointFunction
-
-if TYPE_CHECKING:
-    from stiffopt.elastic.servo import Servo
-    from stiffopt.elastic.uncertainty import Uncertainty
-    from stiffopt.robot.robot import Robot
 
 # Smoothing widths of the feedforward-lead law over those of the deflection.
 LAW_SMOOTHING_FACTOR = 2.0
@@ -193,11 +190,7 @@ class MotorModel(StageModel):
 
     def windup_of_motors(self, torque: Quantity) -> Quantity:
         """Wind-up (n,) [rad] of the feedforward-lead law at spring torques (n,)."""
-        angles = [
-            0.0 if chain is None else chain.windup(torque[j], smoothing=self.wider * self.smoothing)
-            for j, chain in enumerate(self.chains)
-        ]
-        return ca.vertcat(*angles)
+        return windups(self.chains, torque, self.wider * self.smoothing)
 
     def _time_derivative(self, value: Quantity, orders: int) -> Quantity:
         return _time_derivative(value, self._derivatives, orders)

@@ -1,6 +1,6 @@
 """Objectives of a motion: one term of a problem, and the interface of each kind.
 
-A kind is one class in one file of `problem/objectives/`. Schema, optimiser, certificate, report and
+A kind is a class in a file of `problem/objectives/`. Schema, optimiser, certificate, report and
 file reference use the registry, so that a new objective needs only a new file.
 """
 

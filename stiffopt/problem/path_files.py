@@ -5,17 +5,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy
 
+from stiffopt.dimensions import DIMENSIONS
 from stiffopt.errors import InputFileError, ProblemError
 from stiffopt.files import read_table
 from stiffopt.problem.freedom_choice import choose_freedom
 from stiffopt.problem.freedom_task import FreedomTask
-from stiffopt.problem.path_deflection import with_limited_deflection
-from stiffopt.problem.path_force import PathForce, check_path_force, path_force
+from stiffopt.problem.joint_lists import JointLists
+from stiffopt.problem.limit import Limits
+from stiffopt.problem.path_force import (
+    PathForce,
+    check_path_force,
+    path_force,
+    with_limited_deflection,
+)
 from stiffopt.problem.schema import PathForceSection, PathSection, PathTableSection, SegmentSection
 from stiffopt.problem.tool_path import (
     ToolPath,
@@ -33,11 +40,7 @@ from stiffopt.robot.frames import (
     rotation_from_rpy,
 )
 from stiffopt.robot.joint_load import supporting_joints
-
-if TYPE_CHECKING:
-    from stiffopt.problem.joint_lists import JointLists
-    from stiffopt.problem.limit import Limits
-    from stiffopt.robot.robot import Robot
+from stiffopt.robot.robot import Robot
 
 _FORCE_COLUMNS = ("fx", "fy", "fz")
 _PLACE_COLUMNS, _ANGLE_COLUMNS, _QUATERNION_COLUMNS = (
@@ -46,6 +49,7 @@ _PLACE_COLUMNS, _ANGLE_COLUMNS, _QUATERNION_COLUMNS = (
     ("qx", "qy", "qz", "qw"),
 )
 _METRES_PER_UNIT = {"m": 1.0, "mm": 1e-3}
+_RADIANS_PER_UNIT = {"rad": 1.0, "deg": np.pi / 180.0}
 _SPEED_UNITS = {"m/s": 1.0, "mm/s": 1e-3, "mm/min": 1e-3 / 60.0, "cm/min": 1e-2 / 60.0}
 # Speed of a tool from which on a table's is in another unit [m/s]: no arm is that fast.
 _IMPLAUSIBLE_SPEED = 10.0
@@ -109,9 +113,9 @@ def read_tool_path(
     with locate_errors(joints.path, ""):
         frame = rotation_from_rpy(section.frame.rpy), np.array(section.frame.position)
         if section.table is not None:
-            path, forces, at = _table_path(section.table, section, joints.path, frame)
+            path, forces, at, names = _table_path(section.table, section, joints.path, frame)
         else:
-            path, forces, at = _segment_path(section, frame)
+            path, forces, at, names = _segment_path(section, frame)
         chosen: tuple[str, ...] = ()
         choice = None
         if section.freedom is None:
@@ -126,7 +130,13 @@ def read_tool_path(
         force, followed = _force_along(path, section.force, forces, at), fitted.joints
         if force is not None and section.force is not None:
             feeds = np.where(np.isfinite(path.speeds), path.speeds, 0.0)
-            check_path_force(robot, followed, force, float(feeds.max()))
+
+            def name(along: float) -> str:
+                return names[
+                    int(np.clip(np.searchsorted(at, along, "right") - 1, 0, len(names) - 1))
+                ]
+
+            check_path_force(robot, followed, force, float(feeds.max()), path.length, name)
             if section.force.deflection_limit is not None:
                 followed, remark = with_limited_deflection(
                     robot,
@@ -161,8 +171,9 @@ def _force_along(
 Frame = tuple[np.ndarray, np.ndarray]
 
 
-# A path with its forces (m, 3) [N] on pieces or at places, and the distances (m + 1,) or (m,) [m].
-ForcedPath = tuple[ToolPath, np.ndarray, np.ndarray]
+# A path with its forces (m, 3) [N] on pieces or at places, the distances (m + 1,) or (m,) [m], and
+# the names (m,) of the pieces or places.
+ForcedPath = tuple[ToolPath, np.ndarray, np.ndarray, list[str]]
 
 
 def _segment_path(section: PathSection, frame: Frame) -> ForcedPath:
@@ -179,7 +190,7 @@ def _segment_path(section: PathSection, frame: Frame) -> ForcedPath:
     path = ToolPath(start, rotation, segments)
     usual = (0.0, 0.0, 0.0) if section.force is None else section.force.value
     forces = [usual if each.force is None else each.force for each in section.segment]
-    return path, np.array(forces), path.segment_ends
+    return path, np.array(forces), path.segment_ends, [each.where for each in segments]
 
 
 def _segment(
@@ -226,6 +237,11 @@ def _table_path(
         (*_ANGLE_COLUMNS, *_QUATERNION_COLUMNS, *_FORCE_COLUMNS, "speed", "stop"),
         ("label",),
     )
+    for columns, unit, units in (
+        (_PLACE_COLUMNS, table.length, _METRES_PER_UNIT),
+        (_ANGLE_COLUMNS, table.angle, _RADIANS_PER_UNIT),
+    ):
+        _check_unit(file, {name: read[name] for name in columns if name in read}, unit, units)
     turn, origin = frame
     count = len(read["x"])
     places = _METRES_PER_UNIT[table.length] * np.stack(
@@ -260,7 +276,7 @@ def _table_path(
         segments = spline_segments(points, rotations if turning else None, speeds, stops, names)
         path = ToolPath(points[0], rotations[0], segments)
         chords = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-        return path, forces, chords * (path.length / chords[-1])
+        return path, forces, chords * (path.length / chords[-1]), names
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     # Share of the shorter neighbour that a blend between rows of a table takes at most.
     room = 0.45 * np.minimum(steps, np.append(steps[1:], np.inf))
@@ -276,7 +292,24 @@ def _table_path(
         for k in range(1, count)
     ]
     path = ToolPath(points[0], rotations[0], segments)
-    return path, forces[1:], path.segment_ends
+    return path, forces[1:], path.segment_ends, names[1:]
+
+
+def _check_unit(
+    file: Path, columns: dict[str, list[Any]], unit: str, units: dict[str, float]
+) -> None:
+    """Raise `InputFileError` for places or angles that are plausible in another of the units."""
+    kind = "length" if units is _METRES_PER_UNIT else "angle"
+    most = DIMENSIONS[kind].plausible[1]
+    for name, values in columns.items():
+        size = np.abs(values)
+        for row in np.flatnonzero(units[unit] * size > most):
+            meant = min(units, key=lambda each: units[each])
+            raise InputFileError(
+                file, f"row {row + 1}, {name}", f"{values[row]:g} {unit} is beyond {most:g} "
+                f"{DIMENSIONS[kind].unit}. Give the unit as path.table.{kind}"
+                + (f', such as "{meant}".' if unit != meant else ", or correct the row.")
+            )  # fmt: skip
 
 
 def _table_rotations(
@@ -294,10 +327,8 @@ def _table_rotations(
         return np.asarray(scipy.spatial.transform.Rotation.from_quat(turns).as_matrix())
     if all(name in read for name in _ANGLE_COLUMNS):
         angles = np.stack([read[name] for name in _ANGLE_COLUMNS], axis=1)
-        degrees = table.angle == "deg"
-        return np.asarray(
-            scipy.spatial.transform.Rotation.from_euler("xyz", angles, degrees=degrees).as_matrix()
-        )
+        angles = _RADIANS_PER_UNIT[table.angle] * angles
+        return np.asarray(scipy.spatial.transform.Rotation.from_euler("xyz", angles).as_matrix())
     if table.rpy is None:
         raise InputFileError(
             file, "", "has no orientations: add the columns rx, ry, rz or qw, qx, qy, qz, or give "

@@ -1,23 +1,26 @@
-"""Process force along a tool path: constant, by segment, proportional to the feed, from a table.
+"""Process force along a tool path, and the speeds at which the tool's deflection by it is limited.
 
-In base axes, those of the tool, or of the path: x along the feed, z the tool's z axis turned
-perpendicular to it, y the right-handed third.
+The force is constant, by segment, proportional to the feed, or from a table, in base axes, those of
+the tool, or of the path: x along the feed, z the tool's z axis turned perpendicular to it, y the
+right-handed third.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 import scipy
 
 from stiffopt.errors import ProblemError
-
-if TYPE_CHECKING:
-    from stiffopt.problem.tool_path import ToolPath
-    from stiffopt.result.joint_path import JointPath
-    from stiffopt.robot.robot import Robot
+from stiffopt.exact.chain import exact_windup
+from stiffopt.problem.path_freedom import ErrorDirection
+from stiffopt.problem.tool_path import ToolPath
+from stiffopt.result.joint_path import JointPath
+from stiffopt.robot.batched_kinematics import tool_jacobians
+from stiffopt.robot.robot import Robot
 
 ForceFrame = Literal["base", "tool", "path"]
 
@@ -102,13 +105,20 @@ def _path_axes(places: np.ndarray, rotations: np.ndarray) -> np.ndarray:
     return np.stack([feed, np.cross(tool, feed), tool], axis=2)
 
 
-def check_path_force(robot: Robot, joints: JointPath, force: PathForce, feed: float) -> None:
+def check_path_force(
+    robot: Robot,
+    joints: JointPath,
+    force: PathForce,
+    feed: float,
+    length: float,
+    name: Callable[[float], str],
+) -> None:
     """Raise `ProblemError` for a force of implausible size, which names the place and the joint.
 
-    Wrong by a factor of 1000 (kN for N), or in a frame in which the arm cannot bear it.
+    Wrong by a factor of 1000 (kN for N), or in a frame in which the arm cannot bear it. `name`
+    tells the segment or row at a distance along the path [m] of a length [m].
     """
-    s = force.place[:: max(1, len(force.place) // 200)]
-    forces = force(s, np.full(len(s), feed))
+    forces = force(force.place, np.full(len(force.place), feed))
     size = np.linalg.norm(forces, axis=1)
     # Force [N] over which an entry is taken for one in another unit: N for kN gives a thousandth.
     if size.max() < 0.05 and size.max() > 0.0:
@@ -116,15 +126,95 @@ def check_path_force(robot: Robot, joints: JointPath, force: PathForce, feed: fl
             f"path.force: the largest force on the path is {size.max():.3g} N, which moves no "
             "tool. Bare numbers are in N: was kN meant? Then write texts such as '0.1 kN'."
         )
-    limits = np.where(np.isfinite(robot.torque_max), robot.torque_max, np.inf)
-    bodies = robot.rigid_bodies()
-    for place, q, own in zip(s, joints(s), forces, strict=True):
-        torque = np.abs(bodies.jacobian(robot.tool, q)[:3].T @ own) / limits
-        j = int(np.argmax(torque))
-        # Torque of a force over a joint's limit from which the force is wrong by its unit or frame.
-        if torque[j] > 1.0:
-            raise ProblemError(
-                f"path.force: {np.linalg.norm(own):.4g} N at {100.0 * place:.3g} % of the path "
-                f"alone takes {torque[j]:.3g} times the torque limit of {robot.joint_names[j]}. "
-                "Check its unit (bare numbers are in N) and its frame (base, tool or path)."
-            )
+    _, jacobians = tool_jacobians(robot.tree, robot.tool, joints(force.place))
+    torque = np.abs(np.einsum("kij,ki->kj", jacobians, forces)) / robot.torque_max
+    k, j = np.unravel_index(int(np.argmax(torque)), torque.shape)
+    # Torque of a force over a joint's limit from which the force is wrong by its unit or frame.
+    if torque[k, j] > 1.0:
+        along = float(force.place[k]) * length
+        raise ProblemError(
+            f"path.force: {size[k]:.4g} N in {name(along)}, {1e3 * along:.4g} mm from the start of "
+            f"the path, alone take {torque[k, j]:.3g} times the torque limit of "
+            f"{robot.joint_names[j]}. Check its unit (bare numbers are in N) and its frame (base, "
+            "tool or path)."
+        )
+
+
+# Places on each piece of the path at which the deflection is evaluated.
+_PLACES_PER_PIECE = 9
+# Speed from which on a path without a limit of its own is searched [m/s].
+_FASTEST_FEED = 10.0
+# Axes of the path (feed, side, tool) that count in each direction.
+COUNTED_AXES = {"any": (1.0, 1.0, 1.0), "axis": (0.0, 0.0, 1.0), "side": (0.0, 1.0, 0.0)}
+
+
+class ProcessDeflection:
+    """Deflection of the tool at rest by a force, beyond that under gravity alone; exact laws.
+
+    Parameters
+    ----------
+    joints : array (K, n)
+    """
+
+    def __init__(self, robot: Robot, joints: np.ndarray) -> None:
+        _, self._jacobian = tool_jacobians(robot.tree, robot.tool, joints)
+        gravity = robot.bodies_in_motion().gravity_torque(joints)
+        self._springs = [
+            (j, chain, gravity[:, j], np.asarray(exact_windup(chain, gravity[:, j])))
+            for j, chain in enumerate(robot.chains)
+            if chain is not None
+        ]
+
+    def __call__(self, force: np.ndarray) -> np.ndarray:
+        """Return the deflection (K, 3) [m] under forces (K, 3) [N], base axes."""
+        pushed = np.einsum("kij,ki->kj", self._jacobian, force)
+        moved = np.zeros(force.shape)
+        for j, chain, weight, sag in self._springs:
+            turned = np.asarray(exact_windup(chain, weight - pushed[:, j])) - sag
+            moved -= self._jacobian[:, :, j] * turned[:, None]
+        return moved
+
+
+def with_limited_deflection(
+    robot: Robot, path: JointPath, force: PathForce, limit: float, direction: ErrorDirection
+) -> tuple[JointPath, str]:
+    """Return the path with speeds at which a deflection keeps its limit [m], and a remark.
+
+    Raises `ProblemError`: the constant part of the force alone exceeds the limit; with the place.
+    """
+    shares = np.linspace(0.0, 1.0, _PLACES_PER_PIECE)
+    s = (path.knots[:-1, None] + np.diff(path.knots)[:, None] * shares).ravel()
+    deflection = ProcessDeflection(robot, path(s))
+    count = np.array(COUNTED_AXES[direction])
+    rows = count[:, None] * force.axes_at(s).swapaxes(1, 2)
+
+    def size(feed: np.ndarray) -> np.ndarray:
+        moved = deflection(force(s, feed))
+        return np.asarray(np.linalg.norm(np.einsum("kij,kj->ki", rows, moved), axis=1))
+
+    still = size(np.zeros(len(s)))
+    worst = int(np.argmax(still))
+    if still[worst] > limit:
+        raise ProblemError(
+            f"path.force.deflection_limit: {100.0 * s[worst]:.3g} % along the path the constant "
+            f"force alone deflects the tool by {1e6 * still[worst]:.4g} µm, above the limit of "
+            f"{1e6 * limit:.4g} µm, at any speed. Raise the limit, lower the force, or leave "
+            "freedom to the path ([path.freedom])."
+        )
+    stated = np.full(len(path.knots) - 1, np.inf) if path.speeds is None else path.speeds
+    high = np.repeat(np.minimum(stated, _FASTEST_FEED), _PLACES_PER_PIECE)
+    low = np.where(size(high) <= limit, high, 0.0)
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        kept = size(middle) <= limit
+        low, high = np.where(kept, middle, low), np.where(kept, high, middle)
+    allowed = low.reshape(-1, _PLACES_PER_PIECE).min(axis=1)
+    slower = allowed < np.minimum(stated, _FASTEST_FEED)
+    speeds = np.where(slower, allowed, stated)
+    peak = 1e6 * float(
+        size(np.repeat(np.where(np.isfinite(speeds), speeds, 0.0), len(shares))).max()
+    )
+    remark = f"The deflection under the process force is {peak:.4g} µm at most"
+    if slower.any():
+        remark += f"; the tool's speed is lowered to {1e3 * allowed.min():.4g} mm/s for it"
+    return replace(path, speeds=speeds), f"{remark}."

@@ -7,21 +7,19 @@ reach, a pose that the drives cannot hold at rest.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stiffopt.dynamics.inverse_kinematics import solve_pose
 from stiffopt.errors import ProblemError
+from stiffopt.problem.branches import within_limits
 from stiffopt.problem.input_checks import check_plausible
+from stiffopt.problem.limit import Limits
 from stiffopt.problem.rest_poses import gravity_torque
 from stiffopt.problem.trajectory import ResolvedMotion, Target, TrajectoryProblem
 from stiffopt.robot.frames import interpolate_rotation, rotation_from_rpy, rpy_from_rotation
+from stiffopt.robot.robot import Robot
 from stiffopt.units import joint_unit
-
-if TYPE_CHECKING:
-    from stiffopt.problem.limit import Limits
-    from stiffopt.robot.robot import Robot
 
 
 def resolve(problem: TrajectoryProblem) -> ResolvedMotion:
@@ -73,17 +71,10 @@ def _resolve_target(
     guess = target.near if target.near is not None else near
     rotation = None if target.rpy is None else rotation_from_rpy(target.rpy)
     try:
-        return np.asarray(solve_pose(_within_limits(problem), target.position, rotation, guess))
+        robot = within_limits(problem.robot, problem.active_limits)
+        return np.asarray(solve_pose(robot, target.position, rotation, guess))
     except ProblemError as error:
         raise ProblemError(f"{where}: {error}") from error
-
-
-def _within_limits(problem: TrajectoryProblem) -> Robot:
-    """Robot with the position limits of the problem, for inverse kinematics."""
-    limits = problem.active_limits
-    return replace(
-        problem.robot, position_lower=limits.position_lower, position_upper=limits.position_upper
-    )
 
 
 def _interpolate_orientation(
@@ -102,7 +93,8 @@ def _interpolate_orientation(
     rotation = interpolate_rotation(first_turn, last_turn, before / max(before + after, 1e-12))
     oriented = replace(via, rpy=rpy_from_rotation(rotation))
     try:
-        solve_pose(_within_limits(problem), oriented.position, rotation, start)
+        robot = within_limits(problem.robot, problem.active_limits)
+        solve_pose(robot, oriented.position, rotation, start)
     except ProblemError:
         return via
     return oriented

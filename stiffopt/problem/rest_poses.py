@@ -7,16 +7,13 @@ torque between two of them.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stiffopt.exact.chain import exact_compliance, exact_windup
-from stiffopt.robot.bearing_deflection import bearing_deflections
+from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
+from stiffopt.robot.bearings import bearing_deflections
 from stiffopt.units import joint_unit
-
-if TYPE_CHECKING:
-    from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
 
 
 @dataclass(frozen=True)

@@ -419,7 +419,7 @@ class ProblemFile(Section):
     ]
     payload: PayloadSection | None = None
     tool: ToolSection = ToolSection()
-    motion: MotionSection
+    motion: MotionSection = MotionSection()
     pose: Annotated[tuple[PoseSection, ...], Doc("Poses that have names.")] = ()
     move: Annotated[
         tuple[MoveSection, ...], Doc("Moves of a working cycle, from motion.start on.")

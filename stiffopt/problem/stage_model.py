@@ -5,8 +5,8 @@ Rotor inertia and friction load the drive, not the spring.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
@@ -23,13 +23,30 @@ from stiffopt.dynamics.friction import drive_torque, dry_friction_width
 from stiffopt.dynamics.kinematics import frame_jacobian
 from stiffopt.errors import ProblemError
 from stiffopt.robot.added_torque import MotionState, sum_added_torques
+from stiffopt.robot.robot import Robot
 from stiffopt.symbolic import Quantity
-
-if TYPE_CHECKING:
-    from stiffopt.robot.robot import Robot
 
 # Step of a speed that is rounded to a constant, relative to the friction's smoothing width.
 _SPEED_STEP = 1e-12
+
+
+def compact_chains(robot: Robot) -> list[CompactChain | None]:
+    """Compact form of the drivetrains of a robot."""
+    return [
+        None if chain is None else CompactChain(chain, float(robot.torque_max[j]))
+        for j, chain in enumerate(robot.chains)
+    ]
+
+
+def windups(
+    chains: Sequence[CompactChain | None], torque: Quantity, smoothing: Quantity
+) -> Quantity:
+    """Wind-up of every joint (n,) [rad] under spring torques (n,), with a smoothing factor."""
+    angles = [
+        0.0 if chain is None else chain.windup(torque[j], smoothing=smoothing)
+        for j, chain in enumerate(chains)
+    ]
+    return ca.vertcat(*angles)
 
 
 class StageModel:
@@ -74,10 +91,7 @@ class StageModel:
     @cached_property
     def chains(self) -> list[CompactChain | None]:
         """Compact form of the drivetrains."""
-        return [
-            None if chain is None else CompactChain(chain, float(self.robot.torque_max[j]))
-            for j, chain in enumerate(self.robot.chains)
-        ]
+        return compact_chains(self.robot)
 
     @cached_property
     def torques(self) -> SpringTorques:
@@ -215,11 +229,7 @@ class StageModel:
 
     def windup(self, torque: Quantity) -> Quantity:
         """Wind-up of every joint (n,) [rad] under spring torques (n,)."""
-        angles = [
-            0.0 if chain is None else chain.windup(torque[j], smoothing=self.smoothing)
-            for j, chain in enumerate(self.chains)
-        ]
-        return ca.vertcat(*angles)
+        return windups(self.chains, torque, self.smoothing)
 
     def compliance(self, joint: int) -> Quantity:
         """Tangent compliance [rad/(N m)] of a joint (1-based) at its spring torque."""

@@ -10,20 +10,16 @@ from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 
 from stiffopt.errors import ProblemError
-from stiffopt.problem.path_fit import fit_joint_path
-from stiffopt.problem.pose_following import PoseFollower
+from stiffopt.problem.path_freedom import FreedomChoice
+from stiffopt.problem.pose_following import PoseFollower, fit_joint_path
 from stiffopt.problem.tool_curves import Arc, Curve, Line, ToolCurve, blend_curve
 from stiffopt.result.joint_path import JointPath
-
-if TYPE_CHECKING:
-    from stiffopt.problem.path_freedom import FreedomChoice
-    from stiffopt.robot.robot import Robot
+from stiffopt.robot.robot import Robot
 
 # Shorter segments have no direction [m].
 _MIN_LENGTH = 1e-6

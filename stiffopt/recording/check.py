@@ -16,24 +16,7 @@ from stiffopt.recording.joint_facts import JointFacts, joint_facts
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import Fault, RecordedRun, Role
 from stiffopt.recording.signals import Kind
-
-# Units of a revolute and of a prismatic joint.
-_SIGNAL_UNITS: dict[Kind, tuple[str, str]] = {
-    "position": ("rad", "m"),
-    "velocity": ("rad/s", "m/s"),
-    "link_position": ("rad", "m"),
-    "torque": ("N m", "N"),
-    "command": ("rad", "m"),
-}
-_NOISE_KEYS = {
-    "velocity": "velocity",
-    "link_position": "link_position",
-    "torque": "torque",
-}
-_RESOLUTION_KEYS = {
-    "position": "position_resolution",
-    "link_position": "link_position_resolution",
-}
+from stiffopt.units import joint_unit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,7 +111,7 @@ def _check_run(recordings: RecordingSet, run: RecordedRun) -> RunCheck:
     ordinary = spacing[spacing <= MIN_GAP_STEPS * run.step]
     channels = []
     for kind, j, column in recordings.signals.columns():
-        array = run.signal(kind)
+        array: np.ndarray | None = getattr(run, kind)
         values = np.full(len(run.time), np.nan) if array is None else array[:, j]
         channels.append(_check_channel(recordings, kind, j, column, values))
     return RunCheck(
@@ -158,19 +141,21 @@ def _check_channel(
         joint=j + 1,
         column=column,
         there=there,
-        unit=_SIGNAL_UNITS[kind][bool(recordings.prismatic[j])],
+        unit=joint_unit(
+            {"velocity": "rad/s", "torque": "N m"}.get(kind, "rad"), bool(recordings.prismatic[j])
+        ),
         lowest=low,
         highest=high,
         used=_used_share(recordings, kind, j, low, high),
         noise=noise_level(values),
-        stated_noise=_stated_value(noise, _NOISE_KEYS.get(kind), j),
+        stated_noise=_stated_value(noise, kind, j),
         step=resolution(values),
-        stated_step=_stated_value(noise, _RESOLUTION_KEYS.get(kind), j),
+        stated_step=_stated_value(noise, f"{kind}_resolution", j),
     )
 
 
-def _stated_value(noise: object, key: str | None, j: int) -> float | None:
-    values = None if key is None else getattr(noise, key)
+def _stated_value(noise: object, key: str, j: int) -> float | None:
+    values = getattr(noise, key, None)  # not every signal has both
     return None if values is None else float(values[j])
 
 

@@ -10,8 +10,13 @@ import numpy as np
 
 from stiffopt.recording.channel import noise_level, resolution, true_intervals
 from stiffopt.recording.channel_faults import JointChannels, check_joint_channels, covered_range
-from stiffopt.recording.clock import Clock, read_clock
-from stiffopt.recording.rest_poses import holds_rest_poses, read_pose_rows
+from stiffopt.recording.clock import (
+    Clock,
+    clock_fault,
+    holds_rest_poses,
+    read_clock,
+    read_pose_rows,
+)
 from stiffopt.recording.run import Fault, RecordedRun, Role, counted
 from stiffopt.recording.signals import KINDS, Kind, Signals
 
@@ -147,13 +152,10 @@ def _remove_repeated_rows(
         known = end - begin <= _MAX_HELD_ROWS or frozen[begin:end].all()
         copies[begin:end] = known and ride.went_on(begin, end)
     faults = [
-        Fault(
-            signal="time",
-            joint=None,
-            kind="duplicate",
-            detail=f"{cause} {counted(int(marked.sum()), 'row')}, left out.",
-            left_out=False,
-            share=float(marked.mean()),
+        clock_fault(
+            "duplicate",
+            f"{cause} {counted(int(marked.sum()), 'row')}, left out.",
+            float(marked.mean()),
         )
         for cause, marked in (
             ("the motion of the row before is repeated in", copies),

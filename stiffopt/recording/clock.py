@@ -1,7 +1,8 @@
-"""Clock of a run: usable samples, gaps, dropped samples and jitter."""
+"""Clock of a run: usable samples, gaps, dropped samples, jitter; poses at rest, which have none."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from stiffopt.errors import InputFileError
 from stiffopt.recording.run import Fault, FaultKind, counted
+from stiffopt.recording.signals import Signals
 
 # Spacing of a gap, across which signals are not interpolated [sample times].
 MIN_GAP_STEPS = 5.0
@@ -108,7 +110,8 @@ def _check_grid(spacing: np.ndarray, step: float, rows: np.ndarray, path: Path, 
         )
 
 
-def _clock_fault(kind: FaultKind, detail: str, share: float) -> Fault:
+def clock_fault(kind: FaultKind, detail: str, share: float) -> Fault:
+    """Return a fault of the rows of a run."""
     return Fault(
         signal="time",
         joint=None,
@@ -125,12 +128,12 @@ def _lost_stamp_faults(stamps: np.ndarray, finite: np.ndarray, rows: np.ndarray)
     if absent:
         share = absent / len(stamps)
         faults.append(
-            _clock_fault("not finite", f"no stamp in {counted(absent, 'row')}, left out.", share)
+            clock_fault("not finite", f"no stamp in {counted(absent, 'row')}, left out.", share)
         )
     if repeated:
         share = repeated / len(stamps)
         text = f"the stamp before is repeated in {counted(repeated, 'row')}, left out."
-        faults.append(_clock_fault("duplicate", text, share))
+        faults.append(clock_fault("duplicate", text, share))
     return faults
 
 
@@ -143,7 +146,7 @@ def _spacing_faults(spacing: np.ndarray, step: float) -> list[Fault]:
             f"{counted(int(gaps.sum()), 'gap')} longer than {MIN_GAP_STEPS:g} sample times, the "
             f"longest {spacing.max():.3g} s; signals are not interpolated across them."
         )
-        faults.append(_clock_fault("gap", text, float(spacing[gaps].sum() / spacing.sum())))
+        faults.append(clock_fault("gap", text, float(spacing[gaps].sum() / spacing.sum())))
     dropped = ~gaps & (ratio > _MIN_DROPPED_STEPS)
     if dropped.any():
         count = int(np.round(ratio[dropped] - 1.0).sum())
@@ -151,7 +154,7 @@ def _spacing_faults(spacing: np.ndarray, step: float) -> list[Fault]:
             f"about {counted(count, 'sample')} lost in waits of up to "
             f"{1e3 * spacing[dropped].max():.3g} ms."
         )
-        faults.append(_clock_fault("dropped", text, count / (count + len(spacing) + 1)))
+        faults.append(clock_fault("dropped", text, count / (count + len(spacing) + 1)))
     rest = spacing[~gaps & ~dropped]
     uneven = np.abs(rest / step - 1.0) > _MAX_JITTER
     if uneven.any():
@@ -160,7 +163,7 @@ def _spacing_faults(spacing: np.ndarray, step: float) -> list[Fault]:
             f"{1e3 * step:.3g} ms (standard deviation {1e3 * rest.std():.2g} ms); "
             "resampled before it is differentiated."
         )
-        faults.append(_clock_fault("jitter", text, float(uneven.mean())))
+        faults.append(clock_fault("jitter", text, float(uneven.mean())))
     return faults
 
 
@@ -170,3 +173,60 @@ def _fill_stamps(stamps: np.ndarray, finite: np.ndarray) -> np.ndarray:
         return stamps
     filled: np.ndarray = np.interp(np.arange(len(stamps)), finite, stamps[finite])
     return filled
+
+
+# Fewer poses do not separate weight from friction at all.
+MIN_POSES = 6
+
+
+def holds_rest_poses(columns: Mapping[str, np.ndarray], signals: Signals) -> bool:
+    """Return True for a table of poses, as for gravity compensation: as stated, else by its rows.
+
+    Time numbers the poses; nothing moves from row to row, so that torques hold the weight and
+    friction of unknown direction.
+
+    Rows are poses where their spacing is too long for a motion in seconds and positions do not
+    follow one another.
+    """
+    if signals.at_rest is not None:
+        return signals.at_rest
+    if signals.time not in columns:
+        return False
+    steps = np.diff(columns[signals.time])
+    steps = steps[np.isfinite(steps)]
+    if not steps.size or not float(np.median(steps)) > MAX_MOTION_STEP:
+        return False
+    positions = np.column_stack([columns[name] for name in signals.position])
+    return are_unordered(positions)
+
+
+def are_unordered(positions: np.ndarray) -> bool:
+    """Return True if rows of positions (K, n), in any unit, do not follow one another."""
+    positions = positions[np.isfinite(positions).all(axis=1)]
+    if len(positions) < MIN_POSES:
+        return False
+    spread = 2.0 * positions.var(axis=0)
+    moved = np.mean(np.diff(positions, axis=0) ** 2, axis=0)
+    turned = spread > 0.0
+    # Mean square step over twice the variance (von Neumann's ratio over 2) of poses in no order: 1.
+    # A motion sampled often enough to be followed has less than a tenth.
+    return bool(turned.any() and np.median(moved[turned] / spread[turned]) > 0.3)
+
+
+def read_pose_rows(
+    columns: Mapping[str, np.ndarray], signals: Signals, path: Path
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the numbers of all rows (R,) and the rows (K,) with a complete position.
+
+    Raises `InputFileError`: too few poses.
+    """
+    positions = np.column_stack([columns[name] for name in signals.position])
+    rows = np.flatnonzero(np.isfinite(positions).all(axis=1))
+    if len(rows) < MIN_POSES:
+        raise InputFileError(
+            path,
+            "",
+            f"holds {len(rows)} poses at rest; weight is separated from friction from {MIN_POSES}"
+            " poses on, well from 50. Record more poses, or put several files into one.",
+        )
+    return np.arange(len(positions), dtype=float), rows

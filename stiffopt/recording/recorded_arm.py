@@ -7,10 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from stiffopt.errors import InputFileError, nearest
+from stiffopt.recording.schema import ArmSection
 from stiffopt.robot.files import load_robot, shipped_robots
 from stiffopt.robot.frames import frame_names, named_frame
 from stiffopt.robot.mjcf import is_mjcf
@@ -45,6 +47,13 @@ class RecordedArm:
     def prismatic(self) -> np.ndarray:
         """Return which joints of the set are prismatic, (n,) of bool."""
         return np.asarray(self.robot.prismatic[self.order])
+
+
+def describe_arm(document: ArmSection, path: Path) -> dict[str, Any]:
+    """Return what the file of a set says of its arm and its source."""
+    names = ("name", "citation", "licence", "joints")
+    title = document.title or document.name
+    return {"path": path, "title": title} | {name: getattr(document, name) for name in names}
 
 
 def joint_order(robot: Robot, joints: Sequence[str]) -> np.ndarray:

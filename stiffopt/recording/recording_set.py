@@ -26,7 +26,13 @@ from stiffopt.recording.nominal_files import (
     per_joint,
 )
 from stiffopt.recording.readers.read import find_set_file, read_columns
-from stiffopt.recording.recorded_arm import RecordedArm, joint_order, load_arm, path_inside_set
+from stiffopt.recording.recorded_arm import (
+    RecordedArm,
+    describe_arm,
+    joint_order,
+    load_arm,
+    path_inside_set,
+)
 from stiffopt.recording.run import RecordedRun, Role, derive_torque
 from stiffopt.recording.schema import NominalSection, RecordingsFile, RunSection
 from stiffopt.recording.signals import Signals, build_signals
@@ -159,14 +165,9 @@ def load_recordings(path: str | os.PathLike[str], changes: Sequence[str] = ()) -
     )
     _check_names(runs, path)
     return RecordingSet(
-        path=path,
-        name=document.name,
-        title=document.title or document.name,
-        citation=document.citation,
-        licence=document.licence,
+        **describe_arm(document, path),
         robot=robot,
         locked=locked,
-        joints=document.joints,
         tool_frame=document.tool_frame,
         gravity=described.tree.gravity,
         signals=signals,

@@ -102,11 +102,6 @@ class RecordedRun:
         """Return whether every joint has a position, which every prediction needs."""
         return bool(np.isfinite(self.position).any(axis=0).all())
 
-    def signal(self, name: Kind) -> np.ndarray | None:
-        """Return the channels of one kind, (K, n), by the name of the field."""
-        value: np.ndarray | None = getattr(self, name)
-        return value
-
 
 def derive_torque(run: RecordedRun, law: ActuatorLaw | None) -> RecordedRun:
     """Return a run with the torques of an actuator's law in place of missing ones.

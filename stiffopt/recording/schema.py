@@ -31,6 +31,10 @@ _RIGID_BOUNDS = Bounds(above=0.0, finite=False)
 _Position = Annotated[JointPosition, NOT_NEGATIVE]
 _Velocity = Annotated[JointVelocity, NOT_NEGATIVE]
 _Torque = Annotated[JointTorque, NOT_NEGATIVE]
+_Limits = tuple[Annotated[JointTorque, POSITIVE], ...]
+_Viscous = Annotated[JointViscous, NOT_NEGATIVE]
+_RigidStiffness = tuple[Annotated[JointStiffness, _RIGID_BOUNDS], ...]
+_RigidTorque = tuple[Annotated[JointTorque, _RIGID_BOUNDS], ...]
 
 
 Factor = Annotated[float, Unit("ratio", bare=True)] | Text
@@ -115,19 +119,11 @@ class ReducerCurvesSection(Section):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=True)
 
-    K1: Annotated[tuple[Annotated[JointStiffness, _RIGID_BOUNDS], ...], Doc("Slopes below T1.")]
-    K2: Annotated[
-        tuple[Annotated[JointStiffness, _RIGID_BOUNDS], ...], Doc("Slopes between T1 and T2.")
-    ]
-    K3: Annotated[tuple[Annotated[JointStiffness, _RIGID_BOUNDS], ...], Doc("Slopes above T2.")]
-    T1: Annotated[
-        tuple[Annotated[JointTorque, _RIGID_BOUNDS], ...],
-        Doc("Torques where the first range ends."),
-    ]
-    T2: Annotated[
-        tuple[Annotated[JointTorque, _RIGID_BOUNDS], ...],
-        Doc("Torques where the second range ends."),
-    ]
+    K1: Annotated[_RigidStiffness, Doc("Slopes below T1.")]
+    K2: Annotated[_RigidStiffness, Doc("Slopes between T1 and T2.")]
+    K3: Annotated[_RigidStiffness, Doc("Slopes above T2.")]
+    T1: Annotated[_RigidTorque, Doc("Torques where the first range ends.")]
+    T2: Annotated[_RigidTorque, Doc("Torques where the second range ends.")]
 
 
 _BALANCED_JOINT_DOC = Doc("Joint that is balanced: its name, or its number from 1.")
@@ -173,32 +169,23 @@ class NominalSection(Section):
         tuple[Annotated[JointInertia, NOT_NEGATIVE], ...] | None,
         Doc("Inertia of the rotors, at the output side."),
     ] = None
-    coulomb: Annotated[
-        tuple[Annotated[JointTorque, NOT_NEGATIVE], ...] | None,
-        Doc("Coulomb friction, at the output side."),
-    ] = None
+    coulomb: Annotated[tuple[_Torque, ...] | None, Doc("Coulomb friction, at the output side.")] = (
+        None
+    )
     viscous: Annotated[
-        tuple[Annotated[JointViscous, NOT_NEGATIVE], ...] | None,
-        Doc("Viscous friction, at the output side."),
+        tuple[_Viscous, ...] | None, Doc("Viscous friction, at the output side.")
     ] = None
     friction_temperature: Annotated[
         Temperature | None, Doc("Temperature at which friction was identified.")
     ] = None
-    torque_max: Annotated[
-        tuple[Annotated[JointTorque, POSITIVE], ...] | None,
-        Doc("Largest torques, at the output side."),
-    ] = None
-    torque_rated: Annotated[
-        tuple[Annotated[JointTorque, POSITIVE], ...] | None,
-        Doc("Rated torques, at the output side."),
-    ] = None
+    torque_max: Annotated[_Limits | None, Doc("Largest torques, at the output side.")] = None
+    torque_rated: Annotated[_Limits | None, Doc("Rated torques, at the output side.")] = None
     pole_pairs: Annotated[Ratio | None, POSITIVE, Doc("Pole pairs of the motors.")] = None
-    joint_damping: Annotated[
-        tuple[Annotated[JointViscous, NOT_NEGATIVE], ...] | None,
-        Doc("Damping of the elastic joints."),
-    ] = None
+    joint_damping: Annotated[tuple[_Viscous, ...] | None, Doc("Damping of the elastic joints.")] = (
+        None
+    )
     contact_stiffness: Annotated[
-        tuple[Annotated[JointStiffness, _RIGID_BOUNDS], ...] | None,
+        _RigidStiffness | None,
         Doc("Healthy connections of each joint, lumped in series; infinite is rigid."),
     ] = None
     connections: Annotated[

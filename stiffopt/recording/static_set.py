@@ -12,7 +12,7 @@ import numpy as np
 from stiffopt.errors import InputFileError
 from stiffopt.files import load_toml, read_document, read_table
 from stiffopt.recording.nominal_files import per_joint
-from stiffopt.recording.recorded_arm import RecordedArm, load_arm, path_inside_set
+from stiffopt.recording.recorded_arm import RecordedArm, describe_arm, load_arm, path_inside_set
 from stiffopt.recording.schema import StaticFile
 
 STATIC_FILE = "static.toml"
@@ -66,14 +66,9 @@ def load_static_set(path: str | os.PathLike[str], changes: Sequence[str] = ()) -
             poses, f"row {row}", "a pose without a force says nothing of stiffness. Delete it."
         )
     return StaticSet(
-        path=path,
-        name=document.name,
-        title=document.title or document.name,
-        citation=document.citation,
-        licence=document.licence,
+        **describe_arm(document, path),
         robot=robot,
         locked=locked,
-        joints=document.joints,
         tool_frame=document.tool_frame,
         position=np.column_stack([table[name] for name in document.position]),
         force=force,

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Literal, get_args
 
 from stiffopt.discovery.catalogue import CATALOGUE, confused_with
-from stiffopt.discovery.effect import Effect, Need
+from stiffopt.discovery.effect import NEEDS, Effect
 from stiffopt.discovery.identifiable import required_signals
 from stiffopt.drivetrain import catalogue
 from stiffopt.drivetrain.tables import rows
@@ -162,29 +162,6 @@ suitable motion; `stiffopt solve --model` plans with those marked "yes". Generat
 | effect | family | scope | equation | signature | needs | confounded with | planned with | source |
 |---|---|---|---|---|---|---|---|---|
 """
-_NEED_PHRASES: dict[Need, str] = {
-    "torque": "torque",
-    "link": "link encoder",
-    "sensor": "torque or link encoder",
-    "torque_sensor": "measured, not derived from commands",
-    "commanded": "torques derived from commands",
-    "stated_gain": "no gain that is estimated from the recordings",
-    "windup": "link encoder, or elastic vibration",
-    "moves": "motion",
-    "reverses": "both directions",
-    "slow": "slow motion",
-    "speeds": "several speeds",
-    "load_changes_sign": "load on both sides",
-    "rotor_slow": "slow turns of the rotor",
-    "ripple_slow": "slow turns of the motor's poles",
-    "warmer": "cold and warm runs",
-    "gear_ratio": "gear ratio",
-    "pole_pairs": "pole pairs",
-    "tool_frame": "tool frame",
-    "before": "a joint before it",
-    "runs": "several runs",
-    "three_runs": "three runs",
-}
 
 
 def catalogue_page(effects: Sequence[Effect] = CATALOGUE) -> str:
@@ -201,7 +178,7 @@ def _effect_cells(effect: Effect, effects: Sequence[Effect]) -> tuple[str, ...]:
         effect.scope,
         f"`{effect.equation}`",
         effect.signature,
-        ", ".join(_NEED_PHRASES[need] for need in required_signals(effect)),
+        ", ".join(NEEDS[need].phrase for need in required_signals(effect)),
         ", ".join(f"`{name}`" for name in confused_with(effect, effects)),
         "yes" if effect.change_robot else "",
         effect.reference,

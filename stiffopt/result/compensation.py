@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from stiffopt.files import write_csv
-from stiffopt.result.assessment import Violation
+from stiffopt.result.assessment import Assessment, Violation
 from stiffopt.result.simulation import SimulatedMotion, simulated_document
-
-if TYPE_CHECKING:
-    from stiffopt.result.assessment import Assessment
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,18 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from html import escape
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from stiffopt.errors import InputError
 from stiffopt.result.assessment import Assessment
+from stiffopt.result.compensation import Compensation
+from stiffopt.result.simulation import Simulation
 from stiffopt.result.status import SolveStatus
-
-if TYPE_CHECKING:
-    from stiffopt.result.compensation import Compensation
-    from stiffopt.result.simulation import Simulation
-    from stiffopt.result.trajectory import Trajectory
+from stiffopt.result.trajectory import Trajectory
 
 
 class DisplayedResult:

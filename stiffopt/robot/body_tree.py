@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pinocchio as pin
 
 from stiffopt.errors import RobotError
 from stiffopt.robot.frames import LinkFrame
-
-if TYPE_CHECKING:
-    import pinocchio as pin
-
 
 _REVOLUTE_MODELS = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
 _PRISMATIC_MODELS = ("JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismaticUnaligned")

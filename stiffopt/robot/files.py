@@ -7,9 +7,10 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from stiffopt.declaration import bounds, unit
 from stiffopt.drivetrain import catalogue
@@ -30,11 +31,9 @@ from stiffopt.robot.urdf import UNLIMITED, LinkBody, load_urdf
 from stiffopt.units import fit_joint
 from stiffopt.validation import validate
 
-if TYPE_CHECKING:
-    import pinocchio as pin
-
-# Usual names of the link at the mechanical interface; the first match is used.
-_FLANGE_LINKS = ("flange", "tool0", "ee_link")
+# Usual names of the link at the mechanical interface; the first match is used. Where a URDF of
+# ROS-Industrial has both, tool0 has the axes of the controller, z outward; x is it of its flange.
+_FLANGE_LINKS = ("tool0", "flange", "ee_link")
 
 
 def shipped_robots() -> list[str]:

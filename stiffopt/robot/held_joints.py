@@ -16,6 +16,7 @@ import numpy as np
 from stiffopt.errors import RobotError, nearest
 from stiffopt.robot.frames import rotation_about_axis, rotation_from_rpy, rpy_from_rotation
 from stiffopt.robot.joint_tree import PLANNED_KINDS, JointTree, mimicked_joint
+from stiffopt.robot.xml_files import numbers_text
 from stiffopt.units import fit_joint
 
 
@@ -26,9 +27,6 @@ class HeldJoint:
     name: str
     value: float  # [rad] or [m]
     why: str  # "locked", "not on the way to the tool" or "follows JOINT"
-
-    def __str__(self) -> str:
-        return f"{self.name} at {self.value:g} ({self.why})"
 
 
 def fix_free_joints(
@@ -191,10 +189,8 @@ def _fix_joint(joint: ET.Element, value: float) -> None:
     for part in ("axis", "limit", "dynamics", "mimic", "origin"):
         for found in joint.findall(part):
             joint.remove(found)
-    numbers = {"xyz": place, "rpy": rpy_from_rotation(turn)}
-    ET.SubElement(
-        joint, "origin", {k: " ".join(repr(float(x)) for x in v) for k, v in numbers.items()}
-    )
+    rpy = rpy_from_rotation(turn)
+    ET.SubElement(joint, "origin", xyz=numbers_text(place), rpy=numbers_text(rpy))
 
 
 def _vector_attribute(element: ET.Element | None, key: str, default: str) -> list[float]:

@@ -35,8 +35,8 @@ class JointTree:
         self.below: dict[str, list[str]] = {}
         self.above: dict[str, str] = {}
         for name, joint in self.joints.items():
-            self.below.setdefault(_link_attribute(joint, "parent"), []).append(name)
-            self.above[_link_attribute(joint, "child")] = name
+            self.below.setdefault(link_attribute(joint, "parent"), []).append(name)
+            self.above[link_attribute(joint, "child")] = name
 
     def moves(self, name: str) -> bool:
         """Return whether a joint is not fixed."""
@@ -57,7 +57,7 @@ class JointTree:
         while link in self.above:
             name = self.above[link]
             way.insert(0, name)
-            link = _link_attribute(self.joints[name], "parent")
+            link = link_attribute(self.joints[name], "parent")
         return way
 
     def follows(self, name: str) -> bool:
@@ -91,9 +91,7 @@ class JointTree:
     @property
     def roots(self) -> list[str]:
         """Links without a joint to a parent."""
-        return sorted(
-            {_link_attribute(j, "parent") for j in self.joints.values()} - set(self.above)
-        )
+        return sorted({link_attribute(j, "parent") for j in self.joints.values()} - set(self.above))
 
     def arm(self, described: Collection[str] = ()) -> list[str] | None:
         """Joints of the arm where no tip is named; None where it is ambiguous.
@@ -216,7 +214,7 @@ class JointTree:
         return [each for each in self.next_moving(self._child_link(name)) if self.behind[each]]
 
     def _child_link(self, name: str) -> str:
-        return _link_attribute(self.joints[name], "child")
+        return link_attribute(self.joints[name], "child")
 
 
 def mimicked_joint(joint: ET.Element) -> str:
@@ -225,6 +223,7 @@ def mimicked_joint(joint: ET.Element) -> str:
     return "" if mimic is None else mimic.get("joint", "")
 
 
-def _link_attribute(joint: ET.Element, end: str) -> str:
+def link_attribute(joint: ET.Element, end: str) -> str:
+    """Name of the link at the end "parent" or "child" of a joint; "" for none."""
     found = joint.find(end)
     return "" if found is None else found.get("link", "")

@@ -8,15 +8,12 @@ where the anchor of the last is not the body's origin, the body is fixed to it.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable
 
 import numpy as np
 
 from stiffopt.robot.frames import rotation_about_axis, rpy_from_rotation
 from stiffopt.robot.mjcf import WORLD, MjcfBody, MjcfJoint, MjcfModel, free_name
-
-_INERTIA_KEYS = (("ixx", 0, 0), ("ixy", 0, 1), ("ixz", 0, 2),
-                 ("iyy", 1, 1), ("iyz", 1, 2), ("izz", 2, 2))  # fmt: skip
+from stiffopt.robot.xml_files import numbers_text, set_inertial
 
 
 def build_tree(model: MjcfModel) -> ET.Element:
@@ -65,11 +62,7 @@ def _add_link(tree: ET.Element, body: MjcfBody) -> None:
     link = ET.SubElement(tree, "link", name=body.name)
     if body.mass == 0.0 and not body.inertia.any():
         return
-    inertial = ET.SubElement(link, "inertial")
-    ET.SubElement(inertial, "origin", xyz=_format_numbers(body.centre))
-    ET.SubElement(inertial, "mass", value=repr(body.mass))
-    moments = {key: repr(float(body.inertia[a, b])) for key, a, b in _INERTIA_KEYS}
-    ET.SubElement(inertial, "inertia", moments)
+    set_inertial(link, body.mass, body.centre, body.inertia)
 
 
 def _add_joint(
@@ -87,7 +80,7 @@ def _add_joint(
         joint.set("type", "revolute" if own.limits else "continuous")
         turn = turn @ rotation_about_axis(own.axis, -own.reference)
     _connect_links(joint, parent, child, place, turn)
-    ET.SubElement(joint, "axis", xyz=_format_numbers(own.axis))
+    ET.SubElement(joint, "axis", xyz=numbers_text(own.axis))
     limit = ET.SubElement(joint, "limit", effort=repr(own.torque_max), velocity="0.0")
     if own.limits:
         limit.set("lower", repr(own.limits[0]))
@@ -114,8 +107,4 @@ def _connect_links(
     ET.SubElement(joint, "parent", link=parent)
     ET.SubElement(joint, "child", link=child)
     rpy = rpy_from_rotation(np.array(turn))
-    ET.SubElement(joint, "origin", xyz=_format_numbers(place), rpy=_format_numbers(rpy))
-
-
-def _format_numbers(values: Iterable[float]) -> str:
-    return " ".join(repr(float(value)) for value in values)
+    ET.SubElement(joint, "origin", xyz=numbers_text(place), rpy=numbers_text(rpy))

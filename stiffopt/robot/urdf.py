@@ -18,6 +18,7 @@ from stiffopt.robot.held_joints import HeldJoint, fix_free_joints, hold_joints
 from stiffopt.robot.joint_tree import PLANNED_KINDS
 from stiffopt.robot.mjcf import is_mjcf
 from stiffopt.robot.urdf_xml import read_urdf_tree
+from stiffopt.robot.xml_files import set_inertial
 
 _JOINT_KINDS = (*PLANNED_KINDS, "fixed")
 # Limits of a continuous joint, which pinocchio would otherwise model by a unit circle.
@@ -229,16 +230,7 @@ def _replace_inertials(tree: ET.Element, bodies: Mapping[str, LinkBody], path: P
     for name, body in bodies.items():
         if name not in links:
             raise RobotError(f"{path}: there is no link {name!r}. {nearest(name, links)}")
-        for found in links[name].findall("inertial"):
-            links[name].remove(found)
-        inertial = ET.SubElement(links[name], "inertial")
-        ET.SubElement(inertial, "origin", xyz=" ".join(repr(float(x)) for x in body.com))
-        ET.SubElement(inertial, "mass", value=repr(float(body.mass)))
-        rows = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2),
-                "izz": (2, 2)}  # fmt: skip
-        ET.SubElement(
-            inertial, "inertia", {k: repr(float(body.inertia[at])) for k, at in rows.items()}
-        )
+        set_inertial(links[name], body.mass, body.com, body.inertia)
 
 
 def _check_links(tree: ET.Element, path: Path) -> None:

@@ -93,7 +93,7 @@ def _xacro_calls(element: ET.Element) -> Iterator[str]:
     """Names of the xacro macros called by an element and its parts."""
     if not isinstance(element.tag, str):
         return
-    space, _, name = element.tag.rpartition("}")
+    space, _, name = element.tag.rpartition(":")
     if "xacro" in space:
         if name not in _XACRO_DEFINITIONS:
             yield name

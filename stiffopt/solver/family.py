@@ -22,7 +22,7 @@ from stiffopt.command.simulation import check_simulation
 from stiffopt.problem.bounds import shortest_duration
 from stiffopt.problem.formulation import Scales
 from stiffopt.problem.input_checks import check_clear_poses
-from stiffopt.problem.limits.travel import with_bounded_travel
+from stiffopt.problem.limits.position import with_bounded_travel
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.problem.trajectory import TrajectoryProblem

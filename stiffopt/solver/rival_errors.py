@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from stiffopt.elastic.led_error import led_error
+from stiffopt.elastic.worst_arms import led_error
 from stiffopt.result.compensation import MIN_SLOWDOWN
 from stiffopt.result.tool_error import LedError
 from stiffopt.result.trajectory import Trajectory

@@ -34,7 +34,7 @@ from stiffopt.problem.input_checks import (
     shifted_numbers,
     slack_belts,
 )
-from stiffopt.problem.limits.travel import with_bounded_travel
+from stiffopt.problem.limits.position import with_bounded_travel
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
 from stiffopt.result.assessment import Assessment

@@ -47,24 +47,13 @@ def write_flange(
         raise InputError(
             f"--count: {count} bolts carry no tilting moment about every axis; give three or more."
         )
+    line = "" if own is None else f"catalogue = {toml_string(relative_path(own, folder))}\n"
     with with_own({} if own is None else read_own_catalogue(own)):
-        texts = _file_texts(
-            torque=torque,
-            size=size,
-            grade=grade,
-            count=count,
-            circle=circle,
-            nut=nut,
-            beside_torque=beside_torque,
-            catalogue_line=""
-            if own is None
-            else f"catalogue = {toml_string(relative_path(own, folder))}\n",
-        )
+        texts = _file_texts(torque, size, grade, count, circle, nut, beside_torque, line)
     return [write_new(folder / name, text) for name, text in texts.items()]
 
 
 def _file_texts(
-    *,
     torque: float,
     size: str,
     grade: str,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from stiffopt.errors import InputError
-from stiffopt.recording.rest_poses import are_unordered
+from stiffopt.recording.clock import are_unordered
 from stiffopt.recording.signals import may_be_set_point
 from stiffopt.robot.robot import Robot
 from stiffopt.starter.column_names import (

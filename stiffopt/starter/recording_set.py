@@ -16,14 +16,13 @@ from typing import Any
 import numpy as np
 
 from stiffopt.errors import InputError, InputFileError
+from stiffopt.recording.clock import MIN_POSES
 from stiffopt.recording.readers.columns import Table
 from stiffopt.recording.readers.read import RUN_ENDINGS, is_messages, read_tables
-from stiffopt.recording.rest_poses import MIN_POSES
 from stiffopt.recording.run import counted
 from stiffopt.robot.joint_tree import JointTree
 from stiffopt.robot.robot import Robot
 from stiffopt.robot.urdf_xml import read_urdf_tree
-from stiffopt.starter.garbled_rows import drop_garbled_rows
 from stiffopt.starter.guessing import (
     GuessedColumns,
     UnrecognisedError,
@@ -33,7 +32,12 @@ from stiffopt.starter.guessing import (
     with_time,
 )
 from stiffopt.starter.recorded_robot import RecordedRobot, store_robot
-from stiffopt.starter.table_layouts import join_signal_files, name_blocks, read_message_table
+from stiffopt.starter.table_layouts import (
+    drop_garbled_rows,
+    join_signal_files,
+    name_blocks,
+    read_message_table,
+)
 from stiffopt.starter.writing import toml_list, toml_string, write_new
 
 # Training share of a single recording; the rest is held out. Fewest rows for training.
@@ -84,7 +88,7 @@ def start_recording_set(
             )
             if not which:
                 raise
-            raise InputError(f"{error} {urdf.name} {which}") from error
+            raise InputError(f"{urdf.name} {which} Without it, {error}") from error
 
 
 def _write_set(

@@ -67,7 +67,6 @@ def robot_text(
     urdf: Path,
     folder: Path,
     tip: str | None = None,
-    name: str | None = None,
     catalogue: Path | None = None,
     *,
     keep: Collection[str] = (),
@@ -75,25 +74,12 @@ def robot_text(
 ) -> StartedRobot:
     """Return the text of a robot file for a URDF.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the file.
-    tip : str, optional
-        Last link of the arm, which carries the tool; default where fingers branch off.
-    name : str, optional
-        Default the name of the URDF's file.
-    catalogue : Path, optional
-        User catalogue, whose reducers are candidates too.
-    keep : collection of str
-        Joints that are not fixed although no tip is named.
-    bare : bool
-        Without reducers and the friction of a URDF, which recordings determine.
+    `folder`: of the file. `tip`: last link of the arm, which carries the tool; default where
+    fingers branch off. `catalogue`: of the user, whose reducers are candidates too. `keep`: joints
+    that are not fixed although no tip is named. `bare`: without reducers and the friction of a
+    URDF, which recordings determine.
 
-    Raises
-    ------
-    InputFileError, RobotError
-        Unreadable URDF, unknown tip, or several arms and no tip.
+    Raises `InputFileError`, `RobotError`: unreadable URDF, unknown tip, or several arms and no tip.
     """
     _check_format(urdf)
     load = partial(load_urdf, urdf, tip=tip, keep=keep, limited=None, hold_unplanned=True)
@@ -109,7 +95,8 @@ def robot_text(
         arm = load(bodies=bodies)
     doubted = speed_placeholders(arm, tool)
     arm = drop_placeholders(arm, doubted)
-    demands = _torque_demands(arm)
+    speed = np.array([stated["velocity"] or _DEFAULT_SPEED for stated in arm.joints.values()])
+    demands = _weight_torques(arm, speed / _ACCELERATION_TIME)
     weight = 0.0 * demands if bodies else _weight_torques(arm)
     doubted += (further := torque_placeholders(arm, demands, weight))
     arm = drop_placeholders(arm, further)
@@ -120,7 +107,7 @@ def robot_text(
         "# replace them by your own before relying on results.",
         "schema = 1",
         'kind = "robot"',
-        f"name = {toml_string(name or urdf.stem)}",
+        f"name = {toml_string(urdf.stem)}",
         f"urdf = {toml_string(relative_path(urdf, folder))}",
     ]
     if arm.held:
@@ -170,8 +157,9 @@ def _describe_guesses(
 ) -> Iterator[str]:
     """Yield guesses, omissions and questions, a sentence each."""
     yield f"The arm: {', '.join(arm.joints)}; its tool is fixed to {tool}."
-    if arm.held:
-        yield f"Held: {'; '.join(map(str, arm.held))}."
+    for value, why in dict.fromkeys((h.value, h.why) for h in arm.held):
+        names = [h.name for h in arm.held if (h.value, h.why) == (value, why)]
+        yield f"Held at {value:g} ({why}): {', '.join(names)}."
     coupled = [h.name for h in arm.held if h.why.endswith("which moves")]
     if coupled:
         yield (
@@ -276,12 +264,6 @@ def _link_lines(name: str, body: EstimatedBody) -> Iterator[str]:
     yield f"inertia = {moments}  # [kg m^2]"
     yield 'provenance = "estimated"'
     yield f'source = "init robot: {_describe_mass_source(body)}"'
-
-
-def _torque_demands(arm: LoadedUrdf) -> np.ndarray:
-    """Return the largest torque of weight and full acceleration over random poses (n,)."""
-    speed = np.array([stated["velocity"] or _DEFAULT_SPEED for stated in arm.joints.values()])
-    return _weight_torques(arm, speed / _ACCELERATION_TIME)
 
 
 def _weight_torques(arm: LoadedUrdf, acceleration: np.ndarray | float = 0.0) -> np.ndarray:

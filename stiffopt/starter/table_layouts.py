@@ -1,7 +1,8 @@
-"""Tables of recordings without names of columns, and of the joint topic of message logs."""
+"""Tables of recordings: unnamed columns, the joint topic of message logs, garbled rows left out."""
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,10 +12,16 @@ from scipy.stats import spearmanr
 
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.recording.readers.columns import Table, is_unnamed
-from stiffopt.recording.readers.read import first_messages, read_columns
+from stiffopt.recording.readers.read import MAX_MAGNITUDE, first_messages, read_columns
 from stiffopt.recording.signals import Signals
 from stiffopt.robot.robot import Robot
-from stiffopt.starter.column_names import columns_of_kind, command_columns, order_by_joint
+from stiffopt.starter.column_names import (
+    TIME_WORDS,
+    columns_of_kind,
+    command_columns,
+    order_by_joint,
+    split_words,
+)
 
 
 def join_signal_files(tables: Mapping[Path, Table], robot: Robot) -> dict[Path, Table]:
@@ -112,12 +119,17 @@ def _guess_block_kinds(blocks: list[np.ndarray]) -> tuple[list[str], str]:
 
 
 def _is_rate_of(rates: np.ndarray, values: np.ndarray) -> bool:
-    """Return True if columns (K, n) correlate with the changes of others, joint by joint."""
+    """Return True if columns (K, n) correlate with the changes of others, joint by joint.
+
+    Over several rows: loggers repeat some, or are late by a part of a row.
+    """
     if rates is values:
         return False
     fits = []
+    rows = max(len(values) // _RATE_STEPS, 1)
     for rate, value in zip(rates.T, values.T, strict=True):
-        change, mean = np.diff(value), 0.5 * (rate[1:] + rate[:-1])
+        change = np.diff(value[::rows])
+        mean = 0.5 * (rate[1:] + rate[:-1])[: rows * len(change)].reshape(-1, rows).mean(axis=1)
         known = np.isfinite(change) & np.isfinite(mean)
         if known.sum() > 2 and np.ptp(change[known]) > 0.0 and np.ptp(mean[known]) > 0.0:
             fits.append(float(spearmanr(change[known], mean[known]).statistic))
@@ -126,6 +138,8 @@ def _is_rate_of(rates: np.ndarray, values: np.ndarray) -> bool:
     return bool(fits) and float(np.median(fits)) > 0.9
 
 
+# Steps of a recording over which rates and changes are compared.
+_RATE_STEPS = 1000
 _NAME_FIELDS = ("name", "names", "joint_names")
 _VALUE_FIELDS = ("position", "velocity", "effort", "torque", "current", "positions", "velocities",
           "efforts", "accelerations", "q", "qd", "tau")  # fmt: skip
@@ -190,3 +204,60 @@ def _joint_fields(topic: str, message: Any, joints: Sequence[str]) -> list[str]:
 
 def _get_field(value: Any, key: str) -> Any:
     return value.get(key) if isinstance(value, Mapping) else getattr(value, key, None)
+
+
+# Fewest rows of a piece between gaps of as many rows: no filter has settled on fewer.
+_MIN_PIECE_ROWS = 20
+
+
+def drop_garbled_rows(table: Table) -> tuple[Table, list[int]]:
+    """Return a table without garbled rows, and the numbers of those, from 1.
+
+    A row is garbled where a value exceeds any measurement, where its time stamp does not fit into
+    the longest increasing sequence of stamps, or where few rows stand alone between long gaps;
+    clocks that restart are left as they are.
+    """
+    senseless = np.zeros(len(next(iter(table.values()))), dtype=bool)
+    for column in table.values():
+        senseless |= np.isfinite(column) & (np.abs(column) > MAX_MAGNITUDE)
+    kept = np.flatnonzero(~senseless)
+    time = next((name for name in table if set(split_words(name)) & set(TIME_WORDS)), None)
+    if time is not None:
+        stamps = table[time][kept]
+        ordered = kept
+        if np.isfinite(stamps).all():
+            ordered = kept[longest_increasing(stamps)]
+            ordered = ordered[_outside_short_pieces(table[time][ordered])]
+        # More rows out of order are no logger's fault, but another clock or order.
+        if len(kept) - len(ordered) <= 0.01 * len(kept):
+            kept = ordered
+    dropped = np.setdiff1d(np.arange(len(senseless)), kept)
+    if not len(dropped):
+        return table, []
+    return {name: column[kept] for name, column in table.items()}, (dropped + 1).tolist()
+
+
+def _outside_short_pieces(stamps: np.ndarray) -> np.ndarray:
+    """Return a mask of the stamps in pieces between gaps that are long enough to be used."""
+    steps = np.diff(stamps)
+    usual = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else np.inf
+    piece = np.concatenate([[0], np.cumsum(steps > _MIN_PIECE_ROWS * usual)])
+    return np.asarray(np.bincount(piece)[piece] >= _MIN_PIECE_ROWS)
+
+
+def longest_increasing(values: np.ndarray) -> np.ndarray:
+    """Return the indices of a longest nondecreasing subsequence."""
+    if np.all(np.diff(values) >= 0.0):
+        return np.arange(len(values))
+    ends: list[float] = []  # least last value of a subsequence of each length
+    last: list[int] = []
+    before = np.full(len(values), -1)
+    for index, value in enumerate(values.tolist()):
+        length = bisect_right(ends, value)
+        before[index] = last[length - 1] if length else -1
+        ends[length : length + 1] = [value]
+        last[length : length + 1] = [index]
+    found = [last[-1]]
+    while before[found[-1]] >= 0:
+        found.append(int(before[found[-1]]))
+    return np.array(found[::-1])

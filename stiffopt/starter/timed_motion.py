@@ -11,6 +11,7 @@ import numpy as np
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.recording.readers.columns import Table, is_unnamed
 from stiffopt.recording.readers.read import is_messages, read_tables
+from stiffopt.recording.run import counted
 from stiffopt.recording.signals import may_be_set_point
 from stiffopt.robot.robot import Robot
 from stiffopt.starter.column_names import columns_of_kind, stated_unit
@@ -59,11 +60,19 @@ def read_timed_motion(path: Path, robot: Robot, rate: float | None = None) -> Ti
     names = _position_columns(path, table, clock, robot)
     values = np.column_stack([table[name] for name in names])
     time = table[clock] * SECONDS_PER_UNIT[unit]
-    _check_rows(path, time, values, names)
+    velocity = _velocities(table, robot)
+    # Loggers write a row twice; another position at the same instant is a fault.
+    row = np.column_stack([time, values])
+    new = np.append(True, (row[1:] != row[:-1]).any(axis=1))
+    _check_rows(path, time, values, names, new)
+    time, values, velocity = time[new], values[new], None if velocity is None else velocity[new]
     factor, told = _angle_factor(path, names, values, robot)
     position = values * np.where(robot.prismatic, 1.0, factor)
-    velocity = _velocities(table, robot, factor)
-    reasons = (why, f"position: {', '.join(names)}; {told}")
+    if velocity is not None:
+        velocity = velocity * np.where(robot.prismatic, 1.0, factor)
+    reasons: tuple[str, ...] = (why, f"position: {', '.join(names)}; {told}")
+    if not new.all():
+        reasons += (f"{counted(int(np.sum(~new)), 'row')} that repeat the row before: left out",)
     return _checked_motion(path, robot, time, position, velocity, reasons)
 
 
@@ -105,16 +114,19 @@ def _position_columns(path: Path, table: Table, clock: str, robot: Robot) -> Seq
     )  # fmt: skip
 
 
-def _check_rows(path: Path, time: np.ndarray, values: np.ndarray, names: Sequence[str]) -> None:
-    if len(time) < MIN_ROWS:
-        raise InputFileError(path, "", f"has {len(time)} row(s); a motion has {MIN_ROWS} or more.")
+def _check_rows(
+    path: Path, time: np.ndarray, values: np.ndarray, names: Sequence[str], new: np.ndarray
+) -> None:
+    """Raise `InputFileError` for a faulty row; `new` (K,) are those that do not repeat another."""
+    if new.sum() < MIN_ROWS:
+        raise InputFileError(path, "", f"has {new.sum()} row(s); a motion has {MIN_ROWS} or more.")
     for row, k in np.argwhere(~np.isfinite(values)):
         raise InputFileError(
             path, f"row {row + 1}, {names[k]}", "is no number. Complete the row, or delete it."
         )
     for row in np.flatnonzero(~np.isfinite(time)):
         raise InputFileError(path, f"row {row + 1}", "has no time. Complete the row, or delete it.")
-    for row in np.flatnonzero(np.diff(time) <= 0.0):
+    for row in np.flatnonzero((np.diff(time) <= 0.0) & new[1:]):
         same = "repeats" if time[row + 1] == time[row] else "lies before"
         raise InputFileError(
             path, f"row {row + 2}", f"its time {time[row + 1]:.6g} s {same} that of the row before,"
@@ -140,12 +152,12 @@ def _angle_factor(
     return _RADIANS_PER_UNIT[unit], why
 
 
-def _velocities(table: Mapping[str, np.ndarray], robot: Robot, factor: float) -> np.ndarray | None:
+def _velocities(table: Mapping[str, np.ndarray], robot: Robot) -> np.ndarray | None:
     """Return the planned velocities of a joint trajectory; others are differences of positions."""
     names = [f"velocity[{joint}]" for joint in robot.joint_names]
     if not all(name in table for name in names):
         return None
-    return np.column_stack([table[name] for name in names]) * np.where(robot.prismatic, 1.0, factor)
+    return np.column_stack([table[name] for name in names])
 
 
 def _checked_motion(

@@ -21,7 +21,7 @@ from stiffopt.drivetrain.bearing import OutputBearing
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import InputFileError
 from stiffopt.exact.chain import exact_windup
-from stiffopt.robot.bearing_deflection import bearing_deflections
+from stiffopt.robot.bearings import bearing_deflections
 from stiffopt.robot.files import load_robot
 from stiffopt.robot.tolerances import Tolerances
 

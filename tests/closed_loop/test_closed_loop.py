@@ -17,6 +17,7 @@ from servo_sets import (
     KP,
     LEVER,
     MASS,
+    STEP,
     URDF,
     VISCOUS,
     commanded_motion,
@@ -26,7 +27,7 @@ from stiffopt.actuator.law import ActuatorLaw
 from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.parameters import Parameters, zero_parameters
 from stiffopt.closed_loop.physics import Amplitudes, LoopPhysics, LoopSpring
-from stiffopt.closed_loop.polish import polish
+from stiffopt.closed_loop.polish import _Fit, _Point, polish
 from stiffopt.closed_loop.simulation import (
     CommandedRun,
     Stretch,
@@ -128,6 +129,55 @@ def test_polish_finds_friction_armature_and_delay_from_none(loop: CommandedArm) 
     assert abs(own.delay - DELAY) < 1e-3
     assert found.residual[0] < 1e-3
     assert (found.deviations[deviations == 0.0] == 0.0).all()
+
+
+def test_noise_of_encoders_is_not_the_motion_that_held_commands_bend(loop: CommandedArm) -> None:
+    prior, noise = true_parameters(), 2e-5
+    deviations = np.where(prior.values > 0.0, 0.1 * prior.values, 0.0)
+    runs = [recorded(7), recorded(8)]
+    moving = polish(loop, runs, prior, deviations).noise
+    assert abs(moving[0] - noise) < 0.15 * noise
+    bent = np.std(np.diff(runs[0].position[:, 0], n=3)) / np.sqrt(20.0)
+    assert bent > 1.5 * noise
+    still = replace(runs[0], name="still", position=0.0 * runs[0].position)
+    fit = _Fit(loop, [runs[0], still], prior, deviations)
+    point = fit.evaluate(prior)
+    own = point.residual[: len(point.residual) // 2]
+    alone = _Fit(loop, runs[:1], prior, deviations)
+    np.testing.assert_allclose(fit.encoder_noise(point), alone.encoder_noise(_Point(own, own)))
+    none = _Fit(loop, [still], prior, deviations)
+    assert np.isnan(none.encoder_noise(none.evaluate(prior))).all()
+
+
+def test_friction_by_load_goes_with_the_torque_past_the_rotor(loop: CommandedArm) -> None:
+    """A heavy rotor turns to and fro on its own torque, which its gear does not transmit."""
+    share, rotor, wave, h = 0.3, 0.2, 9.0, 5e-5
+    link = INERTIA + MASS * LEVER**2
+    grid = np.arange(0.0, 2.0, STEP)
+    command = np.repeat(0.2 * np.sin(wave * grid[::2]), 2)
+    q = v = 0.0
+    path = np.empty(len(grid))
+    for k, target in enumerate(command):
+        path[k] = q
+        for _ in range(round(STEP / h)):
+            drive = KP * (target - q) - VISCOUS * v
+            weight = MASS * GRAVITY * LEVER * np.sin(q)
+            for sign in (1.0, -1.0):  # of the load
+                less = share * sign * np.tanh(v / 0.005)
+                rate = (drive - weight * (1.0 + less)) / (rotor + link * (1.0 + less))
+                if sign * (link * rate + weight) >= 0.0:
+                    break
+            v += h * rate
+            q += h * v
+    run = CommandedRun("run", grid, command[:, None], path[:, None], 0.0 * path[:, None])
+    parameters = zero_parameters(("servo",))
+    for name, value in (("armature", rotor), ("viscous", VISCOUS), ("load_friction", share)):
+        parameters.values[parameters.place(name)] = value
+    whole = Stretch(run, 0, len(grid) - 1, np.zeros(1))
+    (found,) = simulate_stretches(loop, [whole], parameters)
+    error = found.position - run.position
+    assert float(np.sqrt(np.mean(error**2))) < 2e-3
+    assert float(np.ptp(path)) > 0.5
 
 
 def test_amplitudes_of_physics_are_fitted_as_parameters_are(loop: CommandedArm) -> None:

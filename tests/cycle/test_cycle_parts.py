@@ -11,10 +11,9 @@ from stiffopt.cycle.time_split import ShortestDuration, TimeSplit, combined
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
-from stiffopt.report.cycle.page import write_cycle_report
+from stiffopt.report.pages.cycle import write_cycle_report
 from stiffopt.result.cycle import CycleSolution, JoinedMotion, LegResult
-from stiffopt.result.duty import DutyHistory, DutyLimits, duty_of
-from stiffopt.result.life_rating import LifeRating
+from stiffopt.result.duty import DutyHistory, DutyLimits, LifeRating, duty_of
 from stiffopt.result.status import SolveStatus
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.robot.files import load_robot

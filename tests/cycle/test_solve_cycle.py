@@ -12,7 +12,7 @@ from small_cycles import GRIP, write_cycle_file
 
 from stiffopt.cli import run
 from stiffopt.cycle.solve_cycle import solve_cycle
-from stiffopt.export.cycle_motion import read_stored
+from stiffopt.export.folder_motions import read_stored
 from stiffopt.export.format import FORMATS, read_seal
 from stiffopt.files import read_table
 from stiffopt.problem.cycle_files import load_cycle

@@ -11,11 +11,11 @@ import pytest
 from shipped_set import SHIPPED
 from test_unseen_joints import recorded
 
-from stiffopt.discovery import prediction_bands
+from stiffopt.discovery import prediction
 from stiffopt.discovery.comparison.bands import BANDS, choose_fit_band
 from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.prediction_bands import _select_widest_adequate, choose_prediction_bands
+from stiffopt.discovery.prediction import _select_widest_adequate, choose_prediction_bands
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import Training, prepare_training
 from stiffopt.recording.recording_set import load_recordings
@@ -54,7 +54,7 @@ def test_prediction_bands_with_noisy_encoders_are_narrower(tmp_path: Path) -> No
 def test_prediction_bands_limit_only_elastic_joints(monkeypatch: pytest.MonkeyPatch) -> None:
     """A rigid joint beside an elastic one follows what its own torque bears out."""
     monkeypatch.setattr(
-        prediction_bands,
+        prediction,
         "_torque_errors",
         lambda *given: np.outer(np.array(given[2]) ** -2.0, [1, 1]),
     )
@@ -78,12 +78,12 @@ def test_bands_with_little_motion_keep_defaults() -> None:
     training = _training()
     at_rest = replace(training, recorded=(replace(still, velocity=None),))
     bands = choose_prediction_bands(at_rest, Extension())
-    assert set(bands) == {prediction_bands.PREDICTION_CUTOFF}
+    assert set(bands) == {prediction.PREDICTION_CUTOFF}
 
 
 def test_prediction_band_moves_steadily_with_the_errors() -> None:
     """The error of the next band falls from far above the adequate one to it."""
-    tried, adequate = (20.0, 35.0, 60.0), 1.0 + prediction_bands._MAX_WIDER_BAND_COST
+    tried, adequate = (20.0, 35.0, 60.0), 1.0 + prediction._MAX_WIDER_BAND_COST
     found = [
         _select_widest_adequate(tried, np.array([1.0, adequate - 0.02, error]))
         for error in adequate + np.geomspace(1.0, 1e-6, 60)

@@ -29,7 +29,7 @@ from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.nuisance import GAIN, joint_columns
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.diagnosis import Diagnosis
-from stiffopt.discovery.experiment.commands import motion_commands
+from stiffopt.discovery.experiment.motion import motion_commands
 from stiffopt.discovery.extended.value_changes import extended_model
 from stiffopt.discovery.identifiable import effect_checks
 from stiffopt.discovery.loop_fit import build_loop, nominal_parameters
@@ -41,8 +41,7 @@ from stiffopt.discovery.position_fit import (
     simulate_run,
 )
 from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
-from stiffopt.discovery.sanity.command_doubts import doubt_commands
-from stiffopt.discovery.sanity.position_errors import take_errors_as_commands
+from stiffopt.discovery.sanity.command_doubts import doubt_commands, take_errors_as_commands
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import open_training_runs, prepare_training
 from stiffopt.errors import InputError

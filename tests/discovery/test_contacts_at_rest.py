@@ -8,7 +8,7 @@ from simulated_sets import short_case, simulated
 
 from benchmarks.simulator import write_case
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.sanity.rest_doubts import doubt_contacts_at_rest
+from stiffopt.discovery.sanity.sensor_doubts import doubt_contacts_at_rest
 from stiffopt.recording.recording_set import load_recordings
 
 TIME = np.arange(0.0, 6.0, 0.004)

@@ -15,7 +15,12 @@ from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.design_matrix import DesignMatrix
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.experiment.design import ExperimentPlan, leading_pair, plan_experiment
+from stiffopt.discovery.experiment.design import (
+    ExperimentPlan,
+    Separation,
+    leading_pair,
+    plan_experiment,
+)
 from stiffopt.discovery.experiment.motion import (
     DRAWS_PER_JOINT,
     MotionLimits,
@@ -23,7 +28,6 @@ from stiffopt.discovery.experiment.motion import (
     motion_limits,
     prepared_motion,
 )
-from stiffopt.discovery.experiment.separation import Separation
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import SearchResult
 from stiffopt.discovery.settings import Settings

@@ -7,7 +7,7 @@ import pytest
 from diagnosed_folders import written
 from simulated_sets import diagnosed, said, short_case, simulated
 
-from stiffopt.discovery.catalogue.friction_drift import FRICTION_DRIFT, friction_drift
+from stiffopt.discovery.catalogue.drift import FRICTION_DRIFT, friction_drift, of_other_runs
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.extended.model import load_extended
 from stiffopt.discovery.extended.store import extended_text
@@ -36,7 +36,7 @@ def test_drift_term_has_zero_mean_over_runs():
 
 
 def test_drift_of_unrecorded_runs_ignores_names():
-    entry = FRICTION_DRIFT.of_runs(("a", "b"), seen=False)
+    entry = of_other_runs(FRICTION_DRIFT, ("of a", "of b"))
     assert of_run("a", entry, [0.1, -0.2]) == 0.0
 
 

@@ -7,8 +7,7 @@ from simulated_sets import short_case, simulated
 
 from benchmarks.simulator import write_case
 from stiffopt.discovery.catalogue import effect
-from stiffopt.discovery.catalogue.base_tilt import BASE_TILT, tilt_axes, tilted_gravity
-from stiffopt.discovery.catalogue.joint_zero import JOINT_ZERO
+from stiffopt.discovery.catalogue.geometry import BASE_TILT, JOINT_ZERO, tilt_axes, tilted_gravity
 from stiffopt.discovery.comparison.extension_change import extension_change
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
 from stiffopt.discovery.comparison.nominal_robot import LazyArmSignals, RobotModel

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from typed_laws import typed_torque
 
+from stiffopt.discovery import catalogue
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, LocatedEffect
 from stiffopt.discovery.extended.model import load_extended
 from stiffopt.discovery.extended.store import _describe_table, _format_effect, _format_table
@@ -15,7 +16,7 @@ from stiffopt.discovery.law_search.find import MIN_KEPT_SHARE
 from stiffopt.discovery.law_search.fit_law import fit_shapes
 from stiffopt.discovery.law_search.free_function import best_sum, residual_tables, screen
 from stiffopt.discovery.law_search.open_channel import OpenChannel
-from stiffopt.discovery.law_search.search import search_channel
+from stiffopt.discovery.law_search.search import beats, search_channel
 from stiffopt.discovery.laws import operators
 from stiffopt.discovery.laws.forms import FORMS
 from stiffopt.discovery.laws.law import Factor, Law, law_effect, law_of
@@ -23,6 +24,7 @@ from stiffopt.discovery.laws.law_file import law_file_text
 from stiffopt.discovery.laws.shapes import SignalRange
 from stiffopt.discovery.laws.sources import SOURCE_KINDS, LawSource
 from stiffopt.discovery.laws.table import table_of
+from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.user_effects import (
     find_faults,
     load_effects,
@@ -249,6 +251,21 @@ def test_the_briefest_law_is_found_and_not_a_product_that_contains_it() -> None:
     found = search_channel(KnownChannel(lambda s: 3.0 * s.motor_direction[:, 4]))
     assert found.best is not None
     assert found.best.law.factors == (SIGN,)
+
+
+def test_a_law_takes_the_place_of_a_known_effect_only_where_it_fits_better() -> None:
+    """Not for its fewer parameters: equal fits are told apart by the odds among rivals alone."""
+    channel = KnownChannel(lambda s: 4.0 * s.motor_position[:, 4], noise=2.0)
+    law = Law(4, "drive_torque", (Factor(LawSource("position", 4), "linear"),))
+    best = fit_shapes(channel, law, 1)
+    left = channel.square - best.fit.removed
+    cable = LocatedEffect(effect=catalogue.effect("cable_spring"), joint=4, shapes=(0.1,))
+    sure, doubted = (Selected(cable, 100.0, 14.0, p, (), 4) for p in (1.0, 0.1))
+    assert not beats(channel, best, left, [sure])
+    # By as much as it has to be ahead of a sure finding, it is not of several rivals.
+    far = next(f for f in np.geomspace(1.0, 4.0, 200) if beats(channel, best, f * left, [sure]))
+    assert 1.0 < far < 2.0
+    assert not beats(channel, best, far * left, [doubted])
 
 
 def test_a_constant_is_a_law() -> None:

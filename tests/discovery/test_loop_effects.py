@@ -205,6 +205,7 @@ def fitted_loop(servo: RecordingSet, more: float) -> ClosedLoopModel:
         parameters=fitted,
         deviations=spread,
         residual=np.ones(1),
+        noise=np.ones(1),
         discretisation=np.zeros(1),
         places=np.arange(count),
         covariance=np.diag(spread**2),

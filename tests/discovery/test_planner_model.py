@@ -16,9 +16,9 @@ from stiffopt.cli import run as command
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.catalogue.robot_change import ADDED_SPRING_NAME
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
-from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.extended.model import ExtendedModel, load_extended, robot_signature
 from stiffopt.discovery.extended.planning import joint_constants, planner_model
+from stiffopt.discovery.names import ValueName
 from stiffopt.elastic.uncertainty import Uncertainty, bounds_from_deviations
 from stiffopt.errors import InputFileError
 from stiffopt.exact.chain import exact_windup, windup_shares

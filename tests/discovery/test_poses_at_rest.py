@@ -11,8 +11,8 @@ from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.user_effects import acts_at_rest
 from stiffopt.errors import InputFileError
 from stiffopt.recording.check import check_recordings
+from stiffopt.recording.clock import are_unordered
 from stiffopt.recording.recording_set import load_recordings
-from stiffopt.recording.rest_poses import are_unordered
 from stiffopt.report.diagnosis.page import write_diagnosis_report
 from stiffopt.report.recording_check import report_lines
 from stiffopt.starter.recording_set import start_recording_set

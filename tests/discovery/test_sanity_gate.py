@@ -339,16 +339,16 @@ def test_sign_reversed_in_one_run(tmp_path):
     assert doubt.evidence.startswith("Only in train_2")
 
 
-def test_torques_of_currents_of_a_joint_without_weight_are_no_kilonewtons(tmp_path):
+def test_torques_of_currents_of_a_joint_without_weight_are_no_kilonewtons(monkeypatch):
     """An upright axis bears no weight: whatever factor, friction and inertia make up for it."""
-    from stiffopt.discovery.sanity.explanations import Explanations
+    from stiffopt.discovery.sanity import explanations
 
-    class Fit:
-        def gain(self, motion, torque, joint, usual):
-            return (usual[0], 0.01) if joint == 0 else (1e-3, 0.9)
+    def fit_gain(robot, motion, torque, joint, usual):
+        return (usual[0], 0.01) if joint == 0 else (1e-3, 0.9)
 
-    search = Explanations.__new__(Explanations)
-    search.torque_fit = Fit()
+    monkeypatch.setattr(explanations, "fit_gain", fit_gain)
+    search = explanations.Explanations.__new__(explanations.Explanations)
+    search.robot = None
     gains, left = np.array([1e-3, 1.0 / 13.9, 1e-3]), np.array([0.02, 0.01, 0.02])
     search._adopt_common_gain(gains, left, None, np.zeros((4, 3)))
     np.testing.assert_allclose(gains, [1.0 / 13.9, 1.0 / 13.9, 1e-3])

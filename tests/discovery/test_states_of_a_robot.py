@@ -10,7 +10,7 @@ import pytest
 from stiffopt import diagnose_change
 from stiffopt.cli import run
 from stiffopt.discovery.answer import action
-from stiffopt.discovery.catalogue.friction_drift import friction_drift
+from stiffopt.discovery.catalogue.drift import friction_drift
 from stiffopt.discovery.extended.model import load_extended
 from stiffopt.discovery.store import answer_document, write_diagnosis
 from stiffopt.discovery.user_effects import sample_signals

@@ -6,6 +6,8 @@ import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,10 +16,10 @@ from small_arms import ROOT
 
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.comparison.nuisance import select_outside
-from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.diagnosis import Diagnosis
+from stiffopt.discovery.names import ValueName
+from stiffopt.discovery.search.nominal_values import values_outside_tolerance
 from stiffopt.discovery.user_effects import sample_signals
 from stiffopt.errors import InputFileError
 from stiffopt.report.diagnosis.values_to_enter import value_sentences
@@ -184,7 +186,11 @@ def test_only_far_and_determined_values_are_outside() -> None:
     tolerances = np.array([0.05, 0.05, 0.03, 0.08, 0.003])
     changes = np.array([0.19, 0.16, 0.2, 0.4, -0.012])
     deviations = np.array([0.01, 0.01, 0.02, 0.01, 1e-4])
-    found = select_outside(names, tolerances, changes, deviations)
+    posterior = SimpleNamespace(mean=changes, covariance=np.diag(deviations**2))
+    comparison: Any = SimpleNamespace(
+        priors=(names, tolerances), fit=lambda *_, **__: SimpleNamespace(posterior=posterior)
+    )
+    found = values_outside_tolerance(comparison, ())
     assert [str(each.name) for each in found] == ["com 2 x", "coulomb 1"]
     assert (found[1].name.kind, found[1].name.place, found[1].of_body) == ("coulomb", 0, False)
     assert found[0].of_body

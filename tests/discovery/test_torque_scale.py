@@ -9,8 +9,8 @@ from shipped_set import SHIPPED
 
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.judging.added_uncertainty import add_scale_deviation
+from stiffopt.discovery.names import ValueName
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.uncertainty import estimate_parameters
 from stiffopt.discovery.settings import Settings

@@ -10,20 +10,27 @@ from shipped_set import SHIPPED
 
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.inertial_parameters import body_units, nominal_bodies
+from stiffopt.discovery.comparison.inertial_parameters import (
+    body_units,
+    is_consistent,
+    nominal_bodies,
+)
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.judging.ensemble import _mean_by_kind, odds_in_member, recurrence
 from stiffopt.discovery.search import search as search_module
+from stiffopt.discovery.search.candidates import Candidate
 from stiffopt.discovery.search.cross_validation import (
     FoldPredictions,
     number_folds,
     stack_columns,
 )
 from stiffopt.discovery.search.joint_fit import prune_effects
+from stiffopt.discovery.search.rigid_model import BODY_WIDTHS, _as_real_body
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.tournament import (
     CATALOGUE_MODEL,
     FRICTION_LINES,
+    SINGLE_BODY,
     describe_tournament,
     hold_tournament,
 )
@@ -143,6 +150,45 @@ def test_negative_masses_predict_no_stretch_left_out(comparison: Comparison) -> 
     size = np.linalg.norm(target)
     assert np.linalg.norm(folds.residual()) < 1e-3 * size
     assert np.linalg.norm(folds.residual_within_bounds(model)) > 0.1 * size
+
+
+def test_a_single_body_is_one_that_can_exist(comparison: Comparison) -> None:
+    """A first moment that its mass is too small for costs what the likeliest real body lacks."""
+    robot = comparison.robot
+    payload = LocatedEffect(effect=effect("payload"))
+    sizes = payload.sizes(comparison.constants)
+    nominal, units = nominal_bodies(robot)[-1:], body_units(robot)[-1:]
+    change = np.zeros(10)
+    change[:2] = -0.5 * nominal[0, 0], 3.0 * units[0, 1]
+    found = Candidate(
+        located=payload,
+        amplitudes=change / sizes,
+        covariance=np.diag(0.1 * units[0] / sizes) ** 2,
+        evidence=100.0,
+        deviations=20.0,
+        gained=lambda: 100.0,
+        change=lambda: (0, 0.5),
+    )
+    assert not is_consistent(nominal + change, units)
+    real = _as_real_body(comparison, found)
+    moved = real.amplitudes * sizes
+    assert is_consistent(nominal + moved, units)
+    lost = 0.5 * np.sum(((moved - change) / (0.1 * units[0])) ** 2)
+    assert real.gain == pytest.approx(100.0 - lost)
+    assert real.evidence == pytest.approx(100.0 - lost)
+    assert lost > 1.0
+    assert _as_real_body(comparison, real) is real
+
+
+def test_a_single_body_competes_without_an_effect_of_its_own(comparison: Comparison) -> None:
+    calibrated = LocatedEffect(effect=effect("coulomb"), joint=1, calibrated=True)
+    payload = LocatedEffect(effect=effect("payload"))
+    found = hold_tournament(comparison, [calibrated], payload, [calibrated])
+    single = next(each for each in found if each.name == SINGLE_BODY)
+    assert single.effects == (calibrated,)
+    bodies = single.comparison.bodies / body_units(comparison.robot)
+    assert np.all(bodies[:-1] == BODY_WIDTHS[0])
+    assert np.all(bodies[-1] > BODY_WIDTHS[1])
 
 
 def test_kinds_of_perturbation_have_equal_weight() -> None:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from stiffopt.discovery.comparison.value_name import ValueName
+from stiffopt.discovery.names import ValueName
 
 
 @pytest.mark.parametrize(

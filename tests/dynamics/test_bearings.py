@@ -9,7 +9,7 @@ import numpy as np
 
 from stiffopt.drivetrain.bearing import OutputBearing
 from stiffopt.dynamics.bearings import bearing_deflection, dynamic_bearing_displacements
-from stiffopt.robot.bearing_deflection import bearing_deflections, dynamic_bearing_deflections
+from stiffopt.robot.bearings import bearing_deflections, dynamic_bearing_deflections
 from stiffopt.robot.files import load_robot
 
 

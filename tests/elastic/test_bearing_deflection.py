@@ -8,7 +8,7 @@ import pytest
 from tilting_arms import tilting_arm
 
 from stiffopt.errors import InputFileError
-from stiffopt.robot.bearing_deflection import bearing_deflections
+from stiffopt.robot.bearings import bearing_deflections
 from stiffopt.robot.files import load_robot
 from stiffopt.robot.robot import Robot
 

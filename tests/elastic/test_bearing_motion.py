@@ -13,14 +13,14 @@ from tilting_arms import simulated_tool, tilting_arm
 from stiffopt.baseline.rivals import quintic_law
 from stiffopt.drivetrain.bearing import OutputBearing
 from stiffopt.elastic.arm import ElasticArm
-from stiffopt.elastic.bearing_lead import LedPlan, bearing_lead
-from stiffopt.elastic.led_error import led_error
+from stiffopt.elastic.bearings import LedPlan, bearing_lead
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.servo import Servo
 from stiffopt.elastic.simulate import simulate
 from stiffopt.elastic.smooth_motion import smooth_motion
 from stiffopt.elastic.uncertain_arms import Member, UncertainArms
 from stiffopt.elastic.uncertainty import Departure, Uncertainty
+from stiffopt.elastic.worst_arms import led_error
 from stiffopt.problem.motor_model import MotorLaw
 from stiffopt.result.joint_path import JointPath
 from stiffopt.robot.files import load_robot

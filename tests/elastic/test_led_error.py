@@ -11,12 +11,12 @@ from small_arms import CONSTANT, joint, write_robot
 
 from stiffopt.baseline.rivals import quintic_law
 from stiffopt.elastic.arm import ElasticArm
-from stiffopt.elastic.led_error import led_error
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.servo import Servo
 from stiffopt.elastic.smooth_motion import smooth_motion
 from stiffopt.elastic.uncertain_arms import Member, UncertainArms
 from stiffopt.elastic.uncertainty import ParameterBox, Uncertainty
+from stiffopt.elastic.worst_arms import led_error
 from stiffopt.problem.motor_model import MotorLaw
 from stiffopt.result.compensation import Spread
 from stiffopt.result.joint_path import JointPath

@@ -12,8 +12,7 @@ from runge_kutta import integrate
 from stiffopt.baseline.rivals import quintic_law
 from stiffopt.elastic import servo as servo_module
 from stiffopt.elastic.motor import MotorMotion
-from stiffopt.elastic.servo import Servo
-from stiffopt.elastic.servo_kinds import SERVO_KINDS
+from stiffopt.elastic.servo import SERVO_KINDS, Servo
 from stiffopt.elastic.simulate import simulate
 from stiffopt.errors import InputError
 from stiffopt.result.trajectory import ForceHistory, Trajectory

@@ -197,7 +197,7 @@ def test_ros2_is_a_message_of_rosbags_types(folder):
 
 
 def test_tiny_numbers_stay_numbers_in_yaml():
-    from stiffopt.export.formats.ros2 import _format_numbers
+    from stiffopt.export.formats.sampled_points import _format_numbers
 
     yaml = pytest.importorskip("ruamel.yaml").YAML(typ="safe")
     values = [1e-05, -3e-17, 1.5e-08, 0.0, 12.0]

@@ -7,7 +7,7 @@ import pytest
 
 from stiffopt.identification.stiffness import identify_stiffness
 from stiffopt.recording.static_set import load_static_set
-from stiffopt.report.identification.page import tilt_sentence
+from stiffopt.report.pages.identification import tilt_sentence
 from tests.identification.static_arms import THREE, BentArm, G, measure, rodrigues
 
 TILT, NOISE = 4e-7, 2e-5

@@ -18,7 +18,7 @@ from stiffopt.identification.comparison import (
 )
 from stiffopt.identification.stiffness import identify_stiffness
 from stiffopt.recording.static_set import load_static_set
-from stiffopt.report.identification.page import print_comparison
+from stiffopt.report.pages.identification import print_comparison
 from stiffopt.robot.files import load_robot
 from tests.identification.static_arms import BentArm, measure
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
@@ -224,10 +225,10 @@ def test_worst_instant_of_the_tool_is_that_of_wind_up_and_tilting_together(tilt,
         jacobian=np.tile([[1e-3], [0.0], [0.0]], (4, 1, 1)),
     )
     turned = np.outer(tilt * np.array([0.0, -2.0, -3.5, 3.0]), [1e-3, 0.0, 0.0])
-    (found,) = history.worst(
-        (),
-        compliance=lambda joint, torque: np.ones_like(torque),
-        windup=lambda joint, torque: torque,
-        tilted=lambda own: turned,
+    one_joint = SimpleNamespace(
+        problem=SimpleNamespace(robot=SimpleNamespace(n=1)),
+        exact_windup=lambda preloads, joint, torque: torque,
+        tilt_deflection=lambda motion, preloads: turned,
     )
-    assert found.time == worst
+    sizes = PreloadModel.deflection_sizes(one_joint, history, None)
+    assert history.at(int(np.argmax(sizes))).time == worst

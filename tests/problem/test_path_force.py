@@ -7,7 +7,7 @@ from stiffopt.command.force_compensation import force_lead
 from stiffopt.errors import InputError
 from stiffopt.path.timed_path import timed_motion
 from stiffopt.problem.files import load_problem
-from stiffopt.problem.path_deflection import ProcessDeflection
+from stiffopt.problem.path_force import ProcessDeflection
 
 PROBLEM = """schema = 1
 kind = "trajectory"
@@ -118,7 +118,12 @@ def test_table_has_forces_at_its_rows(tmp_path):
     path.write_text(text.replace("[path.force]\n", ""))
     with pytest.raises(InputError, match=r"no section says in which axes. Add \[path.force\]"):
         load_problem(path)
+    table = (tmp_path / "points.csv").read_text()
+    (tmp_path / "points.csv").write_text(table.replace(",7\n", ",70000\n"))
     path.write_text(text)
+    with pytest.raises(InputError, match=r"7e\+04 N in points\.csv, row 8, 70 mm from the start"):
+        load_problem(path)
+    (tmp_path / "points.csv").write_text(table)
     force = load_problem(path).problem.path_force
     np.testing.assert_allclose(force(np.array([0.0, 0.35, 1.0]))[:, 2], [0.0, 3.5, 10.0], atol=1e-2)
 
@@ -126,7 +131,7 @@ def test_table_has_forces_at_its_rows(tmp_path):
 @pytest.mark.parametrize(
     ("force", "words"),
     [
-        ('value = [0.0, 0.0, "40 kN"]', "times the torque limit of joint_"),
+        ('value = [0.0, 0.0, "40 kN"]', r"in path\.segment\[\d\], .* mm .* torque limit of joint_"),
         ("value = [0.0, 0.0, 0.04]", "was kN meant"),
         ('value = [0.0, 0.0, 40.0]\nframe = "world"', "frame"),
     ],

@@ -309,12 +309,21 @@ def test_table_with_decimal_commas_and_speeds_of_its_lengths(tmp_path, unit, spe
         ("16,0,0,180,0,-90,100,a", r"row 3, speed: 100 m/s .* path\.table\.speed: .*cm/min"),
         ("16,0,,180,0,-90,0.1,a", "row 3, z"),
         ("9000,0,0,180,0,-90,0.1,a", "from its start"),
+        ("9e6,0,0,180,0,-90,0.1,a", r"row 3, x: 9e\+06 mm is beyond 100 m"),
     ],
 )
 def test_faults_of_a_table_are_told_with_their_row(tmp_path, row, words):
     rows = ["0,0,0,180,0,-90,0.1,a", "8,0,0,180,0,-90,0.1,a", row, "24,0,0,180,0,-90,0.1,a"]
     with pytest.raises(InputError, match=words):
         write_table(tmp_path, rows)
+
+
+def test_table_in_other_units_than_stated_is_refused(tmp_path):
+    rows = [f"{x},0,0,180,0,-90,0.1,a" for x in range(0, 33, 8)]
+    (tmp_path / "points.csv").write_text("x,y,z,rx,ry,rz,speed,label\n" + "\n".join(rows) + "\n")
+    text = "\n".join(line for line in TABLE.splitlines() if not line.startswith("angle"))
+    with pytest.raises(InputError, match=r"row 1, rx: 180 rad .* path\.table\.angle, such as .deg"):
+        write(tmp_path, text)
 
 
 def test_motion_rests_at_stops_and_keeps_the_speeds_of_its_segments(tmp_path):

@@ -128,7 +128,7 @@ def test_each_format_becomes_a_set(name, tmp_path, capsys):
     assert found.signals.velocity is not None
     runs = [found.open(entry) for entry in found.runs]
     for kind, values in (("position", Q), ("velocity", QD), ("torque", TAU)):
-        stored = np.concatenate([each.signal(kind) for each in runs])
+        stored = np.concatenate([getattr(each, kind) for each in runs])
         np.testing.assert_allclose(stored, values, atol=1e-12)
 
 

@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from recording_sets import motion
 
-from stiffopt.discovery.identifiable import MISSING_DATA, EffectCheck, effect_checks
+from stiffopt.discovery.effect import NEEDS
+from stiffopt.discovery.identifiable import EffectCheck, effect_checks
 from stiffopt.recording.channel import noise_level, resolution
 from stiffopt.recording.channel_faults import regress_changes
 from stiffopt.recording.check import RecordingReport, check_recordings
@@ -69,8 +70,8 @@ def test_identifiable_effects_with_and_without_link_encoder(make_set: MakeSet) -
         assert possible(checks, effect) == [1, 2]
     for effect in ("backlash", "stiffness_linear", "preload_loss"):
         assert possible(checks, effect) == [1]
-        assert why(checks, effect, 2) == (MISSING_DATA["windup"],)
-    assert why(checks, "encoder_offset", 2) == (MISSING_DATA["link"],)
+        assert why(checks, effect, 2) == (NEEDS["windup"].missing,)
+    assert why(checks, "encoder_offset", 2) == (NEEDS["link"].missing,)
     for effect in ("payload", "base_tilt", "external_contact", "time_delay", "encoder_skew"):
         assert possible(checks, effect) == [None]
     assert "equally warm" in why(checks, "thermal_friction", 1)[0]
@@ -160,7 +161,7 @@ def test_text_and_json_agree(make_set: MakeSet) -> None:
     assert not found[("backlash", 2)]
     text = "\n".join(report_lines(report, checks))
     assert "one.npz (train): 2500 samples, 9.996 s, 250 Hz" in text
-    assert f"backlash: joint 1; not 2 ({MISSING_DATA['windup']})" in text
+    assert f"backlash: joint 1; not 2 ({NEEDS['windup'].missing})" in text
     assert "coulomb: joints 1, 2" in text
     for sentence in (*report.missing, *report.assumptions):
         assert sentence in text

@@ -8,15 +8,7 @@ from synthetic_solution import assessment, problem, robot, solution
 
 from stiffopt.report.common.robot import joint_units
 from stiffopt.report.common.svg import decimate_curve, line_style, to_png, to_svg
-from stiffopt.report.solve.figures import (
-    compared_motions,
-    deflection_figure,
-    motion_figure,
-    stiffness_figure,
-    torque_figure,
-)
-from stiffopt.report.solve.space_figures import exaggeration, path_figure, windup_figure
-from stiffopt.report.stiffness.page import (
+from stiffopt.report.pages.stiffness import (
     StiffnessCurve,
     loss_figure,
     shares_figure,
@@ -25,6 +17,14 @@ from stiffopt.report.stiffness.page import (
     tangent_figure,
     where_contacts_matter,
 )
+from stiffopt.report.solve.figures import (
+    compared_motions,
+    deflection_figure,
+    motion_figure,
+    stiffness_figure,
+    torque_figure,
+)
+from stiffopt.report.solve.space_figures import exaggeration, path_figure, windup_figure
 from stiffopt.robot.stiffness_study import StiffnessRow
 
 

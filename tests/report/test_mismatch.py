@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.judging.explained_shares import ExtensionPart, MismatchShare
+from stiffopt.discovery.names import ValueName
 from stiffopt.discovery.search.rigid_model import BODY_WIDTHS, Counterweight, RigidStage
 from stiffopt.report.diagnosis.mismatch import (
     counterbalance_sentences,

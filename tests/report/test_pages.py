@@ -12,9 +12,9 @@ from stiffopt.report.common.citations import cited, references
 from stiffopt.report.common.text import si
 from stiffopt.report.compare import compare_results
 from stiffopt.report.file_reference import explain_key
+from stiffopt.report.pages.stiffness import write_stiffness_report
 from stiffopt.report.solve.page import write_solve_report
 from stiffopt.report.solve.wording import amount, comparison, objective_text, violation_text
-from stiffopt.report.stiffness.page import write_stiffness_report
 from stiffopt.result.assessment import Violation
 from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.solution import ObjectiveValue

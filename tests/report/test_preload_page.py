@@ -11,7 +11,7 @@ from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.problem import PreloadProblem
 from stiffopt.report.common.text import change, listed
-from stiffopt.report.preload.bolt_figures import flange_drawings, joint_diagrams
+from stiffopt.report.preload.figures import flange_drawings, joint_diagrams
 from stiffopt.report.preload.overview import most_used, utilisation_matrix
 from stiffopt.report.preload.page import write_preload_report
 from stiffopt.report.preload.words import (

@@ -9,8 +9,11 @@ import pytest
 from stiffopt.drivetrain import catalogue
 from stiffopt.dynamics.bearings import dynamic_bearing_displacements
 from stiffopt.errors import InputError, InputFileError
-from stiffopt.robot.bearing_deflection import bearing_deflections, dynamic_bearing_deflections
-from stiffopt.robot.bearing_joints import with_bearing_joints
+from stiffopt.robot.bearings import (
+    bearing_deflections,
+    dynamic_bearing_deflections,
+    with_bearing_joints,
+)
 from stiffopt.robot.files import load_robot
 from stiffopt.robot.joint_load import complete_axes, joint_frames, joint_wrenches
 from stiffopt.robot.link_beam import LinkBeam

@@ -17,13 +17,13 @@ from stiffopt.connection import Constant
 from stiffopt.drivetrain.bearing import OutputBearing
 from stiffopt.drivetrain.chain import Chain, Stage
 from stiffopt.elastic.arm import ElasticArm
-from stiffopt.elastic.led_error import _ideal_command, _ServoChange, led_error
 from stiffopt.elastic.servo import Servo
 from stiffopt.elastic.uncertain_arms import Member, UncertainArms
 from stiffopt.elastic.uncertainty import AssumedUncertainty, ParameterBox, Uncertainty
+from stiffopt.elastic.worst_arms import _ideal_command, _ServoChange, led_error
 from stiffopt.errors import ProblemError
 from stiffopt.problem.formulation import Scales
-from stiffopt.problem.limits.travel import with_bounded_travel
+from stiffopt.problem.limits.position import with_bounded_travel
 from stiffopt.problem.motor_model import MotorModel
 from stiffopt.problem.objective import OBJECTIVES, Objective
 from stiffopt.problem.resolve import resolve

@@ -10,7 +10,7 @@ from stiffopt.errors import ProblemError
 from stiffopt.files import load_json, read_table
 from stiffopt.improvement.given_motion import GivenMotion
 from stiffopt.improvement.improvement import improve
-from stiffopt.report.improvement.page import answer, faults
+from stiffopt.report.pages.improvement import answer, faults
 from stiffopt.robot.files import load_robot
 
 START = np.array([0.2, 0.3, -0.4, 0.2, 0.6, 0.1])

@@ -8,8 +8,7 @@ from stiffopt.path import path_duty
 from stiffopt.path.path_duty import describe_duty, motion_duty, slowing_within_duty
 from stiffopt.path.timed_path import timed_motion
 from stiffopt.problem.files import load_problem
-from stiffopt.result.duty import Duty, DutyLimits, JointDuty
-from stiffopt.result.life_rating import LifeRating
+from stiffopt.result.duty import Duty, DutyLimits, JointDuty, LifeRating
 
 PROBLEM = """schema = 1
 kind = "trajectory"

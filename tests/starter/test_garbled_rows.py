@@ -7,8 +7,7 @@ from small_arms import ROOT
 
 from stiffopt.recording.readers.columns import UNNAMED_COLUMN
 from stiffopt.robot.files import load_robot
-from stiffopt.starter.garbled_rows import drop_garbled_rows, longest_increasing
-from stiffopt.starter.table_layouts import name_blocks
+from stiffopt.starter.table_layouts import drop_garbled_rows, longest_increasing, name_blocks
 
 TIME = np.arange(0.0, 5.0, 0.01)
 
@@ -59,3 +58,21 @@ def test_blocks_are_recognised_in_spite_of_garbled_rows_and_further_signals():
     )
     assert "time, position, velocity, torque, other 1, other 2" in reason
     assert {"t", "position[0]", "velocity[1]", "torque[1]", "other 2[0]"} <= set(named)
+
+
+def test_velocities_are_recognised_where_a_logger_is_late_by_parts_of_a_row():
+    robot = load_robot(ROOT / "problems" / "recordings" / "two_link_friction" / "robot.urdf")
+    draw = np.random.default_rng(0)
+    step = 0.005
+    time = step * np.arange(6000)
+    read = time + step * draw.uniform(-1.0, 1.0, len(time))
+    position = np.column_stack([np.sin(read), np.cos(2.0 * read)])
+    speed = np.column_stack([np.cos(time), -2.0 * np.sin(2.0 * time)])
+    torque = draw.standard_normal(position.shape)
+    rows = np.column_stack([time, position, speed, torque])
+    named, reason = name_blocks(
+        {f"{UNNAMED_COLUMN} {k}": column for k, column in enumerate(rows.T)}, robot
+    )
+    assert "time, position, velocity, torque" in reason
+    assert "QUESTION" not in reason
+    assert "velocity[1]" in named

@@ -57,7 +57,7 @@ def test_both_legs_of_a_free_trunk_are_an_arm_on_a_fixed_base(tmp_path, capsys):
     joints = [f"{part}_{side}" for side in "lr" for part in ("hip", "thigh", "calf")]
     own = start_set(tmp_path, write_legs(tmp_path), joints)
     assert set(own.joints) == set(joints)
-    assert "floating at 0 (free in the model)" in capsys.readouterr().out
+    assert "Held at 0 (free in the model): floating." in capsys.readouterr().out
 
 
 def test_one_leg_is_named_by_its_tip(tmp_path):

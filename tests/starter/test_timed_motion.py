@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from stiffopt.errors import InputError
-from stiffopt.export.formats.ros2 import Ros2
+from stiffopt.export.formats.sampled_points import Ros2
 from stiffopt.export.motion import SampledMotion
 from stiffopt.robot.files import load_robot
 from stiffopt.starter.timed_motion import read_timed_motion
@@ -99,6 +99,15 @@ def test_own_ros_export_is_read_back(arm, tmp_path):
     path = tmp_path / "joint_trajectory.yaml"
     path.write_text(text)
     np.testing.assert_allclose(read_timed_motion(path, arm).position, POSITION, atol=1e-12)
+
+
+def test_rows_written_twice_are_left_out_and_told(arm, tmp_path):
+    twice = np.sort(np.append(np.arange(len(TIME)), [3, 3, 7]))
+    path = write_table(tmp_path / "m.csv", f"t,{joint_names(6)}", TIME[twice], POSITION[twice])
+    read = read_timed_motion(path, arm)
+    np.testing.assert_array_equal(read.time, TIME)
+    np.testing.assert_array_equal(read.position, POSITION)
+    assert "3 rows that repeat the row before: left out" in read.reasons
 
 
 def test_set_points_are_preferred_to_measured_positions(arm, tmp_path):

@@ -25,6 +25,20 @@ from stiffopt.robot.files import load_robot
 from stiffopt.starter.problem_file import first_motion
 
 
+def test_tool_of_an_arm_with_flange_and_tool0_has_the_axes_of_the_controller(tmp_path):
+    """As ROS-Industrial names them: x is outward at the flange, z at tool0."""
+    turned = '<origin rpy="0 1.5707963 0"/>'
+    flange = joint(
+        "mount", "link6", "flange", kind="fixed", origin="0 0 0.1", inside="", axis="1 0 0"
+    )
+    tool = '<link name="tool0"/><joint name="turn" type="fixed"><parent link="flange"/>' + (
+        f'<child link="tool0"/>{turned}</joint>'
+    )
+    arm = load_robot(written(tmp_path, chain(6), flange, tool))
+    assert (arm.tool.link, arm.flange.link) == ("tool0", "tool0")
+    np.testing.assert_allclose(arm.tool.rotation[:, 2], [1.0, 0.0, 0.0], atol=1e-6)
+
+
 def test_mimic_cylinder_is_not_a_branch(tmp_path):
     """As of the counterbalance of an industrial arm."""
     follows = LIMIT + '<mimic joint="2" multiplier="-0.25"/>'

@@ -9,27 +9,33 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from stiffopt.discovery.catalogue.base_tilt import BASE_TILT
-from stiffopt.discovery.catalogue.belt_creep import BELT_CREEP
-from stiffopt.discovery.catalogue.contacts import CONTACTS
-from stiffopt.discovery.catalogue.coupled_drive import COUPLED_DRIVE
-from stiffopt.discovery.catalogue.crosstalk import CROSSTALK
+from stiffopt.discovery.catalogue.contacts import CONTACTS, COUPLED_DRIVE, TOOL_FORCES
+from stiffopt.discovery.catalogue.drift import (
+    FRICTION_DRIFT,
+    FRICTION_WARMUP,
+    GAIN_DRIFTS,
+    GAIN_WARMUP,
+)
 from stiffopt.discovery.catalogue.elastic import BACKLASH, HYSTERESIS, OUTPUT_BACKLASH
-from stiffopt.discovery.catalogue.friction import FRICTION, QUADRATIC_DRAG, STROKE_FRICTION
-from stiffopt.discovery.catalogue.friction_drift import FRICTION_DRIFT
-from stiffopt.discovery.catalogue.gain_drift import GAIN_DRIFTS
+from stiffopt.discovery.catalogue.friction import (
+    FRICTION,
+    LUBRICATED_FRICTION,
+    QUADRATIC_DRAG,
+    STROKE_FRICTION,
+)
+from stiffopt.discovery.catalogue.geometry import BASE_TILT, JOINT_ZERO
 from stiffopt.discovery.catalogue.inertial import INERTIAL
-from stiffopt.discovery.catalogue.joint_damping import JOINT_DAMPING
-from stiffopt.discovery.catalogue.joint_zero import JOINT_ZERO
-from stiffopt.discovery.catalogue.lubricated_friction import LUBRICATED_FRICTION
 from stiffopt.discovery.catalogue.periodic import PERIODIC
 from stiffopt.discovery.catalogue.preload_loss import PRELOAD_LOSS
-from stiffopt.discovery.catalogue.sensors import SENSORS
+from stiffopt.discovery.catalogue.sensors import CROSSTALK, SENSORS
 from stiffopt.discovery.catalogue.springs import SPRINGS
-from stiffopt.discovery.catalogue.stiffness import K1_SOFTENING, STIFFNESS_LINEAR
+from stiffopt.discovery.catalogue.stiffness import (
+    BELT_CREEP,
+    JOINT_DAMPING,
+    K1_SOFTENING,
+    STIFFNESS_LINEAR,
+)
 from stiffopt.discovery.catalogue.timing import TIMING
-from stiffopt.discovery.catalogue.tool_force import TOOL_FORCES
-from stiffopt.discovery.catalogue.warmup import FRICTION_WARMUP, GAIN_WARMUP
 from stiffopt.discovery.effect import Effect
 from stiffopt.errors import InputError, nearest
 
@@ -80,7 +86,7 @@ def confused_with(entry: Effect, effects: Sequence[Effect] = CATALOGUE) -> tuple
 
 
 def effects_of_runs(
-    effects: Sequence[Effect], runs: Sequence[str], after: Sequence[str] = ()
+    effects: Sequence[Effect], runs: Sequence[str], after: Sequence[str]
 ) -> tuple[Effect, ...]:
     """Return effects with one amplitude per run where they have such.
 
@@ -89,9 +95,9 @@ def effects_of_runs(
     `runs`: names of the training runs. `after`: names of the runs in another state of the robot
     than the others.
     """
-    states = {"states": ["after" if run in after else "before" for run in runs]} if after else {}
+    states = ["after" if run in after else "before" for run in runs]
     return tuple(
-        each if each.of_runs is None else each.of_runs(tuple(runs), **states)
+        each if each.of_runs is None else each.of_runs(tuple(runs), states)
         for each in effects
         if each.of_runs is None or len(runs) <= _MAX_RUNS
     )

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
-from stiffopt.discovery.effect import Amplitude, Values
+from stiffopt.discovery.effect import Amplitude
 from stiffopt.discovery.signals import JointConstants
-from stiffopt.symbolic import Quantity
 
 # Scale of a term without a linear parameter. It is 1 where the shapes hold exactly: a refined fit
 # fixes it at 1 and reports only the shapes.
 WEIGHT = Amplitude("weight", "", 1.0, 0.0, 1.5)
-
-# Prefix of run names in names of amplitudes of effects of runs.
-RUN_PREFIX = "of "
 
 # Typical size of a change by breakage, exchange or wrong setting over that of an error as built.
 CHANGED_SCALE_RATIO = 3.0
@@ -76,6 +72,16 @@ def carried_share(constants: JointConstants) -> float:
     return min(1.0, max(carried, (_MAX_RATED_OVER_CARRIED * carried) ** 2))
 
 
+def shares_of_carried(*shares: float) -> Callable[[JointConstants], tuple[float, ...]]:
+    """Return the initial shapes that are shares of a rated torque, as of a meaningful rating."""
+    return lambda constants: tuple(carried_share(constants) * share for share in shares)
+
+
+def symmetric_amplitude(name: str, unit: str, typical: float, most: float) -> Amplitude:
+    """Return an amplitude of a typical size within bounds alike in both directions."""
+    return Amplitude(name, unit, typical, -most / typical, most / typical)
+
+
 def along_stroke(constants: JointConstants, count: int) -> tuple[float, ...]:
     """Return angles at the centres of equal parts of the stroke [rad]."""
     low, high = constants.stroke
@@ -94,19 +100,6 @@ def on_wrist(constants: JointConstants) -> bool:
 
 
 Constants = Any
-
-
-def amplitudes_of_runs(
-    runs: Iterable[str], scale: float, lower: float, upper: float
-) -> tuple[Amplitude, ...]:
-    """Return one relative amplitude per run with its typical size, and its bounds over that."""
-    return tuple(Amplitude(f"{RUN_PREFIX}{run}", "", scale, lower, upper) for run in runs)
-
-
-def deviation_from_state(amplitudes: Values, states: Sequence[str], run: int) -> Quantity:
-    """Return the deviation of a run from the mean of the runs of its state."""
-    own = [a for a, state in zip(amplitudes, states, strict=True) if state == states[run]]
-    return amplitudes[run] - sum(own) / len(own)
 
 
 # ---- recurrences over samples, of effects with memory

@@ -1,7 +1,15 @@
-"""External loads: coupling with the previous joint, and contact of the tool."""
+"""External loads, and couplings with the previous joint: by gears, or by a drive of both."""
 
 from __future__ import annotations
 
+import numpy as np
+
+from stiffopt.discovery.catalogue.common import (
+    dry_friction,
+    motor_inertia,
+    symmetric_amplitude,
+    viscous_friction,
+)
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term, Values
 from stiffopt.discovery.signals import JointSignals, RobotConstants, RobotSignals, smooth_sign
 from stiffopt.symbolic import smooth_abs
@@ -65,15 +73,7 @@ WRIST_COUPLING = Effect(
     " correct it by {c}.",
     needs=("sensor", "moves", "before"),
     term=wrist_coupling_term,
-    amplitudes=(
-        Amplitude(
-            "c",
-            "",
-            _TYPICAL_COUPLING,
-            -_MAX_COUPLING / _TYPICAL_COUPLING,
-            _MAX_COUPLING / _TYPICAL_COUPLING,
-        ),
-    ),
+    amplitudes=(symmetric_amplitude("c", "", _TYPICAL_COUPLING, _MAX_COUPLING),),
     shapes=(
         Shape("about", "", (0.0,), -_MAX_COUPLING, _MAX_COUPLING, 0.0, "secant", reported=False),
         Shape("at_link", "", (0.0, 1.0), 0.0, 1.0, 0.0, "held", reported=False),
@@ -101,3 +101,105 @@ EXTERNAL_CONTACT = Effect(
 )
 
 CONTACTS = (WRIST_COUPLING, EXTERNAL_CONTACT)
+
+
+# Smallest share of the previous joint in the motor's turning; gears of wrists have 1.
+_MIN_DRIVE_SHARE = 0.5
+
+
+def coupled_drive_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
+    """Return Fc sg(w) + Fv w + J dw/dt of a motor, w = v_j + c v_before, on both joints.
+
+    In many wrists the motor of one joint sits behind the previous joint, so that it turns by the
+    sum of both angles. A model with one rotor and friction per joint has neither.
+    """
+    share = shapes[0]
+    speed = signals.motor_velocity + share * signals.previous_velocity
+    rate = signals.motor_acceleration + share * signals.previous_acceleration
+    dry, viscous, inertia = amplitudes
+    torque = dry * smooth_sign(speed) + viscous * speed + inertia * rate
+    return Term(drive_torque=torque, previous_torque=share * torque)
+
+
+COUPLED_DRIVE = Effect(
+    name="coupled_drive",
+    family="friction",
+    scope="joint",
+    equation="tau_j += f, tau_before += c*f, f = Fc*sg(w) + Fv*w + J*dw/dt, w = v_j + c*v_before",
+    signature="motor torques of a wrist joint and the one before off together, with the speed of"
+    " their sum or difference",
+    phrase="a drive that turns with the joint before too, {c} turns a turn",
+    remedy="Check in the gear plan of the wrist whether {where} is coupled with the joint"
+    " before, and enter its friction as that of the sum.",
+    needs=("torque", "moves", "reverses", "before"),
+    confused_with=("coulomb", "viscous", "rotor_inertia"),
+    term=coupled_drive_term,
+    amplitudes=(
+        Amplitude("Fc", "N m", dry_friction, 0.0, 10.0),
+        Amplitude("Fv", "N m s/rad", viscous_friction, 0.0, 10.0),
+        Amplitude("J", "kg m^2", motor_inertia, 0.0, 10.0),
+    ),
+    shapes=(Shape("c", "", (1.0, -1.0), -1.5, 1.5),),
+    applies=lambda constants: constants.joint > 4,
+    # Otherwise it is an ordinary drive.
+    possible=lambda shapes, constants: abs(shapes[0]) >= _MIN_DRIVE_SHARE,
+    log_prior=lambda constants: -1.0,
+    separate="Move both wrist joints together and against each other at one speed: the friction of"
+    " their sum vanishes in one of the two.",
+)
+
+
+_FORCE_COMPONENTS = tuple(
+    Amplitude(
+        name,
+        "N",
+        # 3 % of the weight of the arm.
+        lambda constants: max(0.03 * 9.81 * float(np.sum(constants.masses)), 0.5),
+        -40.0,
+        40.0,
+    )
+    for name in ("fx", "fy", "fz")
+)
+
+
+def _describe_remedy(amplitudes: Values, shapes: Values, constants: RobotConstants) -> str:
+    parts = ", ".join(f"{value:.1f}" for value in amplitudes)
+    return (
+        f"A force of ({parts}) N pulls at the tool in every run: look for a hose, a cable or a"
+        " balancer there, and record without it if it is not part of the arm."
+    )
+
+
+TOOL_FORCE = Effect(
+    name="tool_force",
+    family="contact",
+    scope="robot",
+    equation="s += -J^T*f, f constant in the base",
+    signature="torques of several joints off as under one force on the tool of constant direction",
+    phrase="a constant force at the tool",
+    needs=("torque", "moves", "tool_frame"),
+    confused_with=("payload", "external_contact", "base_tilt"),
+    term=lambda signals, a, s: Term(link_torque=-(signals.tool_levers[..., :3] @ np.asarray(a))),
+    amplitudes=_FORCE_COMPONENTS,
+    remedy=_describe_remedy,
+    separate="Accelerate the tool in the direction of the force: a payload's torque grows with the"
+    " acceleration, that of a pulling hose does not.",
+)
+
+TURNING_TOOL_FORCE = Effect(
+    name="turning_tool_force",
+    family="contact",
+    scope="robot",
+    equation="s += -J^T*R*f, f constant in the tool",
+    signature="torques of several joints off as under one force on the tool that turns with it",
+    phrase="a force that is fixed to the tool",
+    needs=("torque", "moves", "tool_frame"),
+    confused_with=("payload", "tool_force"),
+    term=lambda signals, a, s: Term(link_torque=-(signals.tool_levers[..., 3:] @ np.asarray(a))),
+    amplitudes=_FORCE_COMPONENTS,
+    remedy=_describe_remedy,
+    separate="Turn the wrist by half a turn at one place: the force of a spring in the tool turns"
+    " with it, that of a hose and of a payload does not.",
+)
+
+TOOL_FORCES = (TOOL_FORCE, TURNING_TOOL_FORCE)

@@ -16,6 +16,7 @@ from stiffopt.discovery.catalogue.common import (
     dry_friction,
     linear_recurrence,
     motor_inertia,
+    shares_of_carried,
     viscous_friction,
     winds_up,
 )
@@ -114,16 +115,7 @@ BACKLASH = Effect(
     is_play=True,
     amplitudes=(Amplitude("width", "rad", 3e-4, 0.0, 10.0),),
     shapes=(
-        Shape(
-            "rounding",
-            "",
-            lambda constants: tuple(
-                carried_share(constants) * share for share in (0.002, 0.008, 0.03)
-            ),
-            1e-7,
-            0.08,
-            reported=False,
-        ),
+        Shape("rounding", "", shares_of_carried(0.002, 0.008, 0.03), 1e-7, 0.08, reported=False),
     ),
     possible=lambda shapes, constants: shapes[0] >= _MIN_ROUNDING * carried_share(constants),
     applies=winds_up,

@@ -15,6 +15,7 @@ from stiffopt.discovery.catalogue.common import (
     along_stroke,
     carried_share,
     dry_friction,
+    shares_of_carried,
     viscous_friction,
 )
 from stiffopt.discovery.catalogue.robot_change import add_to_nominal_value
@@ -55,19 +56,6 @@ def stribeck_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> 
     return Term(drive_torque=amplitudes[0] * fall * signals.motor_direction)
 
 
-def load_friction_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
-    """Return friction mu |s| sg(w) of the load, its magnitude rounded at zero."""
-    load = rounded_load(signals, shapes[0])
-    return Term(drive_torque=amplitudes[0] * load * signals.motor_direction)
-
-
-def asym_friction_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
-    """Return dFc + dFv |w| while moving in either direction, zero at rest."""
-    w = signals.motor_velocity
-    side = signals.motor_direction
-    return Term(drive_torque=amplitudes[0] * side * side + amplitudes[1] * w * side)
-
-
 def position_friction_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return friction A exp(-((q - q0)/width)^2 / 2) sg(w) at an angle."""
     place, width = shapes
@@ -81,12 +69,6 @@ def stroke_friction_term(signals: JointSignals, amplitudes: Values, shapes: Valu
     q = signals.link_position
     inside = 0.5 * (np.tanh((q - first) / _EDGE_WIDTH) - np.tanh((q - last) / _EDGE_WIDTH))
     return Term(drive_torque=amplitudes[0] * inside * signals.motor_direction)
-
-
-def quadratic_drag_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
-    """Return drag D w |w|."""
-    w = signals.motor_velocity
-    return Term(drive_torque=amplitudes[0] * w * rounded_speed(w))
 
 
 def thermal_friction_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
@@ -136,7 +118,7 @@ def is_definite_load(share: float, constants: JointConstants) -> bool:
 LOAD_ROUNDING = Shape(
     "rounding",
     "",
-    lambda constants: (_LOAD_ROUNDING_SHARE * carried_share(constants),),
+    shares_of_carried(_LOAD_ROUNDING_SHARE),
     1e-7,
     0.1,
     _LOAD_ROUNDING_SHARE,
@@ -226,7 +208,9 @@ LOAD_FRICTION = Effect(
     " with mu = {mu}.",
     needs=("torque", "moves", "reverses"),
     reference="BittencourtAxelsson2014",
-    term=load_friction_term,
+    term=lambda signals, a, s: Term(
+        drive_torque=a[0] * rounded_load(signals, s[0]) * signals.motor_direction
+    ),
     amplitudes=(Amplitude("mu", "", 0.1, 0.0, 6.0),),
     shapes=(LOAD_ROUNDING,),
     possible=lambda shapes, constants: is_definite_load(shapes[0], constants),
@@ -248,7 +232,10 @@ ASYM_FRICTION = Effect(
     needs=("torque", "moves", "reverses"),
     confused_with=("torque_offset",),
     reference="ArmstrongEtAl1994",
-    term=asym_friction_term,
+    term=lambda signals, a, s: Term(
+        drive_torque=a[0] * signals.motor_direction * signals.motor_direction
+        + a[1] * signals.motor_velocity * signals.motor_direction
+    ),
     amplitudes=(
         Amplitude("dFc", "N m", half_dry_friction, -2.0, 2.0),
         Amplitude("dFv", "N m s/rad", viscous_friction, -1.0, 1.0),
@@ -342,7 +329,9 @@ QUADRATIC_DRAG = Effect(
     needs=("torque", "moves", "speeds"),
     confused_with=("viscous", "lubricated_friction"),
     reference="BittencourtAxelsson2014",
-    term=quadratic_drag_term,
+    term=lambda signals, a, s: Term(
+        drive_torque=a[0] * signals.motor_velocity * rounded_speed(signals.motor_velocity)
+    ),
     amplitudes=(
         Amplitude(
             "D",
@@ -365,4 +354,80 @@ FRICTION = (
     ASYM_FRICTION,
     POSITION_FRICTION,
     THERMAL_FRICTION,
+)
+
+
+# ---- a lubricated joint: load, speed and temperature together
+
+# Exponent of the speed, as measured by Bittencourt and Axelsson.
+_SPEED_EXPONENT = 1.3
+# Temperature range over which the low-speed part typically doubles [K].
+_TEMPERATURE_RANGE = 20.0
+
+
+def lubricated_friction_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
+    """Return load friction, increased where the film is thin, and falling viscous friction.
+
+    Bittencourt and Axelsson (2014) measured interactions that the separate laws lack: load friction
+    increases at low speed, where the film is thin, and a warm film is thin up to higher speeds.
+    Their law, as a change from dry and viscous friction at the temperature of their identification,
+    with the speed below which the film is thin growing as viscosity falls (one exponent for both)
+    in place of a linear dependence.
+    """
+    of_load, of_load_slow, slow, slow_by_kelvin, weight = amplitudes
+    speed, exponent, rounding = shapes
+    w, rise = signals.motor_velocity, signals.temperature_rise
+    viscosity = np.exp(-exponent * rise)
+    thin = np.exp(-((rounded_speed(w) * viscosity / speed) ** _SPEED_EXPONENT))
+    load = rounded_load(signals, rounding)
+    level = of_load * load + (of_load_slow * load + slow + slow_by_kelvin * rise) * thin
+    viscous = viscous_friction(signals.constants) * (viscosity - 1.0)
+    return Term(drive_torque=level * signals.motor_direction + weight * viscous * w)
+
+
+LUBRICATED_FRICTION = Effect(
+    name="lubricated_friction",
+    family="friction",
+    scope="joint",
+    equation="tau += (mu*abs(s) + (mu_slow*abs(s) + A + A_T*(T - T0))*thin)*sg(w)"
+    " + (eta - 1)*Fv*w, eta = exp(-b*(T - T0)), thin = exp(-abs(eta*w/vs)^1.3)",
+    signature="motor torque off against the motion by a share of the load that is larger at low"
+    " speed, or at low speed by more as the housing warms",
+    phrase="friction that depends on load, speed and temperature together, {mu} of the load",
+    remedy="Check oil and grease of {where}; in the model, add the friction of extended.toml.",
+    needs=("torque", "moves", "reverses", "slow"),
+    confused_with=("load_friction", "stribeck", "thermal_friction"),
+    reference="BittencourtAxelsson2014",
+    term=lubricated_friction_term,
+    amplitudes=(
+        Amplitude("mu", "", 0.1, 0.0, 6.0),
+        Amplitude("mu_slow", "", 0.1, 0.0, 6.0, own=True),
+        Amplitude("A", "N m", half_dry_friction, 0.0, 4.0),
+        Amplitude(
+            "A_T",
+            "N m/K",
+            lambda constants: 0.5 * dry_friction(constants) / _TEMPERATURE_RANGE,
+            0.0,
+            4.0,
+            own=True,
+        ),
+        WEIGHT,
+    ),
+    shapes=(
+        Shape("vs", "rad/s", start_slow_speeds, 0.005, 0.5),
+        Shape("b", "1/K", (0.03,), 1e-4, 0.1),
+        LOAD_ROUNDING,
+    ),
+    report=lambda amplitudes, shapes, constants: {
+        "mu": amplitudes[0],
+        "mu_slow": amplitudes[1],
+        "A": amplitudes[2],
+        "A_T": amplitudes[3],
+        "vs": shapes[0],
+        "b": amplitudes[4] * shapes[1],
+    },
+    possible=lambda shapes, constants: is_definite_load(shapes[2], constants),
+    separate="Move at five speeds down to 0.02 rad/s, with two payloads, cold and after half an"
+    " hour of work: a load that rubs more when slow, and slow friction that grows with warmth, are"
+    " of the film.",
 )

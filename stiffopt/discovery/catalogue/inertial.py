@@ -14,19 +14,15 @@ from stiffopt.discovery.catalogue.robot_change import add_to_body, add_to_nomina
 from stiffopt.discovery.effect import (
     Amplitude,
     Effect,
-    FittedEffect,
     Reported,
-    RobotChange,
     Term,
     Values,
 )
 from stiffopt.discovery.signals import (
     PARAMETERS_PER_BODY,
-    JointConstants,
     RobotConstants,
     RobotSignals,
 )
-from stiffopt.robot.robot import Robot
 from stiffopt.symbolic import Quantity
 
 # Typical error of a centre of mass [m].
@@ -47,13 +43,6 @@ def body_term(signals: RobotSignals, amplitudes: Values, body: int) -> Term:
     return Term(link_torque=torque)
 
 
-def change_body(
-    robot: Robot, found: FittedEffect, joint: int, constants: JointConstants
-) -> RobotChange:
-    """Return the robot with other inertial parameters of the link."""
-    return add_to_body(robot, found, joint, "Masses")
-
-
 def _report_payload(amplitudes: Values, shapes: Values, constants: Constants) -> Reported:
     mass, *moments = amplitudes[:4]
     places = (ratio_or_zero(moment, mass) for moment in moments)
@@ -69,11 +58,6 @@ def _report_link(amplitudes: Values, shapes: Values, constants: Constants) -> Re
         "dI": float(np.linalg.norm((xx, yy, zz))),
         **dict(zip(("dmcx", "dmcy", "dmcz"), moments, strict=True)),
     }
-
-
-def _typical_rotor_change(constants: JointConstants) -> float:
-    """Return the typical error of a stated rotor inertia, or that of none: the whole one."""
-    return (0.25 if constants.rotor_inertia > 0.0 else 1.0) * motor_inertia(constants)
 
 
 def _typical_mass(constants: RobotConstants) -> float:
@@ -130,7 +114,10 @@ ROTOR_INERTIA = Effect(
         Amplitude(
             "dJ",
             "kg m^2",
-            _typical_rotor_change,
+            # The typical error of a stated value, or that of none: the whole one.
+            lambda constants: (
+                (0.25 if constants.rotor_inertia > 0.0 else 1.0) * motor_inertia(constants)
+            ),
             -2.0,
             40.0,
             CHANGED_SCALE_RATIO,
@@ -178,7 +165,7 @@ INERTIAL_ERROR = Effect(
     needs=("torque", "moves"),
     confused_with=("torque_gain", "joint_zero"),
     shifts_weight=True,
-    change_robot=change_body,
+    change_robot=lambda robot, found, joint, constants: add_to_body(robot, found, joint, "Masses"),
     term=lambda signals, a, s: body_term(signals, a, signals.link),
     amplitudes=(_MASS_AMPLITUDE, *_moment_amplitudes("dmcx", "dmcy", "dmcz"), *_INERTIA_AMPLITUDES),
     report=_report_link,

@@ -10,6 +10,7 @@ from stiffopt.discovery.catalogue.common import (
     Constants,
     carried_share,
     contact_compliance,
+    shares_of_carried,
     winds_up,
 )
 from stiffopt.discovery.catalogue.robot_change import (
@@ -147,15 +148,7 @@ PRELOAD_LOSS = Effect(
     term=preload_loss_term,
     amplitudes=(Amplitude("c", "", 1.0, 0.0, 20.0),),
     shapes=(
-        Shape(
-            "left",
-            "",
-            lambda constants: tuple(
-                carried_share(constants) * share for share in (0.005, 0.05, 0.5)
-            ),
-            1e-7,
-            10.0,
-        ),
+        Shape("left", "", shares_of_carried(0.005, 0.05, 0.5), 1e-7, 10.0),
         Shape("power", "", (0.35, 0.65), 0.3, 0.9),
     ),
     report=_report_pressure_and_windup,

@@ -64,11 +64,6 @@ def _typical_stiffness(constants: JointConstants) -> float:
     return 0.1 * constants.torque_rated
 
 
-def _is_within_stroke(shapes: Values, constants: JointConstants) -> bool:
-    low, high = constants.stroke
-    return bool(low <= shapes[0] <= high)
-
-
 GRAVITY_SPRING = Effect(
     name="gravity_spring",
     family="spring",
@@ -141,7 +136,7 @@ END_STOP = Effect(
         Shape("q0", "rad", lambda constants: along_stroke(constants, 6), -20.0, 20.0),
         Shape("side", "", (-1.0, 1.0), -1.0, 1.0, reported=False),
     ),
-    possible=_is_within_stroke,
+    possible=lambda shapes, constants: constants.stroke[0] <= shapes[0] <= constants.stroke[1],
     separate="Go to that end of the stroke slowly, and stop short of it: a stop has no effect short"
     " of its angle, cables and weight pull everywhere.",
 )

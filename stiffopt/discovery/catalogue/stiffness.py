@@ -1,4 +1,4 @@
-"""Stiffness other than nominal: of the whole joint, or the first slope of the reducer."""
+"""Stiffness and damping other than nominal, and creep: of a joint, its reducer or its belt."""
 
 from __future__ import annotations
 
@@ -9,7 +9,13 @@ import numpy as np
 from stiffopt.connection.connection import Connection
 from stiffopt.connection.constant import Constant
 from stiffopt.connection.reducer import Reducer
-from stiffopt.discovery.catalogue.common import WEIGHT, Constants, winds_up
+from stiffopt.discovery.catalogue.common import (
+    WEIGHT,
+    Constants,
+    first_order_lag,
+    winds_up,
+    working_compliance,
+)
 from stiffopt.discovery.catalogue.robot_change import (
     TORQUE_SHARES,
     chain_of,
@@ -86,11 +92,6 @@ def _report_corners(amplitudes: Values, shapes: Values, constants: Constants) ->
     return {"k1_factor": 1.0 / softer, "t1_factor": shapes[1]}
 
 
-def _has_reducer_corners(constants: JointConstants) -> bool:
-    slopes = constants.slopes
-    return slopes is not None and constants.corners is not None and slopes[0] != slopes[2]
-
-
 def wear_reducer(
     robot: Robot, found: FittedEffect, joint: int, constants: JointConstants
 ) -> RobotChange | None:
@@ -162,7 +163,101 @@ K1_SOFTENING = Effect(
         Shape("t1_factor", "", (0.7, 1.0, 1.6), 0.5, 3.0),
     ),
     report=_report_corners,
-    applies=_has_reducer_corners,
+    applies=lambda constants: (
+        constants.slopes is not None
+        and constants.corners is not None
+        and constants.slopes[0] != constants.slopes[2]
+    ),
     separate="Reach torques well beyond the first corner: a worn reducer stops getting softer"
     " there, loosened contacts keep growing, backlash has no width in torque.",
+)
+
+
+def belt_creep_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
+    """Return the wind-up C_now s + C_creep y, dy/dt = (s - y)/tau_r."""
+    s = signals.spring_torque
+    # A belt has settled under the load at the begin of the run.
+    slow = first_order_lag(s, np.exp(-signals.dt / shapes[0]))
+    return Term(deflection=amplitudes[0] * s + amplitudes[1] * slow)
+
+
+def put_belt_in_series(
+    robot: Robot, found: FittedEffect, joint: int, constants: JointConstants
+) -> RobotChange | None:
+    """Return the robot with a spring in series as soft as the settled belt."""
+    compliance = float(sum(found.amplitudes))
+    if compliance <= 0.0:
+        return None
+    mean = compliance * float(np.mean(TORQUE_SHARES)) * constants.torque_rated
+    chain, sentence = with_series_spring(chain_of(robot, joint), mean, constants)
+    return with_chain(robot, joint, chain, f"{sentence[:-1]}, a belt that has settled under load.")
+
+
+BELT_CREEP = Effect(
+    name="belt_creep",
+    family="elastic",
+    scope="joint",
+    equation="d += C_now*s + C_creep*y, dy/dt = (s - y)/tau_r",
+    signature="added wind-up that lags the load by a fixed time",
+    phrase="a belt that creeps, {C} within {tau_r}",
+    remedy="Check tension and age of the belt of {where}.",
+    needs=("windup", "moves"),
+    change_robot=put_belt_in_series,
+    term=belt_creep_term,
+    amplitudes=(
+        Amplitude("C_now", "rad/(N m)", working_compliance, 0.0, 2.0),
+        Amplitude("C_creep", "rad/(N m)", working_compliance, 0.0, 2.0),
+    ),
+    shapes=(Shape("tau_r", "s", (0.03, 0.1, 0.3, 1.0), 0.01, 5.0),),
+    report=lambda a, s, constants: {"C": a[0] + a[1], "tau_r": s[0]},
+    units={"C": "rad/(N m)"},
+    applies=lambda constants: winds_up(constants) and constants.belt is not False,
+    lags=True,
+    separate="Run one path fast and slowly: creep shows in the difference, a plain change of"
+    " stiffness and hysteresis do not.",
+)
+
+
+def joint_damping_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
+    """Return wind-up -dD (w - v) D'(s): the damper takes part of the torque from the spring."""
+    rate = signals.motor_velocity - signals.link_velocity
+    slope = signals.constants.compliance(signals.spring_torque)
+    return Term(deflection=-amplitudes[0] * rate * slope)
+
+
+def change_damping(
+    robot: Robot, found: FittedEffect, joint: int, constants: JointConstants
+) -> RobotChange:
+    """Return the robot with the estimated damping."""
+    damping = np.full(robot.n, np.nan) if robot.damping is None else robot.damping.copy()
+    before = constants.joint_damping
+    damping[joint] = max(before + found.amplitudes[0], 0.0)
+    return RobotChange(
+        replace(robot, damping=damping),
+        f"Joint {joint + 1}: damping {before:.4g} to {damping[joint]:.4g} N m s/rad.",
+    )
+
+
+JOINT_DAMPING = Effect(
+    name="joint_damping",
+    family="elastic",
+    scope="joint",
+    equation="d += -dD*(w - v)*D'(s)",
+    signature="vibration after sharp motion that decays faster or slower than nominal, at the"
+    " frequency that the model has",
+    title="joint damping",
+    nominal="joint_damping",
+    phrase=("{dD} more joint damping than the model", "{dD} less joint damping than the model"),
+    remedy="Enter joint damping {new} for {where}.",
+    needs=("windup", "moves"),
+    confused_with=("hysteresis",),
+    change_robot=change_damping,
+    term=joint_damping_term,
+    amplitudes=(
+        Amplitude("dD", "N m s/rad", lambda constants: constants.joint_damping, -1.0, 20.0),
+    ),
+    # Without a damping value links are modelled quasi-static.
+    applies=lambda constants: constants.elastic and constants.joint_damping > 0.0,
+    separate="Stop sharply and stand still for a second, with and without load: damping takes the"
+    " same share of every period, hysteresis most of small ones, a soft joint vibrates slower.",
 )

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term, Values
-from stiffopt.discovery.signals import JointSignals, RobotSignals
+from stiffopt.discovery.signals import RobotSignals
 
 # Shortest shift [s] whose slope rounding errors leave exact.
 _SHORTEST_SHIFT = 1e-9
@@ -62,20 +62,17 @@ def _cubic_weight(away: np.ndarray) -> np.ndarray:
     return np.asarray(inner - 0.5 * far**3 + 2.5 * far**2 - 4.0 * far + 2.0)
 
 
-def command_delay_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
-    """Return what torque by an actuator's law is ahead of a torque by later commands.
-
-    A planned motion has no law: its commands change with the torque alone.
-    """
-    rate = signals.command_rate
-    return Term(drive_torque=amplitudes[0] * (signals.drive_torque_rate if rate is None else rate))
-
-
 def clock_drift_term(signals: RobotSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return tau(t - d - e t) - tau(t) of all joints, linear in e about the shape, and in d."""
     elapsed = signals.time - signals.time[0]
     drift = shift_slope(signals.drive_torque, signals.dt, shapes[0], elapsed)
     return Term(drive_torque=amplitudes[0] * drift - amplitudes[1] * signals.drive_torque_rate)
+
+
+def _shift_about(unit: str, sizes: tuple[float, ...], most: float, usual: float) -> Shape:
+    """Return the shift that a term is linear about, tried with both signs."""
+    starts = (*(-size for size in reversed(sizes)), *sizes)
+    return Shape("about", unit, starts, -most, most, usual, reported=False)
 
 
 TIME_DELAY = Effect(
@@ -95,17 +92,7 @@ TIME_DELAY = Effect(
     reads_torque=True,
     term=delay_term,
     amplitudes=(Amplitude("d", "s", 5e-3, -10.0, 10.0),),
-    shapes=(
-        Shape(
-            "about",
-            "s",
-            (-0.02, -5e-3, -1e-3, -2e-4, 2e-4, 1e-3, 5e-3, 0.02),
-            -_MAX_DELAY,
-            _MAX_DELAY,
-            1e-4,
-            reported=False,
-        ),
-    ),
+    shapes=(_shift_about("s", (2e-4, 1e-3, 5e-3, 0.02), _MAX_DELAY, 1e-4),),
     linear_about=True,
     signals_key="torque_delay",
     separate="Change speed quickly, then hold it: a delay shows while the torque changes, friction"
@@ -124,7 +111,11 @@ COMMAND_DELAY = Effect(
     remedy="Look for a bus segment, filter or interpolation that only {where} has.",
     needs=("commanded", "moves"),
     confused_with=("viscous",),
-    term=command_delay_term,
+    # A planned motion has no law: its commands change with the torque alone.
+    term=lambda signals, a, s: Term(
+        drive_torque=a[0]
+        * (signals.drive_torque_rate if signals.command_rate is None else signals.command_rate)
+    ),
     amplitudes=(Amplitude("d", "s", 5e-3, 0.0, 10.0),),
     separate="Step the command and hold it: a delay shows at the step alone, friction while the"
     " joint moves.",
@@ -151,17 +142,7 @@ CLOCK_DRIFT = Effect(
         Amplitude("e", "", 1e-3, -10.0, 10.0, own=True),
         Amplitude("d", "s", 5e-3, -10.0, 10.0),
     ),
-    shapes=(
-        Shape(
-            "about",
-            "",
-            (-4e-3, -1e-3, -2e-4, 2e-4, 1e-3, 4e-3),
-            -_MAX_RATE_DIFFERENCE,
-            _MAX_RATE_DIFFERENCE,
-            1e-5,
-            reported=False,
-        ),
-    ),
+    shapes=(_shift_about("", (2e-4, 1e-3, 4e-3), _MAX_RATE_DIFFERENCE, 1e-5),),
     linear_about=True,
     separate="Record one short motion at the start and again at the end of a long run: the delay of"
     " a constant offset is equal in both, that of two clocks is not.",
@@ -184,17 +165,7 @@ RUN_CLOCK = Effect(
     reads_torque=True,
     term=delay_term,
     amplitudes=(Amplitude("d", "s", 0.02, -10.0, 10.0),),
-    shapes=(
-        Shape(
-            "about",
-            "s",
-            (-0.08, -0.02, -0.005, -1e-3, 1e-3, 0.005, 0.02, 0.08),
-            -_MAX_OFFSET,
-            _MAX_OFFSET,
-            1e-4,
-            reported=False,
-        ),
-    ),
+    shapes=(_shift_about("s", (1e-3, 0.005, 0.02, 0.08), _MAX_OFFSET, 1e-4),),
     linear_about=True,
     separate="Repeat the run with one clock for all signals: a cause in the robot stays.",
 )

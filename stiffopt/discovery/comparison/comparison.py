@@ -11,11 +11,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
-from stiffopt.discovery.comparison.design_matrix import (
-    MAX_LINEARISATION_ERROR,
-    MIN_RUNS_AS_BLOCKS,
-    DesignMatrix,
-)
+from stiffopt.discovery.comparison.design_matrix import MAX_LINEARISATION_ERROR, DesignMatrix
 from stiffopt.discovery.comparison.evidence import (
     AddedSums,
     BlockSums,
@@ -33,7 +29,7 @@ from stiffopt.discovery.comparison.inertial_parameters import (
 from stiffopt.discovery.comparison.located_effect import Extension, LocatedEffect, with_amplitudes
 from stiffopt.discovery.comparison.piece_sums import WeightedSums
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
-from stiffopt.discovery.comparison.value_name import ValueName
+from stiffopt.discovery.names import ValueName
 from stiffopt.discovery.settings import MAX_NOMINAL_DEVIATIONS
 
 # Default of a nominal model without an earlier diagnosis.
@@ -146,11 +142,6 @@ class Comparison:
         return Comparison(
             columns, inflation=inflation, least=self._least_known, suspects=self.suspects
         )
-
-    @property
-    def blocks_are_runs(self) -> bool:
-        """True where blocks are whole runs."""
-        return len(self.runs) >= MIN_RUNS_AS_BLOCKS
 
     @property
     def bodies(self) -> np.ndarray | None:

@@ -14,7 +14,7 @@ from stiffopt.discovery.comparison.channel_rows import ChannelNoise, ChannelRows
 from stiffopt.discovery.comparison.extended_run import linearise_run
 from stiffopt.discovery.comparison.extension_change import (
     extension_change,
-    moves_links,
+    link_moving_part,
     with_drive_torque,
 )
 from stiffopt.discovery.comparison.filtering import fill_missing
@@ -27,19 +27,19 @@ from stiffopt.discovery.comparison.located_effect import (
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.nuisance import (
     BODY_VALUES,
-    LINK_MOVING_VALUES,
     LOAD_VALUE,
     nuisance_columns,
 )
 from stiffopt.discovery.comparison.piece_sums import PieceColumns, PieceProducts, Pieces, PieceSums
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
-from stiffopt.discovery.comparison.value_name import ValueName
+from stiffopt.discovery.names import ValueName
 from stiffopt.recording.nominal import Tolerance
 
 # Smallest number of runs of which each is a cross-validation block; fewer runs are cut into blocks.
 MIN_RUNS_AS_BLOCKS = 3
-# Length of a block of a run [s], and largest number of blocks per run.
-_BLOCK_SECONDS, _MAX_BLOCKS = 2.0, 8
+# Length of the stretches that are left out [s], longer than the correlation time of residuals, and
+# largest number of blocks per run.
+STRETCH_DURATION, _MAX_BLOCKS = 2.0, 8
 # Cache of columns: of initial shapes, which every search asks for, up to a memory limit [bytes],
 # and a number of the latest others.
 _START_CACHE_BYTES, _RECENT_CACHE_SIZE = 2**27, 64
@@ -108,7 +108,7 @@ class DesignMatrix:
         if len(self.runs) >= MIN_RUNS_AS_BLOCKS:
             return 1
         seconds = min(float(run.time[-1] - run.time[0]) for run in self.runs)
-        return int(np.clip(seconds / _BLOCK_SECONDS, 2, _MAX_BLOCKS))
+        return int(np.clip(seconds / STRETCH_DURATION, 2, _MAX_BLOCKS))
 
     def linearised_at(
         self,
@@ -167,7 +167,7 @@ class DesignMatrix:
         bound. With vibrating links the residual may stem from the linearisation: the stated noise
         counts.
         """
-        found = self._link_moving_part(found)
+        found = link_moving_part(self.runs, found)
         if any(run.vibration is not None for run in self.runs):
             inflation = None
         for earlier in reversed(self._earlier):
@@ -440,18 +440,3 @@ class DesignMatrix:
         if inflation is not None:
             rows = rows / inflation[self.rows.channel]
         return float(np.sqrt(np.mean(rows**2)))
-
-    def _link_moving_part(self, found: Extension) -> Extension:
-        """Return the part of an extension that moves the links or loads their springs."""
-        swings = self.runs[0].vibration is not None
-        calibration = {
-            name: value
-            for name, value in found.calibration.items()
-            if swings and name.kind in LINK_MOVING_VALUES
-        }
-        return Extension(
-            calibration=calibration,
-            effects=tuple(
-                e for e in found.effects if any(moves_links(run, e) for run in self.runs)
-            ),
-        )

@@ -11,7 +11,7 @@ from stiffopt.discovery.comparison.extension_change import (
     extended_damping,
     extension_change,
     is_damping,
-    moves_links,
+    link_moving_part,
     relative_compliance,
     select_calibration,
     spring_laws,
@@ -21,7 +21,6 @@ from stiffopt.discovery.comparison.filtering import derivative
 from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.comparison.nuisance import (
     BODY_VALUES,
-    LINK_MOVING_VALUES,
     SPRING_VALUES,
     spring_deflection,
 )
@@ -45,10 +44,11 @@ def simulate_links(run: PreparedRun, extension: Extension) -> PreparedRun:
     Where no such motion is found, as in a fit far from the solution, nominal values are applied to
     first order, and effects too where that does not suffice.
     """
-    moving = _link_moving_part(run, extension)
+    moving = link_moving_part([run], extension)
     if moving.empty:
         return run
-    key = _cache_key(moving)
+    effects = ((e.located.key, e.amplitudes) for e in moving.effects)
+    key = (*moving.calibration.items(), *effects)
     if key not in run.extension_cache:
         while len(run.extension_cache) >= _MAX_CACHED_RUNS:
             run.extension_cache.pop(next(iter(run.extension_cache)))
@@ -58,19 +58,6 @@ def simulate_links(run: PreparedRun, extension: Extension) -> PreparedRun:
         # What follows is linearised anew, about the motion found.
         found.vibration.response.release_steps()
     return run.extension_cache[key]
-
-
-def _link_moving_part(run: PreparedRun, extension: Extension) -> Extension:
-    values = extension.calibration.items()
-    return Extension(
-        calibration={n: v for n, v in values if v and n.kind in LINK_MOVING_VALUES},
-        effects=tuple(e for e in extension.effects if moves_links(run, e)),
-    )
-
-
-def _cache_key(extension: Extension) -> tuple[object, ...]:
-    effects = ((e.located.key, e.amplitudes) for e in extension.effects)
-    return (*extension.calibration.items(), *effects)
 
 
 def _simulate_with_fallback(run: PreparedRun, extension: Extension) -> PreparedRun:

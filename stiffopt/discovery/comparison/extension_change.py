@@ -12,12 +12,13 @@ from stiffopt.discovery.comparison.located_effect import Contribution, Estimated
 from stiffopt.discovery.comparison.nuisance import (
     BODY_VALUES,
     COMMAND_DELAY,
+    LINK_MOVING_VALUES,
     body_parameter_changes,
     joint_columns,
 )
 from stiffopt.discovery.comparison.prepared_run import PreparedRun, with_link_torque
 from stiffopt.discovery.comparison.springs import SpringLaw, nominal_damping
-from stiffopt.discovery.comparison.value_name import ValueName
+from stiffopt.discovery.names import ValueName
 from stiffopt.discovery.settings import DEFAULT_TOLERANCE
 from stiffopt.discovery.signals import JointSignals
 from stiffopt.recording.nominal import Tolerance
@@ -100,11 +101,19 @@ def with_turned_gravity(run: PreparedRun, extension: Extension) -> PreparedRun:
     return replace(run, signals=replace(signals, arm=signals.arm.under_gravity(sum(turned))))
 
 
-def moves_links(run: PreparedRun, each: EstimatedEffect) -> bool:
-    """Return True where an effect moves the links of a run."""
-    added = each.located.contribution(run, each.amplitudes)
-    displaces = run.vibration is not None and added.deflection is not None
-    return displaces or added.link_torque is not None
+def link_moving_part(runs: Sequence[PreparedRun], extension: Extension) -> Extension:
+    """Return the part of an extension that moves the links or loads their springs."""
+    swings = runs[0].vibration is not None
+
+    def moves(run: PreparedRun, each: EstimatedEffect) -> bool:
+        added = each.located.contribution(run, each.amplitudes)
+        return (swings and added.deflection is not None) or added.link_torque is not None
+
+    values = extension.calibration.items()
+    return Extension(
+        calibration={n: v for n, v in values if v and swings and n.kind in LINK_MOVING_VALUES},
+        effects=tuple(e for e in extension.effects if any(moves(run, e) for run in runs)),
+    )
 
 
 def select_calibration(extension: Extension, kinds: tuple[str, ...]) -> Extension:

@@ -163,7 +163,7 @@ def resample_uniform(run: RecordedRun) -> tuple[np.ndarray, np.ndarray, np.ndarr
         return (time, *(np.array(c, dtype=float) for c in channels))
     motor, link, torque = channels
     motion = (interpolate_motion(run.time, position, time) for position in (motor, link))
-    return (time, *motion, _interpolate_linear(run.time, torque, time))
+    return (time, *motion, interpolate_linear(run.time, torque, time))
 
 
 def interpolate_motion(stamps: np.ndarray, samples: np.ndarray, time: np.ndarray) -> np.ndarray:
@@ -172,7 +172,7 @@ def interpolate_motion(stamps: np.ndarray, samples: np.ndarray, time: np.ndarray
     A straight line over one missing sample cuts a turn short by 20 um at 10 m/s^2, which excites
     the joint springs. Longer gaps are mostly motors at rest: linear.
     """
-    bridged = _interpolate_linear(stamps, samples, time)
+    bridged = interpolate_linear(stamps, samples, time)
     for out, column in zip(bridged.T, samples.T, strict=True):
         known = np.isfinite(column)
         if np.count_nonzero(known) < 2:
@@ -191,7 +191,8 @@ def interpolate_motion(stamps: np.ndarray, samples: np.ndarray, time: np.ndarray
     return bridged
 
 
-def _interpolate_linear(stamps: np.ndarray, samples: np.ndarray, time: np.ndarray) -> np.ndarray:
+def interpolate_linear(stamps: np.ndarray, samples: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Return columns (K, n) at other times (R, n), across missing samples; nan in empty columns."""
     columns = []
     for column in samples.T:
         known = np.isfinite(column)

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg.lapack import dposv
 
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.value_name import ValueName
+from stiffopt.discovery.names import ValueName
 from stiffopt.discovery.signals import PARAMETERS_PER_BODY
 
 INERTIAL_PARAMETER_NAMES = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")

@@ -10,8 +10,8 @@ from typing import Literal
 import numpy as np
 
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
-from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.names import ValueName
 from stiffopt.discovery.signals import JointConstants, RobotConstants
 from stiffopt.units import joint_unit
 
@@ -136,6 +136,12 @@ class LocatedEffect:
         own = self.constants(robot)
         return np.array([a.size(own) for a in self.effect.amplitudes])
 
+    def changed_body(self, robot: RobotConstants) -> int | None:
+        """Return the body whose inertial parameters are the amplitudes; None of other effects."""
+        if "mass" not in self.effect.tolerances or self.joint is not None:
+            return None
+        return len(robot.masses) - 1 if self.link is None else self.link
+
     def possible(self, robot: RobotConstants) -> bool:
         """Return False where the shapes contradict the recordings."""
         rule = self.effect.possible
@@ -152,9 +158,8 @@ class LocatedEffect:
         if self.effect.nominal and isinstance(own, JointConstants):
             least = -getattr(own, self.effect.nominal) / self.sizes(robot)[0]
             found[0, 0] = max(found[0, 0], least)
-        if "mass" in self.effect.tolerances and isinstance(own, RobotConstants):
-            body = own.masses[-1 if self.link is None else self.link]
-            found[0, 0] = max(found[0, 0], -body / self.sizes(robot)[0])
+        if (body := self.changed_body(robot)) is not None:
+            found[0, 0] = max(found[0, 0], -robot.masses[body] / self.sizes(robot)[0])
         if self.effect.linear_about:
             about = float(self.shapes[0]) / self.sizes(robot)[0]
             low, high = sorted((about / _MAX_LINEAR_RATIO, about * _MAX_LINEAR_RATIO))
@@ -172,7 +177,10 @@ class LocatedEffect:
             seen = signals if place is None else replace(signals, link=place)
             term = self.effect.term(seen, amplitudes, self.shapes)
             parts = (term.drive_torque, term.link_torque, term.deflection, term.reading)
-            return Contribution(*(_as_robot_array(part, like) for part in parts))
+            arrays = (np.asarray(part, dtype=float) for part in parts)
+            return Contribution(
+                *(np.broadcast_to(each, like.shape) if each.any() else None for each in arrays)
+            )
         assert self.joint is not None
         term = self.effect.term(run.of_joint(self.joint), amplitudes, self.shapes)
         parts = (term.drive_torque, term.link_torque, term.deflection, term.reading)
@@ -282,11 +290,6 @@ def _add_optional(a: np.ndarray | None, b: np.ndarray | None) -> np.ndarray | No
     if a is None or b is None:
         return b if a is None else a
     return np.asarray(a + b)
-
-
-def _as_robot_array(values: object, like: np.ndarray) -> np.ndarray | None:
-    array = np.asarray(values, dtype=float)
-    return np.broadcast_to(array, like.shape) if array.any() else None
 
 
 def _as_joint_column(values: object, like: np.ndarray, joint: int) -> np.ndarray | None:

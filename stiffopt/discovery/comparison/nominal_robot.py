@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from stiffopt.discovery.comparison.filtering import derivative
-from stiffopt.discovery.comparison.value_name import ValueName
+from stiffopt.discovery.names import ValueName
 from stiffopt.discovery.settings import fill_missing
 from stiffopt.discovery.signals import (
     HARMONICS_PER_JOINT,

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from stiffopt.discovery.comparison.inertial_parameters import all_body_parameter
 from stiffopt.discovery.comparison.located_effect import Contribution
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
-from stiffopt.discovery.comparison.value_name import ValueName
+from stiffopt.discovery.names import ValueName
 from stiffopt.discovery.signals import PARAMETERS_PER_BODY, JointConstants, RobotConstants
 from stiffopt.recording.nominal import Tolerance
 
@@ -55,8 +55,6 @@ class NuisanceColumn:
 # Tolerances from nominal beyond which a value is outside its tolerance, which is one standard
 # deviation: chance puts one of forty values there in one set of fifty.
 MIN_TOLERANCES_OUTSIDE = 3.5
-# Largest standard deviation of such a value, in tolerances: a less determined value follows others.
-_MAX_DEVIATION_OUTSIDE = 0.5
 
 
 @dataclass(frozen=True)
@@ -73,24 +71,6 @@ class OutsideValue:
     def of_body(self) -> bool:
         """True for masses and centres of mass."""
         return self.name.kind in BODY_VALUES
-
-
-def select_outside(
-    names: Sequence[ValueName], tolerances: np.ndarray, changes: np.ndarray, deviations: np.ndarray
-) -> tuple[OutsideValue, ...]:
-    """Return the values outside their tolerances, the furthest first.
-
-    `names` (p,). `tolerances`, `changes`, `deviations` (p,): relative, or [m], [rad].
-    """
-    known = {field.name for field in fields(Tolerance)}
-    found = [
-        OutsideValue(name, float(change), float(sd), float(tolerance))
-        for name, tolerance, change, sd in zip(names, tolerances, changes, deviations, strict=True)
-        if name.kind in known
-        and abs(change) > MIN_TOLERANCES_OUTSIDE * tolerance
-        and sd < _MAX_DEVIATION_OUTSIDE * tolerance
-    ]
-    return tuple(sorted(found, key=lambda each: -abs(each.change) / each.tolerance))
 
 
 def nuisance_columns(

@@ -1,42 +1,9 @@
 """Read extended.toml: the nominal model of a recording set with the findings of a diagnosis.
 
-.. code-block:: toml
-
-    schema = 1
-    kind = "extended"
-    name = "cell_3"                  # of the recording set
-    joints = ["joint1", "joint2"]
-    links = ["link1", "link2"]       # behind each joint
-
-    [nominal]                        # as in recordings.toml, unchanged
-
-    [scales]                         # scales of the terms of effects, a number a joint:
-    torque_rated = [67.0, 40.0]      # torques [N m] and the fastest recorded velocity [rad/s]
-    torque_max = [201.0, 120.0]
-    fastest = [1.9, 2.4]
-
-    [calibration]                    # nominal values fitted within their tolerances: relative, or
-    "coulomb 2" = 0.012              # [m] for "com", [rad] for "encoder_zero"
-
-    [left_open]                      # residual in its own recordings: counts as noise of a further
-    cutoff = 12.0                    # diagnosis; bands [Hz]
-    predict = [20.0, 20.0]
-    torque = [0.31, 0.12]            # one standard deviation, as unfiltered noise [N m], [rad]
-    link_position = [0.0, 0.0]
-
-    [[effect]]
-    name = "coulomb"                 # of the catalogue or of a user's file
-    joint = 2                        # from 1; left out for the whole robot
-    link = "link3"                   # of inertial_error
-    run = "train_2"                  # of encoder_zero_change
-    [effect.term]                    # amplitudes and shapes that the term is evaluated with
-    dFc = 1.31
-    [effect.parameters]              # reported values; must agree with the term
-    dFc = { value = 1.31, sd = 0.04, unit = "N m" }
-
-Numbers are SI at the output side. `stiffopt diagnose --model extended.toml` starts from this model
-in place of the nominal one. A planner finds friction, stiffness, payload and preload in the
-parameters, by the names of the catalogue.
+Its entries are described in `stiffopt.discovery.extended.schema`. Numbers are SI at the output
+side. `stiffopt diagnose --model extended.toml` starts from this model in place of the nominal one.
+A planner finds friction, stiffness, payload and preload in the parameters, by the names of the
+catalogue.
 """
 
 from __future__ import annotations
@@ -50,9 +17,8 @@ from typing import Any
 import numpy as np
 
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.catalogue.common import RUN_PREFIX
+from stiffopt.discovery.catalogue.drift import of_other_runs
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
-from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.extended.laws import read_law, read_table
 from stiffopt.discovery.extended.schema import (
@@ -62,6 +28,7 @@ from stiffopt.discovery.extended.schema import (
     LeftOpenSection,
     MadeForSection,
 )
+from stiffopt.discovery.names import ValueName
 from stiffopt.discovery.signals import RobotConstants
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.errors import InputFileError, nearest
@@ -312,11 +279,7 @@ def _read_effect(
         )
     place = _read_place(section, effect, document, path, where)
     if effect.of_runs is not None:
-        # Runs of the same name in another set are different runs.
-        runs = [
-            name.removeprefix(RUN_PREFIX) for name in section.term if name.startswith(RUN_PREFIX)
-        ]
-        effect = effect.of_runs(tuple(runs), seen=False)
+        effect = of_other_runs(effect, section.term)
     names = [a.name for a in effect.amplitudes] + [s.name for s in effect.shapes]
     usual = {s.name: s.usual for s in effect.shapes if s.usual is not None}
     term = {**usual, **section.term}

@@ -18,10 +18,10 @@ from stiffopt.certificate.objective_value import objective_value
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.discovery.comparison.inertial_parameters import body_parameter_names
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, LocatedEffect
-from stiffopt.discovery.comparison.value_name import ValueName
 from stiffopt.discovery.extended.model import ExtendedModel, load_extended, require_same_robot
 from stiffopt.discovery.laws.law import law_of
 from stiffopt.discovery.laws.robot_change import law_change
+from stiffopt.discovery.names import ValueName
 from stiffopt.discovery.signals import JointConstants
 from stiffopt.discovery.user_effects import load_effects
 from stiffopt.drivetrain.chain import Chain

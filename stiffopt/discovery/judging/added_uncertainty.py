@@ -14,7 +14,7 @@ import numpy as np
 
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.prepared_run import prepare_run
-from stiffopt.discovery.comparison.value_name import ValueName
+from stiffopt.discovery.names import ValueName
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.uncertainty import Estimate, estimate_parameters
 from stiffopt.discovery.thresholds import FINDING_DEVIATIONS

@@ -46,11 +46,8 @@ def detection_limits(
     The log evidence of an effect of amplitude a is a^2/(2 sd^2) less the price of its prior and
     shapes; sd is its standard deviation with nominal values profiled out.
     """
-    found = []
-    for effect in catalogue:
-        if len(effect.amplitudes) == 1 and effect.amplitudes[0] is not WEIGHT:
-            found += list(_effect_limits(scorer, effect, seen))
-    return tuple(found)
+    single = (e for e in catalogue if len(e.amplitudes) == 1 and e.amplitudes[0] is not WEIGHT)
+    return tuple(limit for effect in single for limit in _effect_limits(scorer, effect, seen))
 
 
 def _effect_limits(

@@ -38,7 +38,7 @@ def refit_friction(
     while True:
         located = tuple(s.located for s in selected)
         parameters = estimate_parameters(comparison, located)
-        names = _refittable_names(parameters)
+        names = sorted({e.effect.identity for e in parameters.effects if _is_refittable(e)})
         if not names:
             return tuple(selected), parameters
         rows = _MovingSamples(training, parameters, names)
@@ -56,11 +56,6 @@ def refit_friction(
 
 # Name of an effect and the runs in which it acts.
 EffectIdentity = tuple[str, tuple[str, ...]]
-
-
-def _refittable_names(parameters: Estimate) -> list[EffectIdentity]:
-    """Return the names of the effects that may be refitted."""
-    return sorted({e.located.effect.identity for e in parameters.effects if _is_refittable(e)})
 
 
 def _apply_steps(

@@ -77,11 +77,6 @@ class HeldOutRuns:
         done = {*(each.file for each in self._opened), *self.unusable}
         return [file for file in self._files if file not in done]
 
-    @property
-    def needs_noise_ceiling(self) -> bool:
-        """True if a noise ceiling is fitted: without stated tolerances and elastic joints."""
-        return self._training.free_bodies and not self._training.robot.vibrates
-
     def fit_noise_ceiling(self, say: Say) -> None:
         """Fit the black box of the noise ceiling to the training runs."""
         say("fit the noise ceiling to the residual")
@@ -113,7 +108,10 @@ class HeldOutRuns:
             touched = () if run.at_rest else find_episodes([track], self._known)
             proof = compare_predictions(run, *compared)
             if touched:
-                touched = mark_lasting_loads(touched, track, training.robot, predictor.nominal)
+                touched = tuple(
+                    replace(each, stays=_is_load(each, track, training.robot, predictor.nominal))
+                    for each in touched
+                )
                 whole = proof.nrmse_after
                 # Passing contacts are excluded from the proof; a lasting load is not.
                 less = compare_predictions(mask_episodes(run, touched), *compared).nrmse_after
@@ -180,22 +178,13 @@ _MIN_LOAD_SHARE, _MAX_OFFSET_RATIO = 0.7, 0.5
 _LOAD_PARAMETERS = 4
 
 
-def mark_lasting_loads(
-    episodes: Sequence[Episode], track: ResidualTrack, robot: RobotModel, prepared: PreparedRun
-) -> tuple[Episode, ...]:
-    """Mark the contact intervals that last until the end of a run and act like a load.
-
-    `track`: residuals of the run. `prepared`: the run with its motion.
-    """
-    return tuple(
-        replace(each, stays=True) if _is_load(each, track, robot, prepared) else each
-        for each in episodes
-    )
-
-
 def _is_load(
     episode: Episode, track: ResidualTrack, robot: RobotModel, prepared: PreparedRun
 ) -> bool:
+    """Return True for an interval that lasts until the end of a run and acts like a load.
+
+    `track`: residuals of the run. `prepared`: the run with its motion.
+    """
     if (
         track.time[-1] - episode.end > _RUN_END_MARGIN
         or episode.end - episode.begin < _MIN_LOAD_DURATION

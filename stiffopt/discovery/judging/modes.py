@@ -9,7 +9,7 @@ import numpy as np
 
 from stiffopt.discovery.comparison.comparison import Comparison, Fit
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
-from stiffopt.discovery.comparison.value_name import ValueName
+from stiffopt.discovery.names import ValueName
 
 # Postures per training run that modes are calculated in.
 _POSTURES_PER_RUN = 6

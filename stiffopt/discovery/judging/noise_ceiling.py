@@ -95,7 +95,7 @@ def fit_smooth_function(
 # Samples of all runs that a black box is fitted to, and stretches per run for cross-validation.
 _MAX_FIT_SAMPLES, _STRETCHES_PER_RUN = 2000, 6
 # Least share of a channel's squares in held-out runs that a useful black box removes.
-SHOWN_SHARE = 0.1
+_SHOWN_SHARE = 0.1
 # Points of a dependence curve, samples that each is averaged over, maximum number of named signals,
 # and their least effect over the strongest one's.
 _CURVE_POINTS, _CURVE_SAMPLES, _MAX_NAMED_SIGNALS, _MIN_NAMED_SHARE = 25, 200, 2, 0.5
@@ -177,7 +177,7 @@ class BlackBox:
         gain = 1.0 - box / after
         best = int(np.argmax(gain))
         depends: tuple[Dependence, ...] = ()
-        if gain[best] > SHOWN_SHARE:
+        if gain[best] > _SHOWN_SHARE:
             depends = self._find_dependences(int(seen[best]))
         return NoiseCeiling(
             explained=float(explained / possible) if possible > 0.0 else 0.0,

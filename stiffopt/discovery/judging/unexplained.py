@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
-from stiffopt.discovery.channel import channel_name
 from stiffopt.discovery.comparison.channel_rows import noise_above_cutoff
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.judging.modes import matches_mode
 from stiffopt.discovery.judging.splines import inner_knots, predict_blocks, splines_at
+from stiffopt.discovery.names import channel_name
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import SearchResult
 from stiffopt.discovery.search.tournament import EQUAL_RESIDUALS
@@ -27,9 +27,6 @@ from stiffopt.discovery.thresholds import (
     REMAINDER_SHARE,
     UNEXPLAINED_RATIO,
 )
-
-if TYPE_CHECKING:
-    from stiffopt.discovery.judging.tool_force import ToolForce
 
 # Spline regression of a residual: inner knots, maximum number of signals, least decrease by one
 # more.
@@ -175,6 +172,9 @@ def assess_findings(result: SearchResult) -> tuple[tuple[Selected, ...], Unexpla
     if not told and small and found.gain < REMAINDER_SHARE:
         # Neither large nor predictable: the noise exceeds the stated one.
         return result.selected, None
+    if found.gain < FAINT_SHARE:
+        # Hardly a dependence: some signal or frequency explains a little of any residual.
+        found = replace(found, regressors=(), period=None)
     return kept, found
 
 
@@ -355,3 +355,73 @@ def _find_period(
     if power[best] < 12.0 * blocks + 4.0 * np.log(len(frequencies)) or excess <= 0.0:
         return None
     return 1.0 / float(frequencies[best]), float(min(power[best] / excess, 1.0))
+
+
+# Least residual over noise that is tested, and largest share of its square, per degree of freedom,
+# that forces at the tool may leave.
+_MIN_RATIO, _MAX_LEFT_SHARE = 3.0, 0.05
+# Joints with torque beyond the three that any force explains.
+_MIN_SPARE_JOINTS = 1
+# Percentile of the forces that is stated as their size.
+_SIZE_PERCENTILE = 95.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ToolForce:
+    """Forces at the tool that explain a residual."""
+
+    explained: float  # share of the squared residual of the torques
+    size: float  # force exceeded in a twentieth of the time [N]
+    # Length of the mean force in the base frame over the root mean square, 0 to 1.
+    steadiness: float
+
+
+def explain_by_tool_force(
+    result: SearchResult, unexplained: Unexplained | None
+) -> Unexplained | None:
+    """Return an unexplained residual with the forces at the tool that explain it, if any do.
+
+    A force that changes along the motion (a person who guides the arm, a hose, a touch) predicts
+    nothing of other runs and is no effect of the catalogue. But three numbers an instant explain
+    the torques of all joints, where anything else needs as many numbers as there are joints.
+    """
+    if unexplained is None or unexplained.ratio < _MIN_RATIO:
+        return unexplained
+    found = [_fit_tool_force(result, rows) for rows in (result.fit.residual, result.target)]
+    best = max((each for each in found if each), key=lambda each: each.explained, default=None)
+    return replace(unexplained, tool_force=best)
+
+
+def _fit_tool_force(result: SearchResult, residual: np.ndarray) -> ToolForce | None:
+    """Fit a force at every instant; None where too little of the residual is explained by it."""
+    comparison = result.comparison
+    rows, n = comparison.rows, comparison.robot.n
+    forces, before, after, spare = [], 0.0, 0.0, 0
+    for index, run in enumerate(comparison.runs):
+        own = (rows.run == index) & (rows.channel < n)
+        instants, at = np.unique(rows.sample[own], return_inverse=True)
+        left = np.zeros((len(instants), n))
+        seen = np.zeros(left.shape, dtype=bool)
+        left[at, rows.channel[own]] = residual[own]
+        seen[at, rows.channel[own]] = True
+        size = run.low_pass.noise_gain * rows.noise.torque
+        lever = -run.signals.tool_jacobian[instants] / size
+        for torque, columns, known in zip(left, lever, seen, strict=True):
+            rank = int(np.linalg.matrix_rank(columns[:, known]))
+            if known.sum() < rank + _MIN_SPARE_JOINTS:
+                continue
+            force, *_ = np.linalg.lstsq(columns[:, known].T, torque[known], rcond=1e-3)
+            rest = torque[known] - force @ columns[:, known]
+            forces.append(force)
+            before += float(torque[known] @ torque[known]) * (known.sum() - rank) / known.sum()
+            after += float(rest @ rest)
+            spare += int(known.sum()) - rank
+    if not spare or before < _MIN_RATIO**2 * spare or after > _MAX_LEFT_SHARE * before:
+        return None
+    every = np.array(forces)
+    rms = float(np.sqrt(np.mean(np.sum(every**2, axis=1))))
+    return ToolForce(
+        explained=1.0 - after / before,
+        size=float(np.percentile(np.linalg.norm(every, axis=1), _SIZE_PERCENTILE)),
+        steadiness=float(np.linalg.norm(every.mean(axis=0))) / max(rms, 1e-12),
+    )

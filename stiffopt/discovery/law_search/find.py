@@ -8,8 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import softmax
 
-from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.channel import channel_name
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, LocatedEffect
 from stiffopt.discovery.judging.unexplained import assess_findings
@@ -18,12 +16,14 @@ from stiffopt.discovery.law_search.free_function import residual_tables
 from stiffopt.discovery.law_search.open_channel import OpenChannel
 from stiffopt.discovery.law_search.search import (
     ChannelLaw,
+    beats,
     may_beat,
     search_channel,
 )
 from stiffopt.discovery.laws.law import LAW_FAMILY, Law, Place, law_effect
 from stiffopt.discovery.laws.sources import LawSource
 from stiffopt.discovery.laws.table import ResidualTable
+from stiffopt.discovery.names import channel_name
 from stiffopt.discovery.progress import Say
 from stiffopt.discovery.search.candidates import Scorer
 from stiffopt.discovery.search.joint_fit import passes_thresholds, prune_effects
@@ -235,10 +235,10 @@ class _State:
         ]
         return sorted(found, key=lambda c: c >= n)
 
-    def _findings_at(self, channel: int) -> list[LocatedEffect]:
+    def _findings_at(self, channel: int) -> list[Selected]:
         """Return the findings at a channel's joint that a law could take the place of."""
         return [
-            each.located
+            each
             for each in self.kept
             if each.channel % self.comparison.robot.n == channel % self.comparison.robot.n
             and self._is_replaceable(each)
@@ -260,52 +260,25 @@ class _State:
         own = self._findings_at(number)
         beside = OpenChannel(self.comparison, self.effects, number)
         if own:
-            others = [e for e in self.effects if e not in own]
+            replaced = [each.located for each in own]
+            others = [e for e in self.effects if e not in replaced]
             apart = OpenChannel(self.comparison, others, number)
             if may_beat(apart, beside.square, own):
                 outcome = search_channel(apart)
-                if outcome.best is not None and self._takes_place(outcome, others, own):
+                if outcome.best is not None and beats(apart, outcome.best, beside.square, own):
+                    self.effects, self._dropped = others, replaced
                     return outcome
             if not is_open:
                 return None
         return search_channel(beside)
 
-    def _takes_place(
-        self, outcome: ChannelLaw, others: list[LocatedEffect], own: list[LocatedEffect]
-    ) -> bool:
-        """Return True where a law is likelier than findings by all channels, and drop these then.
-
-        By the odds that tell rivals of the catalogue apart: nature follows formulas nearly, those
-        of the catalogue and of laws alike, and each is one of as many as there are, of laws more.
-        """
-        every, self.effects, self._dropped = self.effects, others, own
-        beside, ranked = self._rank(outcome)
-        if ranked:
-            alone, named = (Scorer(beside, each).start.log_evidence for each in (others, every))
-            price = sum(_shape_price(each, len(beside.target)) for each in own)
-            parameters = sum(len(each.effect.amplitudes) + len(each.shapes) for each in own)
-            known = (named - alone - price) / _evidence_width(ranked)
-            known -= PARAMETER_LOG_PRICE * parameters + len(own) * np.log(len(CATALOGUE))
-            beyond = np.log(len(CATALOGUE)) + ranked[0].law.log_prior(beside.robot.n)
-            if self._log_odds(ranked)[0] - max(beyond, 0.0) - known > RIVAL_LOG_ODDS:
-                return True
-        self.effects, self._dropped = every, []
-        return False
-
-    def _rank(self, outcome: ChannelLaw) -> tuple[Comparison, list[_Ranked]]:
-        """Return the comparison beside the best law, and the laws ranked there.
-
-        The noise is that beside a law: beside none, all laws would seem equally good.
-        """
-        assert outcome.best is not None
-        first = self._named(outcome.best.law, outcome.best.fit.amplitudes.tolist())
-        beside = self.comparison.linearised_at(self.comparison.fit([*self.effects, first]))
-        return beside, self._rank_places(beside, (outcome.best, *outcome.near))
-
     def add(self, outcome: ChannelLaw) -> FoundLaw | None:
         """Fit a law beside the effects; None where they leave it nothing."""
         assert outcome.best is not None
-        ranked = self._rank(outcome)[1]
+        # The noise is that beside a law: beside none, all laws would seem equally good.
+        first = self._named(outcome.best.law, outcome.best.fit.amplitudes.tolist())
+        beside = self.comparison.linearised_at(self.comparison.fit([*self.effects, first]))
+        ranked = self._rank_places(beside, (outcome.best, *outcome.near))
         if not ranked:
             return None
         law, located = ranked[0].law, ranked[0].located
@@ -373,8 +346,8 @@ class _State:
                 candidate = scorer.score(located)
                 if candidate is not None:
                     rows = comparison.effect_columns(located) @ candidate.amplitudes
-                    evidence = candidate.evidence - _shape_price(located, len(rows))
-                    found.append(_Ranked(evidence, law, located, rows))
+                    price = 0.5 * len(law.shapes) * np.log(len(rows))
+                    found.append(_Ranked(candidate.evidence - float(price), law, located, rows))
         odds = dict(zip(map(id, found), self._log_odds(found), strict=True))
         width = _evidence_width(found)
         kept: list[_Ranked] = []
@@ -423,11 +396,6 @@ class _State:
             fit=fit,
             after=self.comparison.channel_ratio(fit.residual),
         )
-
-
-def _shape_price(located: LocatedEffect, rows: int) -> float:
-    """Return the log evidence that the shapes of an effect cost."""
-    return 0.5 * len(located.shapes) * float(np.log(rows))
 
 
 def _evidence_width(ranked: Sequence[_Ranked]) -> float:

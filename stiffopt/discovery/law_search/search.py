@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.law_search.fit_law import FittedLaw, as_fitted, fit_shapes, score_starts
 from stiffopt.discovery.law_search.free_function import (
     FreeTerm,
@@ -22,8 +21,8 @@ from stiffopt.discovery.law_search.open_channel import OpenChannel
 from stiffopt.discovery.laws.law import Factor, Law, Place
 from stiffopt.discovery.laws.shapes import SignalRange
 from stiffopt.discovery.laws.sources import LawSource
-from stiffopt.discovery.search.rivals import tempering_width
-from stiffopt.discovery.thresholds import NAMED_EVIDENCE, RIVAL_LOG_ODDS
+from stiffopt.discovery.search.rivals import Selected, tempering_width
+from stiffopt.discovery.thresholds import NAMED_EVIDENCE, PARAMETER_LOG_PRICE, RIVAL_LOG_ODDS
 
 # Pairs of carrier and signal whose forms are tried: the best ones of every carrier, for one that
 # explains much does so with any signal; they explain at least this share of what the best one does.
@@ -232,18 +231,62 @@ def _ranked(found: Iterable[FittedLaw]) -> list[FittedLaw]:
     return sorted(found, key=lambda each: -each.evidence)
 
 
-def may_beat(channel: OpenChannel, named: float, findings: Sequence[LocatedEffect]) -> bool:
-    """Return True where a law may be likelier than findings, which leave the squares `named`.
+# Relative difference of two functions, root mean square over the range met, within which they are
+# one law: that within which a law counts as found.
+SAME_FUNCTION = 0.1
 
-    One of a single parameter that leaves nothing but noise; squares within it do not count.
+
+def may_beat(channel: OpenChannel, named: float, findings: Sequence[Selected]) -> bool:
+    """Return True where a law that leaves nothing but noise would beat findings, see `beats`."""
+    noise = float(len(channel.target))
+    return channel.square > noise and (
+        _log_odds(channel, noise, named, findings, 1) > RIVAL_LOG_ODDS
+    )
+
+
+def beats(
+    channel: OpenChannel, best: FittedLaw, named: float, findings: Sequence[Selected]
+) -> bool:
+    """Return True where a law in place of findings, which leave the squares `named`, is likelier.
+
+    Likelier than the findings and all their rivals, by the odds that tell these apart: nature
+    follows formulas nearly, those of the catalogue and of laws alike, and each is one of as many as
+    there are, of laws more. A law that is the findings' function in other words, of no fewer
+    parameters, is not likelier.
     """
-    m = len(channel.target)
-    if channel.square <= m:
+    left, own = channel.square - best.fit.removed, best.law
+    fewer = _parameter_count(findings) - own.parameter_count
+    if fewer <= 0 and named - left < SAME_FUNCTION**2 * (channel.square - left):
         return False
-    fewer = sum(len(e.effect.amplitudes) + len(e.shapes) for e in findings) - 1
-    ahead = 0.5 * m * np.log(max(named, m) / m) + 0.5 * fewer * np.log(m)
-    width = tempering_width(0.5 * m * np.log(channel.square / m))
-    return bool(ahead / width + len(findings) * np.log(len(CATALOGUE)) > RIVAL_LOG_ODDS)
+    odds = _log_odds(channel, left, named, findings, own.parameter_count)
+    prior = min(own.log_prior(channel.comparison.robot.n), -float(np.log(len(CATALOGUE))))
+    return odds + prior > RIVAL_LOG_ODDS
+
+
+def _parameter_count(findings: Sequence[Selected]) -> int:
+    found = [each.located for each in findings]
+    return sum(len(e.effect.amplitudes) + len(e.shapes) for e in found)
+
+
+def _gain(channel: OpenChannel, before: float, after: float) -> float:
+    """Return the log likelihood gained where squares fall; those within the noise do not count."""
+    m = len(channel.target)
+    return float(0.5 * m * np.log(max(before, m) / max(after, m)))
+
+
+def _log_odds(
+    channel: OpenChannel,
+    left: float,
+    named: float,
+    findings: Sequence[Selected],
+    parameters: int,
+) -> float:
+    """Return the log odds of a law that leaves some squares over findings and their rivals."""
+    fewer = _parameter_count(findings) - parameters
+    width = tempering_width(_gain(channel, channel.square, left))
+    ahead = _gain(channel, named, left) / width + PARAMETER_LOG_PRICE * fewer
+    among_rivals = sum(float(np.log(each.probability)) for each in findings)
+    return float(ahead + among_rivals + len(findings) * np.log(len(CATALOGUE)))
 
 
 def _refuse(channel: OpenChannel, best: FittedLaw, attainable: float) -> str:

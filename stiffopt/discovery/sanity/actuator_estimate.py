@@ -16,6 +16,7 @@ from stiffopt.discovery.loop_fit import DRIVE_PARAMETERS, fit_loop, nominal_para
 from stiffopt.discovery.progress import Say
 from stiffopt.discovery.sanity.command_doubts import doubt_commands
 from stiffopt.discovery.sanity.doubt import format_joints
+from stiffopt.discovery.sanity.torque_fit import MIN_MOVING_INSTANTS
 from stiffopt.discovery.settings import DEFAULT_TOLERANCE, MIN_MOVING_SPEED
 from stiffopt.discovery.signals import smooth_sign
 from stiffopt.formatting import pm
@@ -38,8 +39,6 @@ _DELAY_DEVIATION = 1e-3
 _MIN_DELAY = 2e-3
 # Angular frequency of a servo on its link where the motion tells nothing [rad/s].
 _USUAL_FREQUENCY = 30.0
-# Fewest moving instants of a joint.
-_MIN_INSTANTS = 60
 # Stretches that are left out in turn: physics that the regressors lack differs between them.
 _JACKKNIFE_STRETCHES = 8
 
@@ -239,7 +238,7 @@ def _joint_rows(robot: RobotModel, runs: Sequence[RecordedRun], joint: int) -> _
         commands.append((CubicSpline(run.time, smooth), slow.time[chosen], own[chosen]))
         parts.append(tuple(x[chosen] for x in (columns, load, speed)))
         seconds += len(chosen) * run.step
-    if not parts or sum(len(part[0]) for part in parts) < _MIN_INSTANTS:
+    if not parts or sum(len(part[0]) for part in parts) < MIN_MOVING_INSTANTS:
         return None
 
     def error(delay: float) -> np.ndarray:

@@ -17,15 +17,13 @@ from stiffopt.discovery.sanity.doubt import (
     format_shares,
     scale_line,
 )
-from stiffopt.discovery.sanity.explanations import Explanation, Explanations
+from stiffopt.discovery.sanity.explanations import UNIT_GAINS, Explanation, Explanations
 from stiffopt.discovery.sanity.interpretations import DEGREE, MILLIMETRE, Reading
 from stiffopt.discovery.sanity.sensor_doubts import FACTOR_TOLERANCE
 from stiffopt.recording.recording_set import RecordingSet
 
 # Range of gear ratios of arms.
 _GEAR_RATIO_RANGE = (20.0, 400.0)
-# Gains that are a sign or a prefix of the unit, no current.
-_UNIT_GAINS = (1.0, -1.0, 1e3, -1e3, 1e-3, -1e-3)
 
 
 def describe_explanation(
@@ -206,7 +204,7 @@ def _doubt_gains(
     ratio = recordings.nominal.gear_ratio
     factors = np.array([float(f"{1.0 / gain:.3g}") for gain in gains])
     other_unit = recordings.signals.unscaled or any(
-        gain not in _UNIT_GAINS and (abs(gain) < 1.0 or not search.torque_scale_known.any())
+        abs(gain) not in UNIT_GAINS and (abs(gain) < 1.0 or not search.torque_scale_known.any())
         for gain in gains
     )
     unknown = (

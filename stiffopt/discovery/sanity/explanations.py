@@ -17,7 +17,13 @@ from stiffopt.discovery.sanity.interpretations import (
     Samples,
 )
 from stiffopt.discovery.sanity.sensor_doubts import LIMIT_MARGIN_SHARE
-from stiffopt.discovery.sanity.torque_fit import Additions, Motion, TorqueFit, allowed_additions
+from stiffopt.discovery.sanity.torque_fit import (
+    Additions,
+    Motion,
+    allowed_additions,
+    fit_gain,
+    residual_share,
+)
 from stiffopt.discovery.settings import MIN_MOVING_SPEED
 from stiffopt.discovery.signals import smooth_sign
 
@@ -42,7 +48,7 @@ _MAX_IDLE_SHARE = 3e-3
 # step when explanations are compared.
 _MIN_STEP_GAIN, _STEP_PRICE = 0.7, 0.5
 # Magnitudes of gains that come from units or signs.
-_UNIT_GAINS = (1.0, 1e3, 1e-3)
+UNIT_GAINS = (1.0, 1e3, 1e-3)
 # Delays that are tried [s]; those below the second value are an effect of the catalogue.
 _DELAY_GRID = np.concatenate([-np.geomspace(2.0, 0.01, 40), np.geomspace(0.01, 2.0, 40)])
 _MIN_DELAY = 0.06
@@ -75,7 +81,7 @@ class Explanation:
     @property
     def price(self) -> float:
         """Price of its complexity: steps of the reading, and free gains."""
-        free = self.gains is not None and not np.isin(np.abs(self.gains), _UNIT_GAINS).all()
+        free = self.gains is not None and not np.isin(np.abs(self.gains), UNIT_GAINS).all()
         return _STEP_PRICE * (self.reading.steps + 2 * free)
 
 
@@ -84,7 +90,6 @@ class Explanations:
 
     def __init__(self, robot: RobotModel, samples: Samples) -> None:
         self.robot, self.samples, self.n = robot, samples, robot.n
-        self.torque_fit = TorqueFit(robot)
         self.motions = Motions(robot, samples)
         scale = robot.recordings.signals.scale_of("position", self.n)
         self.own = Reading.as_described(self.n, scale)
@@ -116,7 +121,7 @@ class Explanations:
         """Return the residual share of a joint that may have a spring and another payload."""
         additions = allowed_additions(self.robot, motion, joint)
         torque = self.samples.torque[:, joint]
-        return float(self.torque_fit.residual_share(motion, torque, joint, additions))
+        return float(residual_share(self.robot, motion, torque, joint, additions))
 
     @cached_property
     def torque_scale_known(self) -> np.ndarray:
@@ -175,14 +180,11 @@ class Explanations:
         while joints.any():
             scale = tuple(np.where(joints, 1.0 / DEGREE, 1.0))
             reading = replace(self.own, position_scale=scale, steps=1)
-            left = self._residual_shares(self.motions.of(reading), self.samples.torque)
+            left = self._shares_of(reading)
+            if self._worsens(left):
+                return None
             with np.errstate(invalid="ignore"):
                 fits = joints & (left < MAX_EXPLAINED_SHARE)
-                worse = left > np.maximum(
-                    self.strict + _WORSENING_TOLERANCE[0], self.strict * _WORSENING_TOLERANCE[1]
-                )
-            if worse.any():
-                return None
             if np.all(fits == joints):
                 found = tuple(int(j) for j in np.flatnonzero(joints))
                 score = float(-np.log(left[joints] + _SHARE_FLOOR).sum())
@@ -204,7 +206,7 @@ class Explanations:
                 continue
             current = j in self.robot.recordings.signals.unscaled_joints
             usual = (-1.0, 1e3, 1e-3, -1e3, -1e-3, 1.0 / ratio[j], -1.0 / ratio[j])
-            gain, share = self.torque_fit.gain(motion, torque[:, j], j, None if current else usual)
+            gain, share = fit_gain(self.robot, motion, torque[:, j], j, None if current else usual)
             if not _USUAL_GAIN_RANGE[0] < gain < _USUAL_GAIN_RANGE[1] and _is_explained(
                 before[j], share
             ):
@@ -240,7 +242,7 @@ class Explanations:
         units = np.isclose(np.abs(np.log10(np.abs(gains))), 3.0)
         told = [float(gain) for gain in gains[~units] if gain != 1.0]
         for j in np.flatnonzero(units) if told else ():
-            gain, share = self.torque_fit.gain(motion, torque[:, j], int(j), tuple(told))
+            gain, share = fit_gain(self.robot, motion, torque[:, j], int(j), tuple(told))
             if gain in told and share < MAX_EXPLAINED_SHARE:
                 gains[j], left[j] = gain, share
 
@@ -249,12 +251,7 @@ class Explanations:
         found, reading, left = [], self.own, self.strict
         for _ in range(_MAX_STEPS):
             tried = [
-                (
-                    other,
-                    self._residual_shares(
-                        self.motions.of(other), other.torque(self.samples.torque)
-                    ),
-                )
+                (other, self._shares_of(other))
                 for other in reading.neighbours(self.robot.recordings.prismatic)
                 if self.travels_in_degrees(other)
             ]
@@ -283,16 +280,13 @@ class Explanations:
 
     def _refine_zeros(self, reading: Reading, left: np.ndarray) -> tuple[Reading, np.ndarray]:
         """Fit the zeros that a reading moves, unless the convention is as good."""
-
-        def residual(tried: Reading) -> np.ndarray:
-            torque = tried.torque(self.samples.torque)
-            return self._residual_shares(self.motions.of(tried), torque)
-
         for joint in np.flatnonzero(reading.offset).tolist():
             stated = reading.offset[joint]
             found = minimize_scalar(
                 lambda x, joint=joint, reading=reading: (
-                    -self._log_improvement(self.strict, residual(reading.with_offset(joint, x)))
+                    -self._log_improvement(
+                        self.strict, self._shares_of(reading.with_offset(joint, x))
+                    )
                 ),
                 bounds=(stated - _ZERO_REACH, stated + _ZERO_REACH),
                 method="bounded",
@@ -301,7 +295,7 @@ class Explanations:
             near = min(ZERO_CONVENTIONS, key=lambda turn: abs(abs(turn - found.x) % (2.0 * np.pi)))
             usual = abs(near - found.x) < _CONVENTION_TOLERANCE
             reading = reading.with_offset(joint, near if usual else float(found.x))
-            left = residual(reading)
+            left = self._shares_of(reading)
         return reading, left
 
     def _explain_by_gravity(self) -> Explanation | None:
@@ -365,7 +359,8 @@ class Explanations:
         """Explain by a delay of all torques against the motion."""
         best: tuple[float, np.ndarray] | None = None
         for delay in _DELAY_GRID:
-            left = self._residual_shares(self.motion, self.samples.delayed_torque(float(delay)))
+            torque = np.vstack([each.shifted(float(delay)) for each in self.samples.series])
+            left = self._residual_shares(self.motion, torque)
             if best is None or np.nansum(left) < np.nansum(best[1]):
                 best = float(delay), left
         if best is None or abs(best[0]) < _MIN_DELAY:
@@ -374,9 +369,19 @@ class Explanations:
 
     # ---- residual shares
 
+    def _shares_of(self, reading: Reading) -> np.ndarray:
+        torque = reading.torque(self.samples.torque)
+        return self._residual_shares(self.motions.of(reading), torque)
+
+    def _worsens(self, left: np.ndarray) -> bool:
+        """Return True for shares (n,) of which one is clearly larger than as stated."""
+        added, factor = _WORSENING_TOLERANCE
+        with np.errstate(invalid="ignore"):
+            return bool(np.any(left > np.maximum(self.strict + added, self.strict * factor)))
+
     def _residual_shares(self, motion: Motion, torque: np.ndarray) -> np.ndarray:
         return np.array(
-            [self.torque_fit.residual_share(motion, torque[:, j], j) for j in range(self.n)]
+            [residual_share(self.robot, motion, torque[:, j], j) for j in range(self.n)]
         )
 
     def travels_in_degrees(self, reading: Reading) -> bool:
@@ -399,9 +404,7 @@ class Explanations:
         """
         moves = np.abs(self.motions.of(reading).velocity) >= MIN_MOVING_SPEED
         torque = np.where(moves, self.samples.torque, np.nan)
-        there = [
-            self.torque_fit.residual_share(self.motion, torque[:, j], j) for j in range(self.n)
-        ]
+        there = [residual_share(self.robot, self.motion, torque[:, j], j) for j in range(self.n)]
         return np.array([_is_explained(b, a) for b, a in zip(there, left, strict=True)])
 
     def _is_coupled_drive(self, reading: Reading, joint: int, left: float) -> bool:
@@ -410,8 +413,8 @@ class Explanations:
         columns = np.column_stack([smooth_sign(v), v, a])
         free = np.full(columns.shape[1], np.inf)
         torque = self.samples.torque[:, joint]
-        share = self.torque_fit.residual_share(
-            self.motion, torque, joint, Additions(columns, -free, free)
+        share = residual_share(
+            self.robot, self.motion, torque, joint, Additions(columns, -free, free)
         )
         return share < _EQUIVALENT_RATIO * (left + _SHARE_FLOOR)
 
@@ -442,12 +445,9 @@ class Explanations:
                 plain = (self.strict > share) & (left * factor < self.strict) & (left < most)
                 mended |= plain & (plain.sum() > 1)
                 mended &= self._fails_where_it_moves(reading, left)
-            worse = left > np.maximum(
-                self.strict + _WORSENING_TOLERANCE[0], self.strict * _WORSENING_TOLERANCE[1]
-            )
         for joint in np.flatnonzero(mended & (np.array(reading.includes) != 0)).tolist():
             mended[joint] = not self._is_coupled_drive(reading, joint, left[joint])
-        if mended.sum() < max(reading.steps, 1) or worse.any():
+        if mended.sum() < max(reading.steps, 1) or self._worsens(left):
             return None
         return Explanation(
             left=left,

@@ -14,9 +14,13 @@ from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings, format_jo
 from stiffopt.discovery.sanity.explanation_doubts import describe_explanation, doubt_degrees
 from stiffopt.discovery.sanity.explanations import Explanation, Explanations
 from stiffopt.discovery.sanity.interpretations import Samples, sample_runs
-from stiffopt.discovery.sanity.rest_doubts import doubt_contacts_at_rest
-from stiffopt.discovery.sanity.sensor_doubts import doubt_position_limits, doubt_second_sensors
-from stiffopt.discovery.sanity.torque_doubts import doubt_dead_channels, doubt_repeated_torques
+from stiffopt.discovery.sanity.sensor_doubts import (
+    doubt_contacts_at_rest,
+    doubt_dead_channels,
+    doubt_position_limits,
+    doubt_repeated_torques,
+    doubt_second_sensors,
+)
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
 from stiffopt.recording.signals import is_set_point, may_be_set_point
@@ -77,7 +81,12 @@ class SanityGate:
         """Doubts that stop a diagnosis; empty for plausible recordings."""
         recordings, runs = self.recordings, self._runs
         if not any(body.mass > 0.0 for body in recordings.robot.tree.bodies):
-            return (_doubt_masses(recordings),)
+            # Weight and inertia would hide all other effects.
+            evidence = (
+                "No link of the robot has a mass: its URDF has no <inertial>. Add masses, if only"
+                " rough ones: all other effects are judged beside the weight."
+            )
+            return (Doubt(kind="masses", evidence=evidence),)
         if recordings.signals.commanded and (told := tuple(doubt_commands(recordings, self._runs))):
             return told
         if self._without_unscaled is not None:
@@ -123,11 +132,11 @@ class SanityGate:
         told = tuple(_doubt_references(self.recordings))
         if self._explanation_search is None or self.recordings.signals.unscaled:
             return told
-        return (
-            *told,
-            *map(_doubt_extended_range, self._extended_range_runs),
-            *self._contacts_at_rest,
-        )
+        contacts: Iterator[Doubt] = iter(())
+        if np.nanmax(self._explanation_search.strict, initial=0.0) <= _MIN_OPEN_SHARE:
+            # The nominal model holds in motion.
+            contacts = doubt_contacts_at_rest(self._nominal_robot, self._runs)
+        return (*told, *map(_doubt_extended_range, self._extended_range_runs), *contacts)
 
     @cached_property
     def _without_unscaled(self) -> SanityGate | None:
@@ -140,14 +149,6 @@ class SanityGate:
         if gains is not None and np.any(gains[list(signals.unscaled_joints)] != 1.0):
             return None
         return SanityGate(*leave_out_unscaled(self.recordings, self._runs))
-
-    @property
-    def _contacts_at_rest(self) -> tuple[Doubt, ...]:
-        """Contacts at rest, where the nominal model holds in motion."""
-        search = self._explanation_search
-        if search is None or np.nanmax(search.strict, initial=0.0) > _MIN_OPEN_SHARE:
-            return ()
-        return tuple(doubt_contacts_at_rest(self._nominal_robot, self._runs))
 
     @cached_property
     def _nominal_robot(self) -> RobotModel:
@@ -180,15 +181,6 @@ class SanityGate:
         return [
             each for each in self._odd_runs if each.outside_range and each.search.best() is None
         ]
-
-
-def _doubt_masses(recordings: RecordingSet) -> Doubt:
-    """Doubt a robot without masses: weight and inertia would hide all other effects."""
-    return Doubt(
-        kind="masses",
-        evidence="No link of the robot has a mass: its URDF has no <inertial>. Add masses, if only"
-        " rough ones: all other effects are judged beside the weight.",
-    )
 
 
 def _doubt_unscaled(recordings: RecordingSet) -> Iterator[Doubt]:

@@ -44,10 +44,6 @@ class Samples:
     torque: np.ndarray
     series: tuple[TorqueSeries, ...]  # one per run
 
-    def delayed_torque(self, delay: float) -> np.ndarray:
-        """Return torques (m, n) recorded `delay` [s] after the motion."""
-        return np.vstack([each.shifted(delay) for each in self.series])
-
 
 def sample_runs(runs: Sequence[RecordedRun]) -> Samples | None:
     """Sample instants of the usable runs; None if they are too short."""

@@ -1,13 +1,19 @@
-"""Doubts about sensors: positions beyond limits, contradicting velocities and link angles."""
+"""Doubts about sensors: limits, velocities and link angles, dead or repeated torques, contacts."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations
 
 import numpy as np
 
-from stiffopt.discovery.sanity.doubt import Doubt, limit_to_runs, scale_line
-from stiffopt.discovery.sanity.interpretations import DEGREE, MILLIMETRE
+from stiffopt.discovery.comparison.filtering import filter_slow_motion
+from stiffopt.discovery.comparison.nominal_robot import RobotModel
+from stiffopt.discovery.sanity.doubt import Doubt, format_joints, limit_to_runs, scale_line
+from stiffopt.discovery.sanity.interpretations import DEGREE, MILLIMETRE, Samples
+from stiffopt.discovery.sanity.torque_fit import Motion, fit_gain
+from stiffopt.discovery.settings import MIN_MOVING_SPEED
+from stiffopt.recording.channel import true_intervals
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
 from stiffopt.units import to_si
@@ -34,6 +40,12 @@ def doubt_position_limits(recordings: RecordingSet, runs: Sequence[RecordedRun])
         out = np.isfinite(span) & ((reach[0] < lower - margin) | (reach[1] > upper + margin))
     if not out.any():
         return
+    told = "; ".join(
+        f"joint {j + 1} reads {reach[0, j]:.3g} to {reach[1, j]:.3g}"
+        f" {'m' if recordings.prismatic[j] else 'rad'}, its limits are {lower[j]:.3g} to"
+        f" {upper[j]:.3g}"
+        for j in np.flatnonzero(out)
+    )
     turning = ~recordings.prismatic
     in_degrees = DEGREE * reach
     fits = (in_degrees[0] >= lower - margin) & (in_degrees[1] <= upper + margin)
@@ -42,34 +54,16 @@ def doubt_position_limits(recordings: RecordingSet, runs: Sequence[RecordedRun])
         yield Doubt(
             kind="position unit",
             joints=tuple(int(j) + 1 for j in np.flatnonzero(out)),
-            evidence="The positions look like degrees: "
-            + _describe_reach(recordings, reach, lower, upper, out),
+            evidence=f"The positions look like degrees: {told}.",
             line=scale_line(recordings, "position", np.ones(recordings.n), "deg"),
         )
         return
     yield Doubt(
         kind="position limits",
         joints=tuple(int(j) + 1 for j in np.flatnonzero(out)),
-        evidence="Positions lie beyond the limits of the robot's own file: "
-        + _describe_reach(recordings, reach, lower, upper, out)
-        + " Check their zero, sign and unit, or correct the limits.",
+        evidence=f"Positions lie beyond the limits of the robot's own file: {told}. Check their"
+        " zero, sign and unit, or correct the limits.",
     )
-
-
-def _describe_reach(
-    recordings: RecordingSet,
-    reach: np.ndarray,
-    lower: np.ndarray,
-    upper: np.ndarray,
-    out: np.ndarray,
-) -> str:
-    parts = [
-        f"joint {j + 1} reads {reach[0, j]:.3g} to {reach[1, j]:.3g}"
-        f" {'m' if recordings.prismatic[j] else 'rad'}, its limits are {lower[j]:.3g} to"
-        f" {upper[j]:.3g}"
-        for j in np.flatnonzero(out)
-    ]
-    return "; ".join(parts) + "."
 
 
 def doubt_second_sensors(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> Iterator[Doubt]:
@@ -131,3 +125,137 @@ def _common_factor(recordings: RecordingSet, ratios: Mapping[int, float | None])
         np.all(np.abs(known / usual - 1.0) < _UNIT_TOLERANCE)
     )
     return usual if alike and usual > 0.0 else None
+
+
+# A channel is dead if its deviation is below the first share of that of the nominal torque, and
+# the nominal torque leaves more than the second share of its variance at any gain.
+_MAX_DEAD_SIZE, _MIN_UNRELATED_SHARE = 0.1, 0.9
+# Share of equal samples of two runs from which a channel repeats, and values that it then has at
+# least: a coarse or stationary channel repeats by chance.
+_MIN_EQUAL_SHARE, _MIN_DISTINCT_VALUES = 0.9, 100
+
+
+def doubt_dead_channels(
+    recordings: RecordingSet, robot: RobotModel, samples: Samples
+) -> Iterator[Doubt]:
+    """Yield a doubt about torque channels that do not follow the motion at any gain.
+
+    `samples`: of the training runs.
+    """
+    motion = Motion.of(robot, samples.position, samples.velocity, samples.acceleration)
+    dead, parts = [], []
+    for j in range(recordings.n):
+        torque = samples.torque[:, j]
+        known = np.isfinite(torque)
+        if not known.any():
+            continue
+        asked = motion.spring[known, j] + robot.friction(motion.velocity)[known, j]
+        size = float(np.std(torque[known]))
+        if size >= _MAX_DEAD_SIZE * float(np.std(asked)):
+            continue
+        if fit_gain(robot, motion, torque, j, ())[1] > _MIN_UNRELATED_SHARE:
+            unit = "N" if recordings.prismatic[j] else "N m"
+            dead.append(j)
+            parts.append(
+                f"that of joint {j + 1} is {np.mean(torque[known]):.2g} +- {size:.2g} {unit}, the"
+                f" motion takes up to {np.abs(asked).max():.3g} {unit}"
+            )
+    if dead:
+        names = ['""' if j in dead else f'"{x}"' for j, x in enumerate(recordings.signals.torque)]
+        yield Doubt(
+            kind="dead channel",
+            joints=tuple(j + 1 for j in dead),
+            evidence=f"The torque of {format_joints(dead)} does not follow the motion:"
+            f" {'; '.join(parts)}. The channel is not connected, or not filled.",
+            line=f"torque = [{', '.join(names)}] in [signals]",
+        )
+
+
+def doubt_repeated_torques(runs: Sequence[RecordedRun]) -> Iterator[Doubt]:
+    """Yield a doubt about torques that are equal to the digit in two runs: commands, or copies."""
+    for first, second in combinations(runs, 2):
+        count = min(len(first.time), len(second.time))
+        equal = [
+            j for j in range(first.n) if _repeats(first.torque[:count, j], second.torque[:count, j])
+        ]
+        if not equal:
+            continue
+        pair = f"{first.name} and {second.name}"
+        copied = np.array_equal(first.position[:count], second.position[:count], equal_nan=True)
+        if copied:
+            evidence = f"{pair} are one recording: positions and torques are equal to the digit."
+            evidence += " Leave one of them out."
+        else:
+            evidence = (
+                f"The torque of {format_joints(equal)} is equal to the digit in {pair}, the"
+                " positions are not: it looks commanded or calculated, not measured. Record the"
+                " measured torque or current."
+            )
+        yield Doubt(
+            kind="repeated run" if copied else "commanded torque",
+            joints=tuple(j + 1 for j in equal),
+            evidence=evidence,
+        )
+        return
+
+
+def _repeats(first: np.ndarray, second: np.ndarray) -> bool:
+    known = np.isfinite(first) & np.isfinite(second)
+    if len(np.unique(first[known])) < _MIN_DISTINCT_VALUES:
+        return False
+    return bool(np.mean(first[known] == second[known]) > _MIN_EQUAL_SHARE)
+
+
+# Shortest interval [s].
+_MIN_DURATION = 0.3
+# Bound of the friction at rest over the Coulomb friction; error of the weight over itself; and the
+# excess over both from which an interval counts, over the Coulomb friction.
+_STICTION_RATIO, _WEIGHT_TOLERANCE, _MIN_EXCESS = 1.5, 0.1, 0.5
+# Largest share of the stationary time with an excess: more is a wrong model, not a contact.
+_MAX_SHARE = 0.5
+
+
+def doubt_contacts_at_rest(robot: RobotModel, runs: Sequence[RecordedRun]) -> Iterator[Doubt]:
+    """Yield a remark about every interval in which a stationary joint carries a further load.
+
+    A fit leaves stationary joints out, whose friction is anything between its bounds. A load beyond
+    these bounds is nevertheless one.
+
+    `robot`: joints without stated friction are left out.
+    """
+    for run in runs:
+        if not run.usable:
+            continue
+        slow = filter_slow_motion(run)
+        load = robot.spring_torque(slow.position, slow.velocity, slow.acceleration)
+        rest = np.abs(slow.velocity) < MIN_MOVING_SPEED
+        carried = slow.torque - load - robot.rotor_inertia * slow.acceleration
+        bound = _STICTION_RATIO * robot.coulomb + _WEIGHT_TOLERANCE * np.abs(load)
+        excess = np.where(rest & np.isfinite(carried), np.abs(carried) - bound, -np.inf)
+        for j in np.flatnonzero(robot.coulomb > 0.0).tolist():
+            found = excess[:, j] > _MIN_EXCESS * robot.coulomb[j]
+            if found.sum() > _MAX_SHARE * rest[:, j].sum():
+                continue
+            for begin, end in true_intervals(found):
+                if (end - begin) * slow.dt >= _MIN_DURATION:
+                    yield _describe_contact(robot, run, slow.time, carried[:, j], j, (begin, end))
+
+
+def _describe_contact(
+    robot: RobotModel,
+    run: RecordedRun,
+    time: np.ndarray,
+    carried: np.ndarray,
+    joint: int,
+    interval: tuple[int, int],
+) -> Doubt:
+    begin, end = interval
+    unit = "N" if robot.recordings.prismatic[joint] else "N m"
+    most = float(np.abs(carried[begin:end]).max())
+    return Doubt(
+        kind="contact at rest",
+        joints=(joint + 1,),
+        evidence=f"In {run.name}, {time[begin]:.2f} to {time[end - 1]:.2f} s, joint {joint + 1}"
+        f" stands and carries {most:.3g} {unit} beside its weight, where friction holds"
+        f" {robot.coulomb[joint]:.3g} {unit}: something touches or loads the arm there.",
+    )

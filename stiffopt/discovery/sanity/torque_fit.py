@@ -59,93 +59,91 @@ class Additions:
     upper: np.ndarray
 
 
-class TorqueFit:
-    """Fit of measured torques by the nominal model with bounded friction, inertia and offset."""
+def residual_share(
+    robot: RobotModel,
+    motion: Motion,
+    torque: np.ndarray,
+    joint: int,
+    extra: Additions | None = None,
+) -> float:
+    """Return the residual share of a torque's variance; nan if the motion cannot decide.
 
-    def __init__(self, robot: RobotModel) -> None:
-        self.robot = robot
+    `torque` (m,): measured [N m]. `extra`: further columns, such as springs and payloads.
+    """
+    reduced = _reduce_table(robot, motion, torque, joint, extra)
+    return float("nan") if reduced is None else reduced.share(1.0)
 
-    def residual_share(
-        self, motion: Motion, torque: np.ndarray, joint: int, extra: Additions | None = None
-    ) -> float:
-        """Return the residual share of a torque's variance; nan if the motion cannot decide.
 
-        `torque` (m,): measured [N m]. `extra`: further columns, such as springs and payloads.
-        """
-        reduced = self._reduce_table(motion, torque, joint, extra)
-        return float("nan") if reduced is None else reduced.share(1.0)
+def fit_gain(
+    robot: RobotModel, motion: Motion, torque: np.ndarray, joint: int, usual: Sequence[float] | None
+) -> tuple[float, float]:
+    """Return the gain, of either sign, that fits a torque best, and its residual share.
 
-    def gain(
-        self, motion: Motion, torque: np.ndarray, joint: int, usual: Sequence[float] | None
-    ) -> tuple[float, float]:
-        """Return the gain, of either sign, that fits a torque best, and its residual share.
+    A usual gain is preferred if it fits nearly as well. Where `usual` is None, as for a
+    current, both are nan if half or twice of it leaves less than twice the share: friction may
+    be of any size, and a joint that carries no weight fits every gain.
+    """
+    reduced = _reduce_table(robot, motion, torque, joint, None)
+    if reduced is None:
+        return float("nan"), float("nan")
+    every = [*-_GAIN_GRID[::-1], *_GAIN_GRID]
+    shares = [reduced.share(g) for g in every]
+    best = int(np.argmin(shares))
+    sign, log = np.sign(every[best]), np.log(abs(every[best]))
+    step = float(np.log(_GAIN_GRID[1] / _GAIN_GRID[0]))
+    found = minimize_scalar(
+        lambda x: reduced.share(sign * np.exp(x)),
+        bounds=(log - step, log + step),
+        method="bounded",
+        options={"xatol": 1e-3},
+    )
+    gain = float(sign * np.exp(found.x))
+    if usual is None:
+        beside = min(reduced.share(0.5 * gain), reduced.share(2.0 * gain))
+        return (gain, float(found.fun)) if beside > 2.0 * found.fun else (np.nan, np.nan)
+    good = {
+        g: share for g in usual if (share := reduced.share(g)) < 1.5 * found.fun + _EQUIVALENT_SHARE
+    }
+    if good:
+        # A joint without weight fits any size of a gain: the first one, a sign alone, will do.
+        least = min(good.values())
+        return next(one for one in good.items() if one[1] <= _EQUAL_RATIO * least)
+    return gain, float(found.fun)
 
-        A usual gain is preferred if it fits nearly as well. Where `usual` is None, as for a
-        current, both are nan if half or twice of it leaves less than twice the share: friction may
-        be of any size, and a joint that carries no weight fits every gain.
-        """
-        reduced = self._reduce_table(motion, torque, joint, None)
-        if reduced is None:
-            return float("nan"), float("nan")
-        every = [*-_GAIN_GRID[::-1], *_GAIN_GRID]
-        shares = [reduced.share(g) for g in every]
-        best = int(np.argmin(shares))
-        sign, log = np.sign(every[best]), np.log(abs(every[best]))
-        step = float(np.log(_GAIN_GRID[1] / _GAIN_GRID[0]))
-        found = minimize_scalar(
-            lambda x: reduced.share(sign * np.exp(x)),
-            bounds=(log - step, log + step),
-            method="bounded",
-            options={"xatol": 1e-3},
-        )
-        gain = float(sign * np.exp(found.x))
-        if usual is None:
-            beside = min(reduced.share(0.5 * gain), reduced.share(2.0 * gain))
-            return (gain, float(found.fun)) if beside > 2.0 * found.fun else (np.nan, np.nan)
-        good = {
-            g: share
-            for g in usual
-            if (share := reduced.share(g)) < 1.5 * found.fun + _EQUIVALENT_SHARE
-        }
-        if good:
-            # A joint without weight fits any size of a gain: the first one, a sign alone, will do.
-            least = min(good.values())
-            return next(one for one in good.items() if one[1] <= _EQUAL_RATIO * least)
-        return gain, float(found.fun)
 
-    def _reduce_table(
-        self, motion: Motion, torque: np.ndarray, joint: int, extra: Additions | None
-    ) -> _ReducedTable | None:
-        speed = motion.velocity[:, joint]
-        rows = (np.abs(speed) >= MIN_MOVING_SPEED) & np.isfinite(torque)
-        if rows.sum() < MIN_MOVING_INSTANTS or np.ptp(torque[rows]) == 0.0:
-            return None
-        robot, spring = self.robot, motion.spring[:, joint]
-        direction = smooth_sign(speed)
-        acceleration = motion.acceleration[:, joint]
-        stated = (
-            (robot.coulomb[joint], direction),
-            (robot.viscous[joint], speed),
-            (robot.rotor_inertia[joint], acceleration),
-        )
-        nominal = spring + sum(value * column for value, column in stated)
-        link_side = robot.recordings.torque_side == "link"
-        largest = np.abs(motion.spring if link_side else nominal[rows]).max()
-        offset = _MAX_OFFSET_SHARE * float(largest)
-        columns = [np.ones_like(speed), np.abs(spring) * direction]
-        lower, upper = [-offset, 0.0], [offset, _MAX_LOAD_FRICTION]
-        for value, column in stated:
-            columns.append(column)
-            lower.append(-_MAX_RELATIVE_DECREASE * value)
-            upper.append(_MAX_RELATIVE_INCREASE * value if value > 0.0 else np.inf)
-        if extra is not None:
-            columns += list(extra.columns.T)
-            lower += list(extra.lower)
-            upper += list(extra.upper)
-        table = np.column_stack([torque, nominal, *columns])[rows]
-        variance = float(np.sum((table[:, 0] - table[:, 0].mean()) ** 2))
-        triangle = np.asarray(np.linalg.qr(table, mode="r"))
-        return _ReducedTable(triangle, np.array(lower), np.array(upper), variance)
+def _reduce_table(
+    robot: RobotModel, motion: Motion, torque: np.ndarray, joint: int, extra: Additions | None
+) -> _ReducedTable | None:
+    speed = motion.velocity[:, joint]
+    rows = (np.abs(speed) >= MIN_MOVING_SPEED) & np.isfinite(torque)
+    if rows.sum() < MIN_MOVING_INSTANTS or np.ptp(torque[rows]) == 0.0:
+        return None
+    spring = motion.spring[:, joint]
+    direction = smooth_sign(speed)
+    acceleration = motion.acceleration[:, joint]
+    stated = (
+        (robot.coulomb[joint], direction),
+        (robot.viscous[joint], speed),
+        (robot.rotor_inertia[joint], acceleration),
+    )
+    nominal = spring + sum(value * column for value, column in stated)
+    link_side = robot.recordings.torque_side == "link"
+    largest = np.abs(motion.spring if link_side else nominal[rows]).max()
+    offset = _MAX_OFFSET_SHARE * float(largest)
+    columns = [np.ones_like(speed), np.abs(spring) * direction]
+    lower, upper = [-offset, 0.0], [offset, _MAX_LOAD_FRICTION]
+    for value, column in stated:
+        columns.append(column)
+        lower.append(-_MAX_RELATIVE_DECREASE * value)
+        upper.append(_MAX_RELATIVE_INCREASE * value if value > 0.0 else np.inf)
+    if extra is not None:
+        columns += list(extra.columns.T)
+        lower += list(extra.lower)
+        upper += list(extra.upper)
+    table = np.column_stack([torque, nominal, *columns])[rows]
+    variance = float(np.sum((table[:, 0] - table[:, 0].mean()) ** 2))
+    triangle = np.asarray(np.linalg.qr(table, mode="r"))
+    return _ReducedTable(triangle, np.array(lower), np.array(upper), variance)
 
 
 @dataclass(frozen=True, eq=False)

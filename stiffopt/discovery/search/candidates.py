@@ -85,10 +85,6 @@ class Scorer:
         self._general_scorers: dict[tuple[object, ...], Scorer] = {}
         self._known_evidence: dict[tuple[object, ...], float] = {}
 
-    @cached_property
-    def _base_residual(self) -> np.ndarray:
-        return self._residual_beside(self.start.mean)
-
     def _residual_beside(self, values: np.ndarray) -> np.ndarray:
         """Return what the base model with values (p,) leaves of the target (m,)."""
         return np.asarray(self.comparison.target - self.comparison.model_rows(self.base, values))
@@ -129,7 +125,7 @@ class Scorer:
             - price
             - self.comparison.inherited_evidence(located),
             deviations=math.sqrt(max(float(found.mean @ found.precision @ found.mean), 0.0)),
-            gained=lambda: self._predictive_gain(sums, kept),
+            gained=lambda: self._beside.log_predictive(sums, kept) - float(np.sum(self.by_block)),
             change=lambda: self._most_changed_channel(located, found.base(), mean),
         )
 
@@ -149,11 +145,13 @@ class Scorer:
         seen = float(np.sum(inner) - np.sum(cross * (self.start.covariance @ cross)))
         return 1.0 / float(np.sqrt(seen)) if seen > 0.0 else None
 
-    def nuisance_with(self, located: LocatedEffect) -> np.ndarray:
-        """Return the nominal values fitted beside an effect."""
+    def prior_relief(self, located: LocatedEffect) -> float:
+        """Return the log prior that the nominal values regain beside an effect."""
         _, sd = self.comparison.priors
         found, _ = self._fit_within_bounds(located, self._sums.added_sums(located))
-        return (self.start.mean if found is None else found.base())[: len(sd)]
+        without = self.start.mean[: len(sd)] / sd
+        within = (self.start.mean if found is None else found.base())[: len(sd)] / sd
+        return 0.5 * float(without @ without - within @ within)
 
     def _fit_within_bounds(
         self, located: LocatedEffect, sums: AddedSums
@@ -198,9 +196,6 @@ class Scorer:
             self._known_evidence[located.key] = -math.inf if found is None else found.evidence
         return self._known_evidence[located.key]
 
-    def _predictive_gain(self, sums: AddedSums, kept: np.ndarray) -> float:
-        return self._beside.log_predictive(sums, kept) - float(np.sum(self.by_block))
-
     def _most_changed_channel(
         self, located: LocatedEffect, base_mean: np.ndarray, mean: np.ndarray
     ) -> tuple[int, float]:
@@ -213,7 +208,7 @@ class Scorer:
         acted_on = np.sum(added**2, axis=1)
         channels = self.comparison.rows.channel
         size = 2 * self.comparison.robot.n
-        before = np.bincount(channels, self._base_residual**2, minlength=size)
+        before = np.bincount(channels, self._residual_beside(self.start.mean) ** 2, minlength=size)
         after = np.bincount(channels, residual**2, minlength=size)
         acted = np.bincount(channels, acted_on, minlength=size)
         # Less is vibration excited through other links.
@@ -328,10 +323,9 @@ def _has_own_amplitude(located: LocatedEffect, found: AddedPosterior, kept: np.n
 
     Without one the candidate is a simpler effect with more freedom.
     """
-    if not located.effect.has_distinctive:
-        return True
+    distinctive = located.effect.distinctive_amplitudes
     sure = np.abs(found.mean) > NAMED_DEVIATIONS * np.sqrt(np.diag(found.covariance))
-    return bool(np.any(sure & np.isin(kept, located.effect.distinctive_amplitudes)))
+    return not distinctive or bool(np.any(sure & np.isin(kept, distinctive)))
 
 
 def scan(

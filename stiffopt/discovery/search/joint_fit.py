@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from stiffopt.discovery.comparison.comparison import Comparison
@@ -18,16 +20,7 @@ def passes_thresholds(candidate: Candidate, scorer: Scorer) -> bool:
         return False
     if candidate.explained >= NAMED_SHARE:
         return True
-    return _prior_relief(candidate, scorer) > PRIOR_RELIEF_SHARE * candidate.evidence
-
-
-def _prior_relief(candidate: Candidate, scorer: Scorer) -> float:
-    """Return the log prior that the nominal values regain beside the effect."""
-    _, sd = scorer.comparison.priors
-    count = len(sd)
-    without = scorer.start.mean[:count] / sd
-    within = scorer.nuisance_with(candidate.located) / sd
-    return 0.5 * float(without @ without - within @ within)
+    return scorer.prior_relief(candidate.located) > PRIOR_RELIEF_SHARE * candidate.evidence
 
 
 def fit_jointly(
@@ -61,16 +54,21 @@ def _best_initial_shapes(scorer: Scorer, located: LocatedEffect) -> Candidate | 
     return max(found, key=lambda each: each.evidence, default=None)
 
 
+def within_bounds(comparison: Comparison, effects: Sequence[LocatedEffect]) -> list[LocatedEffect]:
+    """Return the effects that are within their bounds beside all others."""
+    return [
+        e
+        for e in effects
+        if Scorer(comparison, [o for o in effects if o is not e]).score(e) is not None
+    ]
+
+
 def prune_effects(comparison: Comparison, effects: list[LocatedEffect]) -> list[LocatedEffect]:
     """Remove effects without which the evidence hardly falls, the least first.
 
     Calibrated values are removed only outside their bounds.
     """
-    kept = [
-        e
-        for e in effects
-        if Scorer(comparison, [o for o in effects if o is not e]).score(e) is not None
-    ]
+    kept = within_bounds(comparison, effects)
     while not all(e.calibrated for e in kept):
         losses = comparison.fit(kept).evidence_losses()
         losses[[e.calibrated for e in kept]] = np.inf

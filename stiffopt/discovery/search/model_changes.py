@@ -11,7 +11,12 @@ from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.progress import Say
 from stiffopt.discovery.search.candidates import Candidate, Scorer, scan
-from stiffopt.discovery.search.joint_fit import STOPPED_MESSAGE, fit_jointly, passes_thresholds
+from stiffopt.discovery.search.joint_fit import (
+    STOPPED_MESSAGE,
+    fit_jointly,
+    passes_thresholds,
+    within_bounds,
+)
 from stiffopt.discovery.search.left_out_gain import select_predictive
 from stiffopt.discovery.thresholds import (
     EQUIVALENT_EVIDENCE_SHARE,
@@ -138,12 +143,4 @@ def _find_single_change(
 
 def _select_certain(comparison: Comparison, effects: list[LocatedEffect]) -> list[LocatedEffect]:
     """Select effects that are within bounds and help in recordings left out."""
-    kept = select_predictive(comparison, effects)
-    return [e for e in kept if _is_within_bounds(comparison, kept, e)]
-
-
-def _is_within_bounds(
-    comparison: Comparison, effects: Sequence[LocatedEffect], located: LocatedEffect
-) -> bool:
-    others = [e for e in effects if e is not located]
-    return Scorer(comparison, others).score(located) is not None
+    return within_bounds(comparison, select_predictive(comparison, effects))

@@ -9,17 +9,23 @@ shapes, which they are not: place and form are known before.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields
 
 import numpy as np
 
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.comparison.nuisance import OutsideValue, select_outside
+from stiffopt.discovery.comparison.nuisance import MIN_TOLERANCES_OUTSIDE, OutsideValue
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.progress import Say
 from stiffopt.discovery.search.joint_fit import fit_jointly
 from stiffopt.discovery.search.rivals import Selected, rank_rivals
 from stiffopt.discovery.thresholds import UNEXPLAINED_RATIO
+from stiffopt.recording.nominal import Tolerance
+
+# Largest standard deviation of a value outside its tolerance, in tolerances: a less determined one
+# follows others.
+_MAX_DEVIATION_OUTSIDE = 0.5
 
 
 def values_outside_tolerance(
@@ -29,11 +35,19 @@ def values_outside_tolerance(
 
     Without bounds: bounded values push others, which take over their part, to their bounds.
     """
+    posterior = comparison.fit(effects, boxed=False).posterior
     names, tolerances = comparison.priors
-    found = comparison.fit(effects, boxed=False).posterior
-    count = len(names)
-    deviations = np.sqrt(np.diag(found.covariance)[:count])
-    return select_outside(names, tolerances, found.mean[:count], deviations)
+    known = {field.name for field in fields(Tolerance)}
+    found = [
+        OutsideValue(name, float(change), float(sd), float(tolerance))
+        for name, tolerance, change, sd in zip(
+            names, tolerances, posterior.mean, np.sqrt(np.diag(posterior.covariance)), strict=False
+        )
+        if name.kind in known
+        and abs(change) > MIN_TOLERANCES_OUTSIDE * tolerance
+        and sd < _MAX_DEVIATION_OUTSIDE * tolerance
+    ]
+    return tuple(sorted(found, key=lambda each: -abs(each.change) / each.tolerance))
 
 
 def claim_outside_values(
@@ -57,7 +71,10 @@ def claim_outside_values(
         for each in values_outside_tolerance(current, effects)
         if getattr(stated, each.name.kind) is not None
     ]
-    if not outside or len(outside) > most or not _explains(current, effects):
+    if not outside or len(outside) > most:
+        return current, ranked
+    left = current.channel_ratio(current.fit(effects, boxed=False).residual)
+    if not np.nanmax(left / current.least) < UNEXPLAINED_RATIO:
         return current, ranked
     wanted = list(effects)
     for value in outside:
@@ -70,11 +87,6 @@ def claim_outside_values(
     # The search has tried to exchange them: rivals that gained enough are among the effects.
     again = (rank_rivals(wider, found, each, catalogue, tell=tell) for each in found)
     return wider, [each for each in again if each is not None]
-
-
-def _explains(comparison: Comparison, effects: Sequence[LocatedEffect]) -> bool:
-    left = comparison.channel_ratio(comparison.fit(effects, boxed=False).residual)
-    return bool(np.nanmax(left / comparison.least) < UNEXPLAINED_RATIO)
 
 
 def _locate_effect(

@@ -10,13 +10,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.inertial_parameters import body_units, nominal_bodies
+from stiffopt.discovery.comparison.inertial_parameters import (
+    body_units,
+    is_consistent,
+    likeliest_consistent_bodies,
+    nominal_bodies,
+)
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, effect_places
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.progress import Say
@@ -233,5 +238,39 @@ def _best_single_change(scorer: Scorer, catalogue: Sequence[Effect], tell: Say) 
             tell(f"re-identify the rigid model: {located.label} in place of all")
             scored = scorer.score(located)
             if scored is not None:
-                found.append(scorer.refine(scored))
+                found.append(_as_real_body(scorer.comparison, scorer.refine(scored)))
     return max(found, key=lambda c: c.gain, default=None)
+
+
+def _as_real_body(comparison: Comparison, found: Candidate) -> Candidate:
+    """Return a change of one body with its likeliest physically consistent parameters.
+
+    What these fit worse counts against it. Other changes are returned as they are.
+    """
+    body = found.located.changed_body(comparison.constants)
+    if body is None:
+        return found
+    sizes = found.located.sizes(comparison.constants)
+    nominal, units = (own(comparison.robot)[[body]] for own in (nominal_bodies, body_units))
+    change = found.amplitudes * sizes
+    if is_consistent(nominal + change, units):
+        return found
+    # Amplitudes that left their bounds have no variance: they stay.
+    held = np.where(np.diag(found.covariance) > 0.0, 0.0, np.finfo(float).eps ** 0.5)
+    gram = np.linalg.inv(found.covariance + np.diag(held)) / np.outer(sizes, sizes)
+    place, free = slice(0, PARAMETERS_PER_BODY), np.full(PARAMETERS_PER_BODY, np.inf)
+    real = likeliest_consistent_bodies(gram, gram @ change, place, nominal, units, free)
+    lost = 0.5 * float((real - change) @ gram @ (real - change))
+    return replace(
+        found,
+        amplitudes=real / sizes,
+        evidence=found.evidence - lost,
+        gained=lambda: found.gain - lost,
+    )
+
+
+def with_single_body(comparison: Comparison, body: int, sizes: np.ndarray) -> Comparison:
+    """Return the comparison with one body free, by deviations (10,), all others held."""
+    deviations = BODY_WIDTHS[0] * body_units(comparison.robot)
+    deviations[body] = sizes
+    return comparison.with_bodies(deviations)

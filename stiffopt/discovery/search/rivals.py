@@ -45,6 +45,11 @@ class Selected:
     likelier: LocatedEffect | None = None  # rival that is likelier
 
 
+def unranked(own: Candidate, probability: float) -> Selected:
+    """Return a found effect without rivals."""
+    return Selected(own.located, own.evidence, own.deviations, probability, (), own.channel)
+
+
 def rank_rivals(
     comparison: Comparison,
     effects: Sequence[LocatedEffect],
@@ -63,7 +68,7 @@ def rank_rivals(
     if own is None:
         return None
     if located.calibrated:
-        return Selected(located, own.evidence, own.deviations, 1.0, (), own.channel)
+        return unranked(own, 1.0)
     worth = _MIN_REFINED_SHARE * own.evidence
     every = scan(scorer, catalogue, worth=worth, about=located, tell=tell)
     found = [c for c in every if not c.located.same_place(located)]
@@ -100,16 +105,6 @@ def _evidence_lead(candidate: Candidate, own: Candidate) -> float:
     if candidate.located.effect.is_twin(own.located.effect):
         return candidate.log_likelihood - own.log_likelihood
     return candidate.evidence - own.evidence
-
-
-def select_unranked(
-    comparison: Comparison, effects: Sequence[LocatedEffect], located: LocatedEffect
-) -> Selected | None:
-    """Return a found effect not ranked for lack of time, with probability 0.5."""
-    own = Scorer(comparison, [e for e in effects if e is not located]).score(located)
-    if own is None:
-        return None
-    return Selected(located, own.evidence, own.deviations, 0.5, (), own.channel)
 
 
 def _log_prior(candidate: Candidate, constants: RobotConstants, changed: bool) -> float:

@@ -26,7 +26,7 @@ from stiffopt.discovery.search.rivals import (
     Selected,
     exchange_rivals,
     rank_effects,
-    select_unranked,
+    unranked,
 )
 from stiffopt.discovery.search.tournament import CATALOGUE_MODEL, Contender, hold_tournament
 from stiffopt.discovery.thresholds import (
@@ -203,7 +203,10 @@ class _Search:
         for located in self.effects:
             own = known.get(located.key)
             if own is None:
-                own, weighed = select_unranked(self.current, self.effects, located), False
+                # For lack of time not ranked.
+                others = [each for each in self.effects if each is not located]
+                found_alone, weighed = Scorer(self.current, others).score(located), False
+                own = None if found_alone is None else unranked(found_alone, 0.5)
             if own is not None:
                 found.append(own)
         return tuple(sorted(found, key=lambda each: -each.loss)), weighed

@@ -18,7 +18,11 @@ from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.inertial_parameters import body_units
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.search.cross_validation import predict_folds
-from stiffopt.discovery.search.rigid_model import PRIOR_WIDTHS, with_own_noise
+from stiffopt.discovery.search.rigid_model import (
+    PRIOR_WIDTHS,
+    with_own_noise,
+    with_single_body,
+)
 
 FRICTION_LINES, SINGLE_BODY, BASE_PARAMETERS, CATALOGUE_MODEL = (
     "friction lines",
@@ -62,7 +66,12 @@ def hold_tournament(
             (FRICTION_LINES, held, tuple(calibrated)),
             (BASE_PARAMETERS, free, tuple(calibrated)),
         ]
-        if single is not None:
+        body = None if single is None else single.changed_body(comparison.constants)
+        if single is not None and body is not None:
+            # As a free body it stays physically consistent; amplitudes of an effect have no bounds.
+            alone = with_single_body(comparison, body, single.sizes(comparison.constants))
+            entries.append((SINGLE_BODY, alone, tuple(calibrated)))
+        elif single is not None:
             entries.append((SINGLE_BODY, held, (*calibrated, single)))
     found = [
         Contender(name, model, own, _residual_left_out(model, own)) for name, model, own in entries

@@ -12,21 +12,18 @@ from scipy import special
 
 from stiffopt.discovery.comparison.channel_rows import part_numbers
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.design_matrix import MIN_RUNS_AS_BLOCKS
+from stiffopt.discovery.comparison.design_matrix import MIN_RUNS_AS_BLOCKS, STRETCH_DURATION
 from stiffopt.discovery.comparison.located_effect import (
     EstimatedEffect,
     LocatedEffect,
     with_amplitudes,
 )
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
-from stiffopt.discovery.comparison.value_name import ValueName
+from stiffopt.discovery.names import ValueName
 
 if TYPE_CHECKING:
     from stiffopt.discovery.effect import Constants
 
-# Length of the stretches that a jackknife leaves out [s]: longer than the correlation time of
-# residuals.
-STRETCH_DURATION = 2.0
 # Relative step of numerical derivatives.
 _DIFFERENCE_STEP = 1e-4
 # Prior standard deviation of a shape over its size: wide, so that only the data count.
@@ -256,7 +253,7 @@ def estimate_parameters(comparison: Comparison, effects: Sequence[LocatedEffect]
     blocks = number_stretches(comparison)
     covariance, spread = _jackknife_covariance(comparison, matrix, prior, blocks)
     between = covariance
-    if comparison.blocks_are_runs:
+    if len(comparison.runs) >= MIN_RUNS_AS_BLOCKS:
         _, between = _jackknife_covariance(
             comparison, matrix, prior, comparison.rows.block, MIN_RUNS_AS_BLOCKS
         )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable
 from dataclasses import astuple, fields
 
 import numpy as np
@@ -21,6 +20,7 @@ from stiffopt.export.model_format import (
 from stiffopt.files import csv_text
 from stiffopt.robot.body_tree import realisable_inertia, realisable_moments
 from stiffopt.robot.mjcf import is_mjcf
+from stiffopt.robot.xml_files import numbers_text
 
 # MuJoCo's dry friction is a soft constraint: with these settings nearly full at 1 mrad/s.
 _FRICTION_TIME, _FRICTION_IMPEDANCE = 0.002, "0.9999 0.9999 0.001 0.5 2"
@@ -66,7 +66,7 @@ class Mjcf(ModelFormat):
         ET.SubElement(
             root,
             "option",
-            gravity=_format_numbers(gravity),
+            gravity=numbers_text(gravity),
             timestep="0.0005",
             integrator="implicitfast",
         )
@@ -78,8 +78,8 @@ class Mjcf(ModelFormat):
             places[tool.joint],
             "site",
             name="tool",
-            pos=_format_numbers(tool.offset),
-            quat=_format_numbers(_to_quaternion(tool.rotation)),
+            pos=numbers_text(tool.offset),
+            quat=numbers_text(_to_quaternion(tool.rotation)),
         )
         actuators = ET.SubElement(root, "actuator")
         for j, name in enumerate(robot.joint_names):
@@ -111,23 +111,23 @@ class Mjcf(ModelFormat):
             parent,
             "body",
             name=f"{name}_link",
-            pos=_format_numbers(body.translation),
-            quat=_format_numbers(_to_quaternion(body.rotation)),
+            pos=numbers_text(body.translation),
+            quat=numbers_text(_to_quaternion(body.rotation)),
         )
         # xx, yy, zz, xy, xz, yz about the centre of mass, in the body's axes.
         rows, columns = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
         ET.SubElement(
             element,
             "inertial",
-            pos=_format_numbers(body.centre),
+            pos=numbers_text(body.centre),
             mass=repr(float(body.mass)),
-            fullinertia=_format_numbers(realisable_inertia(body.inertia)[rows, columns]),
+            fullinertia=numbers_text(realisable_inertia(body.inertia)[rows, columns]),
         )
         zero = found.zeros[j]
         joint = {
             "name": name,
             "type": "slide" if body.prismatic else "hinge",
-            "axis": _format_numbers(body.axis),
+            "axis": numbers_text(body.axis),
             "frictionloss": repr(float(robot.coulomb[j])),
             "damping": repr(float(robot.viscous[j])),
             "armature": repr(float(robot.rotor_inertia[j])),
@@ -149,17 +149,13 @@ def _range_attributes(kind: str, low: float, high: float) -> dict[str, str]:
     """Attributes of a finite range; empty for an infinite one."""
     if not (np.isfinite(low) and np.isfinite(high)):
         return {}
-    return {f"{kind}limited": "true", f"{kind}range": _format_numbers([low, high])}
+    return {f"{kind}limited": "true", f"{kind}range": numbers_text([low, high])}
 
 
 def _to_quaternion(rotation: np.ndarray) -> np.ndarray:
     """Convert a rotation to a quaternion w, x, y, z."""
     x, y, z, w = Rotation.from_matrix(rotation).as_quat()
     return np.array([w, x, y, z])
-
-
-def _format_numbers(values: Iterable[float]) -> str:
-    return " ".join(repr(float(value)) for value in values)
 
 
 MODEL_FORMATS.add(Mjcf())

@@ -7,11 +7,10 @@ import xml.etree.ElementTree as ET
 import numpy as np
 
 from stiffopt.export.model_format import MODEL_FORMATS, DiagnosedRobot, ModelFormat, notes
-from stiffopt.robot.body_tree import Body
-from stiffopt.robot.joint_tree import PLANNED_KINDS
+from stiffopt.robot.joint_tree import PLANNED_KINDS, link_attribute
 from stiffopt.robot.mjcf import is_mjcf, read_mjcf
 from stiffopt.robot.mjcf_tree import build_tree
-from stiffopt.robot.xml_files import parse_xml
+from stiffopt.robot.xml_files import parse_xml, set_inertial
 
 
 class Urdf(ModelFormat):
@@ -44,7 +43,7 @@ class Urdf(ModelFormat):
             old, new = found.nominal.tree.bodies[j], found.robot.tree.bodies[j]
             if not np.allclose(old.inertial_parameters, new.inertial_parameters, rtol=1e-9):
                 carried = _carried_links(root, joint)
-                _set_inertial(links[carried[0]], new)
+                set_inertial(links[carried[0]], new.mass, new.centre, new.inertia, rpy="0 0 0")
                 for other in carried[1:]:
                     for inertial in links[other].findall("inertial"):
                         links[other].remove(inertial)
@@ -75,37 +74,14 @@ def _original_tree(found: DiagnosedRobot) -> ET.Element:
 
 def _carried_links(root: ET.Element, joint: ET.Element) -> list[str]:
     """Links that a joint carries: its own, then those fixed to it."""
-    found = [_link_name(joint, "child")]
+    found = [link_attribute(joint, "child")]
     for link in found:
         found += [
-            _link_name(each, "child")
+            link_attribute(each, "child")
             for each in root.findall("joint")
-            if each.get("type") == "fixed" and _link_name(each, "parent") == link
+            if each.get("type") == "fixed" and link_attribute(each, "parent") == link
         ]
     return found
-
-
-def _link_name(joint: ET.Element, which: str) -> str:
-    end = joint.find(which)
-    return "" if end is None else end.get("link", "")
-
-
-def _set_inertial(link: ET.Element, body: Body) -> None:
-    """Set the inertial of the whole body in the link frame, which is the joint's."""
-    for inertial in link.findall("inertial"):
-        link.remove(inertial)
-    inertial = ET.SubElement(link, "inertial")
-    place = " ".join(repr(float(x)) for x in body.centre)
-    ET.SubElement(inertial, "origin", xyz=place, rpy="0 0 0")
-    ET.SubElement(inertial, "mass", value=repr(float(body.mass)))
-    ET.SubElement(
-        inertial,
-        "inertia",
-        {
-            f"i{'xyz'[a]}{'xyz'[b]}": repr(float(body.inertia[a, b]))
-            for a, b in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-        },
-    )
 
 
 MODEL_FORMATS.add(Urdf())

@@ -1,1 +1,1 @@
-"""Kinds of limit, one per file; each registers itself in `problem.limit.LIMITS`."""
+"""Kinds of limit; each registers itself in `problem.limit.LIMITS`."""

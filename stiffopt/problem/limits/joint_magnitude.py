@@ -30,18 +30,21 @@ class JointMagnitude(DriveLimit):
     """|quantity| <= limit for every joint; the robot's own where the file gives none.
 
     `name`: key, attribute of `Assessment`, and NAME_max of the robot. `form`: type of one entry in
-    a file. `dimension`: dimension for a revolute joint.
+    a file, in `units`. `dimension`: dimension for a revolute joint.
     """
 
+    quantity = ""  # in sentences; "" for the name
+
     def __init__(
-        self, name: str, form: Any, dimension: str, description: str, order: int | None = None
+        self, name: str, form: Any, dimension: str, units: str, order: int | None = None
     ) -> None:
         self.name, self.dimension, self.order = name, dimension, order
         self.keys = (
             LimitKey(
                 key=name,
                 form=list[form] | Literal["none"] | None,
-                description=description,
+                description=f"Largest {self.quantity or name} of each joint [{units}]; the robot's "
+                'own if left out, "none" for none.',
                 value=lambda robot: getattr(robot, f"{name}_max"),
                 of_robot=True,
                 scaled=True,
@@ -108,26 +111,12 @@ def worst_joint(name: str, excess: np.ndarray, motion: DriveHistory) -> Violatio
     return Violation(float(excess[k, j]), name, int(j) + 1, float(motion.time[k]))
 
 
-LIMITS.add(
-    JointMagnitude(
-        "velocity",
-        JointVelocity,
-        "angular velocity",
-        "Largest velocity of each joint [rad/s, m/s]; the robot's own if left out, "
-        '"none" for none.',
-        order=1,
-    )
-)
+LIMITS.add(JointMagnitude("velocity", JointVelocity, "angular velocity", "rad/s, m/s", order=1))
 
 
 LIMITS.add(
     JointMagnitude(
-        "acceleration",
-        JointAcceleration,
-        "angular acceleration",
-        "Largest acceleration of each joint [rad/s^2, m/s^2]; the robot's own if left out, "
-        '"none" for none.',
-        order=2,
+        "acceleration", JointAcceleration, "angular acceleration", "rad/s^2, m/s^2", order=2
     )
 )
 
@@ -153,20 +142,13 @@ class Jerk(JointMagnitude):
         return [self._worst_violation(limits, motion, jerk)]
 
 
-LIMITS.add(
-    Jerk(
-        "jerk",
-        JointJerk,
-        "angular jerk",
-        "Largest jerk of each joint [rad/s^3, m/s^3]; the robot's own if left out, "
-        '"none" for none.',
-        order=3,
-    )
-)
+LIMITS.add(Jerk("jerk", JointJerk, "angular jerk", "rad/s^3, m/s^3", order=3))
 
 
 class Torque(JointMagnitude):
     """Limit on the drive torque, rotor inertia and friction included."""
+
+    quantity = "drive torque"
 
     def rows(self, problem: TrajectoryProblem, model: StageModel, margin: float) -> list[PathRows]:
         """One row per joint; with dry friction, one per side by its envelope."""
@@ -180,12 +162,4 @@ class Torque(JointMagnitude):
         return [replace(rows, lower=-np.inf) for rows in sides]
 
 
-LIMITS.add(
-    Torque(
-        "torque",
-        JointTorque,
-        "torque",
-        "Largest drive torque of each joint [N m, N]; the robot's own if left out, "
-        '"none" for none.',
-    )
-)
+LIMITS.add(Torque("torque", JointTorque, "torque", "N m, N"))

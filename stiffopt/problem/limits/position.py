@@ -1,22 +1,23 @@
-"""Range of every joint."""
+"""Range of every joint, as given or by the travel of the spline through the given poses."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from stiffopt.declaration import JointPosition
+from stiffopt.declaration import Bounds, JointPosition, Ratio
 from stiffopt.errors import InputFileError
-from stiffopt.problem.limit import LIMITS, DriveLimit, LimitKey, Limits
+from stiffopt.problem.limit import LIMITS, DriveLimit, LimitKey, LimitKind, Limits
 from stiffopt.problem.limits.joint_magnitude import worst_joint
-from stiffopt.problem.stage_terms import PathRows
 from stiffopt.result.assessment import DriveHistory, Violation
+from stiffopt.result.joint_path import JointPath
 
 if TYPE_CHECKING:
     from stiffopt.problem.joint_lists import JointLists
-    from stiffopt.problem.stage_model import StageModel
-    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
+    from stiffopt.result.assessment import Assessment
     from stiffopt.validation import Section
 
 
@@ -72,10 +73,6 @@ class Position(DriveLimit):
         inset = margin * np.where(np.isfinite(span), span, 0.0)
         return limits.position_lower + inset, limits.position_upper - inset
 
-    def rows(self, problem: TrajectoryProblem, model: StageModel, margin: float) -> list[PathRows]:
-        """No rows: states are bounded, and a fixed path is checked on reading."""
-        return []
-
     def violations(self, limits: Limits, motion: DriveHistory) -> list[Violation]:
         """Violation of the worst joint, relative to its range."""
         span = limits.position_upper - limits.position_lower
@@ -88,3 +85,55 @@ class Position(DriveLimit):
 
 
 LIMITS.add(Position())
+
+
+class Travel(LimitKind):
+    """Limit on each axis's range, which becomes one of its position (`with_bounded_travel`)."""
+
+    name = "travel"
+    keys = (
+        LimitKey(
+            key="travel",
+            form=Annotated[Ratio, Bounds(above=1.0)] | None,
+            description="Largest range of each axis over that of a spline through the given poses, "
+            "or over a third of the most that another axis needs; default 1.5 with tool_error, "
+            "else none.",
+            value=lambda robot: None,
+        ),
+    )
+
+    def active(self, limits: Limits) -> bool:
+        """Return False: limits of the position stand in its place."""
+        return False
+
+    def violations(self, limits: Limits, motion: Assessment) -> list[Violation]:
+        """No violations."""
+        return []
+
+
+LIMITS.add(Travel())
+
+
+def with_bounded_travel(problem: TrajectoryProblem, motion: ResolvedMotion) -> TrajectoryProblem:
+    """Return the problem with the positions of its axes limited by their travel.
+
+    Unchanged on a fixed path, where an end is given by the tool's position alone, and without need.
+    """
+    limits = problem.active_limits
+    ratio = limits.travel
+    if ratio is None:
+        # Where the tool error is minimised.
+        ratio = 1.5 if problem.judges_uncertain_arms else np.inf
+    given = motion.start_fixed and motion.end_fixed and problem.path is None
+    path = JointPath.through(motion.points, "chord")(np.linspace(0.0, 1.0, 201))
+    need, most = np.ptp(path, axis=0), np.zeros(problem.joints)
+    if not (given and np.isfinite(ratio) and need.any()):
+        return problem
+    for kind in (problem.robot.prismatic, ~problem.robot.prismatic):
+        most[kind] = np.max(need[kind], initial=0.0)
+    # Least need of an axis, as a share of the largest of its kind: the others pass by its detour.
+    beside = 0.5 * (ratio * np.maximum(need, (1.0 / 3.0) * most) - need)
+    lower = np.maximum(limits.position_lower, path.min(axis=0) - beside)
+    upper = np.minimum(limits.position_upper, path.max(axis=0) + beside)
+    narrower = Limits(limits.values, position_lower=lower, position_upper=upper)
+    return replace(problem, limits=narrower)

@@ -17,15 +17,10 @@ from stiffopt.result.simulation import SETTLING_BAND, SimulatedMotion
 
 if TYPE_CHECKING:
     from stiffopt.problem.arrival_modes import ArrivalModes
-    from stiffopt.problem.joint_lists import JointLists
     from stiffopt.problem.stage_model import StageModel
-    from stiffopt.problem.stage_terms import PathRows
     from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
-    from stiffopt.result.assessment import Assessment
-    from stiffopt.result.simulation import SimulatedMotion
     from stiffopt.robot.robot import Robot
     from stiffopt.symbolic import Quantity
-    from stiffopt.validation import Section
 
 
 class UpperBound(LimitKind):
@@ -48,12 +43,6 @@ class UpperBound(LimitKind):
     def active(self, limits: Limits) -> bool:
         """Return True if the bound is finite."""
         return bool(np.isfinite(getattr(limits, self.name)))
-
-    def read(self, section: Section, joints: JointLists) -> dict[str, Any]:
-        """Values of the keys, with their defaults."""
-        given = {key.name: getattr(section, key.key) for key in self.keys}
-        without = {key.name: key.value(joints.robot) for key in self.keys}
-        return {name: without[name] if value is None else value for name, value in given.items()}
 
     def statements(self, limits: Limits, robot: Robot) -> list[tuple[str, float, str]]:
         """Statement of the bound."""
@@ -97,10 +86,6 @@ class ArrivalBound(UpperBound):
 
     of_arrival = True
     smoothing = WINDUP_SMOOTHING
-
-    def rows(self, problem: TrajectoryProblem, model: StageModel, margin: float) -> list[PathRows]:
-        """No rows: the limit applies after the motion."""
-        return []
 
     @abstractmethod
     def excess(self, limits: Limits, simulated: SimulatedMotion) -> tuple[float, float]:

@@ -1,1 +1,1 @@
-"""Kinds of objective, one per file; each registers itself in `problem.objective.OBJECTIVES`."""
+"""Kinds of objective; each registers itself in `problem.objective.OBJECTIVES`."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from stiffopt.errors import ProblemError
@@ -24,11 +22,8 @@ from stiffopt.problem.stage_terms import (
     StaticVariable,
     squared_length,
 )
-
-if TYPE_CHECKING:
-    from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
-    from stiffopt.result.assessment import Assessment
-
+from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
+from stiffopt.result.assessment import Assessment
 
 # Dynamic deflection that is not minimised further [m]: below the repeatability of geared arms, and
 # in slow motions less would require detours of the wrist.

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from stiffopt.errors import ProblemError
 from stiffopt.problem.objective import OBJECTIVES, Objective, ObjectiveKind, TermInputs
 from stiffopt.problem.stage_terms import ObjectiveTerms
-
-if TYPE_CHECKING:
-    from stiffopt.problem.trajectory import TrajectoryProblem
-    from stiffopt.result.assessment import Assessment
+from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.assessment import Assessment
 
 
 class Duration(ObjectiveKind):

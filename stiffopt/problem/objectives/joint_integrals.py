@@ -9,7 +9,7 @@ import numpy as np
 
 from stiffopt.problem.objective import OBJECTIVES, Objective, ObjectiveKind, TermInputs
 from stiffopt.problem.stage_terms import STIFFNESS_SMOOTHING, ObjectiveTerms
-from stiffopt.result.life_rating import life_rating
+from stiffopt.result.duty import life_rating
 
 if TYPE_CHECKING:
     from stiffopt.problem.stage_model import StageModel

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from stiffopt.errors import ProblemError
@@ -22,11 +20,9 @@ from stiffopt.problem.stage_terms import (
     PathRows,
     StaticVariable,
 )
+from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
+from stiffopt.result.assessment import Assessment
 from stiffopt.units import joint_unit
-
-if TYPE_CHECKING:
-    from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
-    from stiffopt.result.assessment import Assessment
 
 # Penalty of a sign change by torque_max, as a relative loss of stiffness.
 _RELIEF_PRICE = 10.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from mcap.decoder import DecoderFactory
@@ -31,16 +31,17 @@ class _JsonDecoderFactory(DecoderFactory):
 def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
     """Read columns of an MCAP file."""
     with path.open("rb") as stream:
-        reader = SeekingReader(
-            stream,
-            decoder_factories=[Ros2DecoderFactory(), _JsonDecoderFactory()],
-            record_size_limit=MAX_BYTES,
-        )
+        reader = _open_reader(stream)
         channels = _list_channels(path, reader)
         topics = [channel.topic for channel in channels]
         wanted = wanted_topics(signals, topics, path)
         _check_encodings(path, [channel for channel in channels if channel.topic in wanted])
         return gather_columns(path, signals, topics, _iterate_messages(reader, wanted))
+
+
+def _open_reader(stream: IO[bytes]) -> McapReader:
+    factories = [Ros2DecoderFactory(), _JsonDecoderFactory()]
+    return SeekingReader(stream, decoder_factories=factories, record_size_limit=MAX_BYTES)
 
 
 def _list_channels(path: Path, reader: McapReader) -> list[Channel]:
@@ -73,11 +74,7 @@ def _iterate_messages(reader: McapReader, topics: set[str]) -> Iterator[Message]
 def peek(path: Path) -> Iterator[Message]:
     """Iterate over the decodable messages of all topics in the order of the log."""
     with path.open("rb") as stream:
-        reader = SeekingReader(
-            stream,
-            decoder_factories=[Ros2DecoderFactory(), _JsonDecoderFactory()],
-            record_size_limit=MAX_BYTES,
-        )
+        reader = _open_reader(stream)
         known = [
             c.topic for c in _list_channels(path, reader) if c.message_encoding in ("cdr", "json")
         ]

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Container, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from stiffopt.connection.connection import connection_kinds
+from stiffopt.drivetrain.chain import Chain
 from stiffopt.exact.chain import compliance_shares, windup_shares
 from stiffopt.report.common.svg import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION
+from stiffopt.robot.robot import Robot
 from stiffopt.units import joint_unit
-
-if TYPE_CHECKING:
-    from stiffopt.drivetrain.chain import Chain
-    from stiffopt.robot.robot import Robot
 
 # Colours of the kinds of connections, in the order of their names.
 _KIND_COLOURS = (GREEN, PURPLE, BLACK, SKY, VERMILLION, BLUE, GREY, ORANGE)

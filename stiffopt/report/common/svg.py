@@ -76,6 +76,25 @@ def figure_style() -> Iterator[None]:
         yield
 
 
+def subplots(height: float, *grid: int, width: float = WIDTH, **options: Any) -> tuple[Figure, Any]:
+    """Return a figure [inch] and its axes, as `Figure.subplots` does."""
+    figure = Figure(figsize=(width, height))
+    return figure, figure.subplots(*grid, **options)
+
+
+def panels(
+    count: int, columns: int, size: tuple[float, float], **shared: Any
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure [inch] and its `count` axes in rows of `columns`; the last may be shorter."""
+    width, height = size
+    rows = -(-count // columns)
+    figure, grid = subplots(height, rows, columns, width=width, squeeze=False, **shared)
+    grid = grid.ravel()
+    for axes in grid[count:]:
+        axes.set_visible(False)
+    return figure, list(grid[:count])
+
+
 def line_style(index: int) -> dict[str, Any]:
     """Return colour and dash pattern of curve number `index` (from 0); repeats after 28.
 

@@ -11,30 +11,14 @@ import re
 from markupsafe import Markup
 
 from stiffopt.errors import format_factor, is_factor
-from stiffopt.formatting import DASH, capital, listed, pm, scale, si, significant
-from stiffopt.units import joint_unit
-
-__all__ = [
-    "DASH",
-    "FILTERS",
-    "MAX_LISTED",
-    "UNCHANGED",
-    "breakable",
-    "capital",
-    "change",
-    "decades",
-    "fixed",
-    "joint_unit",
-    "listed",
-    "number",
-    "percent",
-    "pm",
-    "scale",
-    "si",
-    "significant",
-    "whole",
-    "words",
-]
+from stiffopt.formatting import DASH as DASH
+from stiffopt.formatting import capital as capital
+from stiffopt.formatting import listed as listed
+from stiffopt.formatting import pm as pm
+from stiffopt.formatting import scale as scale
+from stiffopt.formatting import si as si
+from stiffopt.formatting import significant as significant
+from stiffopt.units import joint_unit as joint_unit
 
 # Rows of a list or table that a page or a terminal shows; the files have all.
 MAX_LISTED = 12

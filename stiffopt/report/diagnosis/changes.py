@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from stiffopt.discovery.answer import (
     format_probability,
@@ -12,13 +11,11 @@ from stiffopt.discovery.answer import (
     missing_physics,
     place,
 )
+from stiffopt.discovery.diagnosis import Diagnosis, Finding
 from stiffopt.recording.state_pair import StatePair
 from stiffopt.report.common.text import capital, listed, percent, si, significant
 from stiffopt.report.diagnosis.words import channels_in_words, new_and_unstated
 from stiffopt.units import joint_unit
-
-if TYPE_CHECKING:
-    from stiffopt.discovery.diagnosis import Diagnosis, Finding
 
 CHANGE_COLUMNS = (
     "changed",

@@ -6,14 +6,15 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from stiffopt.discovery.comparison.prepared_run import PreparedRun
+from stiffopt.discovery.diagnosis import Diagnosis, Finding
 from stiffopt.discovery.laws.law import Law, describe_test, law_of, resembled
 from stiffopt.discovery.laws.sources import LawSource
-from stiffopt.report.common.svg import PALE, WIDTH, figure_style
+from stiffopt.report.common.svg import PALE, WIDTH, figure_style, panels
 from stiffopt.report.common.text import scale
 from stiffopt.report.diagnosis.regimes import (
     DIRECTION_STYLES,
@@ -24,10 +25,6 @@ from stiffopt.report.diagnosis.regimes import (
     motion_direction,
 )
 from stiffopt.report.diagnosis.words import channel_words
-
-if TYPE_CHECKING:
-    from stiffopt.discovery.comparison.prepared_run import PreparedRun
-    from stiffopt.discovery.diagnosis import Diagnosis, Finding
 
 # Definitions of what an equation of a law may contain, for samples x_0, x_1, ... every dt seconds.
 _OPERATOR_DEFINITIONS = {
@@ -139,6 +136,7 @@ def _signal_of(source: LawSource, run: PreparedRun) -> np.ndarray:
     return np.asarray(source.value(run.signals))
 
 
+@figure_style()
 def law_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding) -> Figure | None:
     """Plot the residual without a law over each of its signals, with the law through it."""
     law = law_of(finding.effect)
@@ -152,23 +150,21 @@ def law_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding) -
     factor, unit = scale(float(np.quantile(np.abs(residual), 0.95)), rows.unit)
     sides = motion_direction(diagnosis, rows)
     sampled = diagnosis.search.comparison.rows.sample_signal
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, 3.2))
-        grid = figure.subplots(1, len(sources), sharey=True, squeeze=False)[0]
-        for axes, source in zip(grid, dict.fromkeys(sources), strict=False):
-            values = sampled(partial(_signal_of, source))
-            label = f"{source.words} [{source.own.unit}]" if source.own.unit else source.words
-            regime = Regime(source.symbol, label, values[rows.chosen])
-            noise = factor * float(np.median(rows.noise))
-            axes.axhspan(-noise, noise, color=PALE, alpha=0.55, zorder=0, linewidth=0)
-            for side, colour, words in DIRECTION_STYLES:
-                own = sides == side
-                if own.sum() > 1:
-                    parts = factor * residual, factor * added
-                    draw_direction(axes, regime, own, *parts, rows.run, colour)
-                    axes.plot([], [], "o", color=colour, label=words)
-            axes.set_xlabel(label)
-        grid[0].set_ylabel(f"residual without the law [{unit}]")
-        grid[0].legend(loc="best")
-        figure.subplots_adjust(left=0.065, right=0.99, bottom=0.17, wspace=0.08)
-        return figure
+    figure, grid = panels(len(sources), len(sources), (WIDTH, 3.2), sharey=True)
+    for axes, source in zip(grid, dict.fromkeys(sources), strict=False):
+        values = sampled(partial(_signal_of, source))
+        label = f"{source.words} [{source.own.unit}]" if source.own.unit else source.words
+        regime = Regime(source.symbol, label, values[rows.chosen])
+        noise = factor * float(np.median(rows.noise))
+        axes.axhspan(-noise, noise, color=PALE, alpha=0.55, zorder=0, linewidth=0)
+        for side, colour, words in DIRECTION_STYLES:
+            own = sides == side
+            if own.sum() > 1:
+                parts = factor * residual, factor * added
+                draw_direction(axes, regime, own, *parts, rows.run, colour)
+                axes.plot([], [], "o", color=colour, label=words)
+        axes.set_xlabel(label)
+    grid[0].set_ylabel(f"residual without the law [{unit}]")
+    grid[0].legend(loc="best")
+    figure.subplots_adjust(left=0.065, right=0.99, bottom=0.17, wspace=0.08)
+    return figure

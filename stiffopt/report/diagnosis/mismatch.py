@@ -4,22 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from stiffopt.discovery.answer import format_probability, place
-from stiffopt.discovery.channel import Channel
-from stiffopt.discovery.judging.noise_ceiling import SHOWN_SHARE
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.diagnosis import Diagnosis
+from stiffopt.discovery.judging.explained_shares import MismatchShare
+from stiffopt.discovery.judging.run_deviations import Drift
+from stiffopt.discovery.names import Channel
 from stiffopt.discovery.settings import MAX_NOMINAL_DEVIATIONS
 from stiffopt.report.common.text import listed, significant
 from stiffopt.report.diagnosis.overview import moved_values
 from stiffopt.report.diagnosis.words import channel_words, joints_in_words, regressor_words
 from stiffopt.units import joint_unit
-
-if TYPE_CHECKING:
-    from stiffopt.discovery.comparison.located_effect import LocatedEffect
-    from stiffopt.discovery.diagnosis import Diagnosis
-    from stiffopt.discovery.judging.explained_shares import MismatchShare
-    from stiffopt.discovery.judging.run_deviations import Drift
 
 # Share of the mismatch that is written as none; all but that is written as all.
 _MIN_SHARE = 0.005
@@ -127,7 +123,7 @@ def _noise_ceiling_remark(diagnosis: Diagnosis) -> str:
         return ""
     if left.channels[0].startswith("link_position"):
         return " Link encoders are not included; more of them is unexplained."
-    if rod.depends or not left.regressors or left.gain < SHOWN_SHARE:
+    if rod.depends or not left.regressors:
         return ""
     signals = listed(regressor_words(each) for each in left.regressors)
     return (
@@ -149,14 +145,12 @@ def counterbalance_sentences(diagnosis: Diagnosis) -> list[str]:
             else "held-out recordings do not separate the two"
         )
         found.append(
-            f"Counterbalance of joint {joint} or weight of {link}: the"
-            " re-identified first moment of"
-            f" the link changes by {significant(each.change, 2)} kg m, from"
-            f" {significant(each.nominal, 2)} kg m, more than is"
-            " plausible; a counterbalance of up to"
-            f" {significant(each.torque, 2)} {unit} has the same effect, and {is_it}. The extended"
-            f" model includes it as mass. To separate them, accelerate joint {joint} strongly near"
-            " one position: only a mass has inertia."
+            f"Counterbalance of joint {joint} or weight of {link}: the re-identified first moment "
+            f"of the link changes by {significant(each.change, 2)} kg m, from "
+            f"{significant(each.nominal, 2)} kg m, more than is plausible; a counterbalance of up "
+            f"to {significant(each.torque, 2)} {unit} has the same effect, and {is_it}. The "
+            f"extended model includes it as mass. To separate them, accelerate joint {joint} "
+            "strongly near one position: only a mass has inertia."
         )
     return found
 
@@ -190,10 +184,9 @@ def transfer_sentences(diagnosis: Diagnosis) -> list[str]:
 def _drift_sentence(diagnosis: Diagnosis, each: Drift) -> str:
     slides = diagnosis.training.constants.joints[each.joint].prismatic
     return (
-        f"Friction of joint {each.joint + 1} differs from run to run:"
-        " predictions use the mean, with"
-        f" a standard deviation between runs of {significant(each.rms, 2)}"
-        f" {joint_unit('N m', slides)}."
+        f"Friction of joint {each.joint + 1} differs from run to run: predictions use the mean, "
+        f"with a standard deviation between runs of {significant(each.rms, 2)} "
+        f"{joint_unit('N m', slides)}."
     )
 
 

@@ -7,20 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stiffopt.discovery.answer import MIN_LISTED_PROBABILITY
 from stiffopt.discovery.comparison.inertial_parameters import INERTIAL_PARAMETER_NAMES
-from stiffopt.discovery.comparison.value_name import ValueName
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.diagnosis import Diagnosis, Finding
+from stiffopt.discovery.identifiable import EffectCheck
+from stiffopt.discovery.judging.detection_limits import DetectionLimit
+from stiffopt.discovery.names import ValueName
 from stiffopt.report.common.text import MAX_LISTED, percent
-
-if TYPE_CHECKING:
-    from stiffopt.discovery.comparison.located_effect import LocatedEffect
-    from stiffopt.discovery.diagnosis import Diagnosis, Finding
-    from stiffopt.discovery.identifiable import EffectCheck
-    from stiffopt.discovery.judging.detection_limits import DetectionLimit
 
 _INERTIAL_UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 6)
 
@@ -87,9 +84,8 @@ def sharpest_limits(diagnosis: Diagnosis) -> list[str]:
     for limit in sorted(known, key=lambda each: each.relative or 0.0):
         best.setdefault(limit.effect.nominal_words, limit)
     return [
-        f"A change of {name} by more than {percent(limit.relative)}"
-        f" at joint {limit.joint} would have "
-        "been detected."
+        f"A change of {name} by more than {percent(limit.relative)} at joint {limit.joint} would "
+        "have been detected."
         for name, limit in best.items()
     ]
 

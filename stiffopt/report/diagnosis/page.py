@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stiffopt.discovery.answer import action, format_probability, place, statements
+from stiffopt.discovery.diagnosis import Diagnosis, Finding
 from stiffopt.discovery.identifiable import effect_checks
 from stiffopt.recording.check import missing_signals
 from stiffopt.recording.joint_facts import joint_facts
@@ -68,9 +68,6 @@ from stiffopt.report.diagnosis.words import (
     worst_channel,
     worst_ratio,
 )
-
-if TYPE_CHECKING:
-    from stiffopt.discovery.diagnosis import Diagnosis, Finding
 
 PAGE_FILE = "report.html"
 # Findings with their own figures, and samples of a channel that these need.

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stiffopt.closed_loop.parameters import DELAY, JOINT_PARAMETERS, RATIO_UNITS
+from stiffopt.discovery.extended.schema import ClosedLoopSection
+from stiffopt.discovery.position_fit import PositionRun
 from stiffopt.report.common.terminal import ReportSection
 from stiffopt.report.common.text import joint_unit, pm, significant
-
-if TYPE_CHECKING:
-    from stiffopt.discovery.extended.schema import ClosedLoopSection
-    from stiffopt.discovery.position_fit import PositionRun
 
 _SECTION_TITLE = "Simulation from commands"
 _ERROR_COLUMNS = ("position", "rms, before", "after", "largest, before", "after")

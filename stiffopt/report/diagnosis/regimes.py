@@ -4,34 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stiffopt.discovery.channel import Channel
-from stiffopt.report.common.svg import (
-    BLUE,
-    GREY,
-    INK,
-    PALE,
-    PURPLE,
-    SKY,
-    VERMILLION,
-    WIDTH,
-    figure_style,
-)
+from stiffopt.discovery.diagnosis import Diagnosis, Finding
+from stiffopt.discovery.names import Channel
+from stiffopt.report.common import svg
 from stiffopt.report.common.text import scale
 from stiffopt.units import joint_unit
 
-if TYPE_CHECKING:
-    from stiffopt.discovery.diagnosis import Diagnosis, Finding
-
 _CELL_COUNT = 14
-DIRECTION_STYLES = ((1, VERMILLION, "positive direction"), (-1, BLUE, "negative direction"))
+DIRECTION_STYLES = ((1, svg.VERMILLION, "positive direction"), (-1, svg.BLUE, "negative direction"))
 
 
+@svg.figure_style()
 def regime_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding | None) -> Figure:
     """Plot the mean residual over speed, load, position, acceleration, session time, rotor angle.
 
@@ -49,32 +37,30 @@ def regime_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding
     electrical = finding is not None and "pole_pairs" in finding.effect.needs
     shown = list(regimes(diagnosis, rows, electrical))
     noise = factor * float(np.median(rows.noise))
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, 5.0))
-        grid = figure.subplots(2, 3, sharey=True)
-        for axes, regime in zip(grid.flat, shown, strict=True):
-            axes.axhspan(-noise, noise, color=PALE, alpha=0.55, zorder=0, linewidth=0)
-            for side, colour, _ in DIRECTION_STYLES:
-                own = sides == side
-                if own.sum() > 1:
-                    draw_direction(
-                        axes, regime, own, factor * residual, factor * added, rows.run, colour
-                    )
-            axes.set_xlabel(regime.label)
-        for line in grid:
-            line[0].set_ylabel(f"mean residual [{unit}]")
-        handles = [
-            grid[0, 0].plot([], [], "o", color=colour, ms=4)[0] for _, colour, _ in DIRECTION_STYLES
-        ]
-        labels = [words for _, _, words in DIRECTION_STYLES]
-        if finding is not None:
-            handles.append(grid[0, 0].plot([], [], color=GREY, linewidth=1.4)[0])
-            labels.append("model of the finding")
-        handles.append(grid[0, 0].fill_between([], [], color=PALE))
-        labels.append("noise of one sample, ±1 standard deviation")
-        figure.legend(handles, labels, loc="upper left", ncols=4, bbox_to_anchor=(0.05, 0.03))
-        figure.subplots_adjust(left=0.065, right=0.99, wspace=0.08, hspace=0.3)
-        return figure
+    figure, grid = svg.subplots(5.0, 2, 3, sharey=True)
+    for axes, regime in zip(grid.flat, shown, strict=True):
+        axes.axhspan(-noise, noise, color=svg.PALE, alpha=0.55, zorder=0, linewidth=0)
+        for side, colour, _ in DIRECTION_STYLES:
+            own = sides == side
+            if own.sum() > 1:
+                draw_direction(
+                    axes, regime, own, factor * residual, factor * added, rows.run, colour
+                )
+        axes.set_xlabel(regime.label)
+    for line in grid:
+        line[0].set_ylabel(f"mean residual [{unit}]")
+    handles = [
+        grid[0, 0].plot([], [], "o", color=colour, ms=4)[0] for _, colour, _ in DIRECTION_STYLES
+    ]
+    labels = [words for _, _, words in DIRECTION_STYLES]
+    if finding is not None:
+        handles.append(grid[0, 0].plot([], [], color=svg.GREY, linewidth=1.4)[0])
+        labels.append("model of the finding")
+    handles.append(grid[0, 0].fill_between([], [], color=svg.PALE))
+    labels.append("noise of one sample, ±1 standard deviation")
+    figure.legend(handles, labels, loc="upper left", ncols=4, bbox_to_anchor=(0.05, 0.03))
+    figure.subplots_adjust(left=0.065, right=0.99, wspace=0.08, hspace=0.3)
+    return figure
 
 
 def draw_direction(
@@ -103,6 +89,7 @@ def draw_direction(
             axes.plot(centre, model, color=colour, linewidth=1.4, alpha=0.75)
 
 
+@svg.figure_style()
 def map_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding | None) -> Figure:
     """Plot the mean residual over speed and load, and speed and position, without and with it."""
     by_name = {regime.name: regime for regime in regimes(diagnosis, rows)}
@@ -120,22 +107,20 @@ def map_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding | 
     ]
     filled = np.concatenate([np.abs(m[2][np.isfinite(m[2])]) for m in maps])
     top = max(2.0, float(np.quantile(filled, 0.98))) if filled.size else 2.0
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, 2.9))
-        grid = figure.subplots(1, len(panels), squeeze=False)[0]
-        for axes, (other, number), (x, y, values) in zip(grid, panels, maps, strict=True):
-            image = axes.pcolormesh(x, y, values.T, cmap="RdBu_r", vmin=-top, vmax=top)
-            image.set_edgecolor("face")
-            axes.set_title(f"{other} and speed, {stages[number][0]}", size=8.5)
-            axes.set_xlabel(by_name["speed"].label)
-            if number == 0:
-                axes.set_ylabel(by_name[other].label)
-            axes.grid(visible=False)
-        figure.subplots_adjust(left=0.065, right=0.91, wspace=0.3)
-        bar = figure.colorbar(image, cax=figure.add_axes((0.93, 0.15, 0.012, 0.7)))
-        bar.set_label("mean residual over noise")
-        bar.outline.set_visible(False)
-        return figure
+    figure, grid = svg.panels(len(panels), len(panels), (svg.WIDTH, 2.9))
+    for axes, (other, number), (x, y, values) in zip(grid, panels, maps, strict=True):
+        image = axes.pcolormesh(x, y, values.T, cmap="RdBu_r", vmin=-top, vmax=top)
+        image.set_edgecolor("face")
+        axes.set_title(f"{other} and speed, {stages[number][0]}", size=8.5)
+        axes.set_xlabel(by_name["speed"].label)
+        if number == 0:
+            axes.set_ylabel(by_name[other].label)
+        axes.grid(visible=False)
+    figure.subplots_adjust(left=0.065, right=0.91, wspace=0.3)
+    bar = figure.colorbar(image, cax=figure.add_axes((0.93, 0.15, 0.012, 0.7)))
+    bar.set_label("mean residual over noise")
+    bar.outline.set_visible(False)
+    return figure
 
 
 def _cell_means(
@@ -151,6 +136,7 @@ def _cell_means(
     return edges[0], edges[1], means
 
 
+@svg.figure_style()
 def regressor_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding) -> Figure:
     """Plot the residual without a finding, but with all others, against the finding's model."""
     added = finding_contribution(diagnosis, finding, rows)
@@ -159,31 +145,29 @@ def regressor_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Find
     x, y = factor * added, factor * residual
     # Points of a scatter plot.
     step = max(1, len(x) // 1500)
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, 3.4))
-        left, right = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
-        left.plot(x[::step], y[::step], ".", color=SKY, ms=3, alpha=0.5, label="samples, filtered")
-        edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, 25)))
-        if len(edges) > 2:
-            centre, mean, sd = binned_means(x, y, edges)
-            left.errorbar(
-                centre,
-                mean,
-                yerr=2.0 * sd,
-                fmt="o",
-                color=INK,
-                ms=4,
-                elinewidth=1.0,
-                label="means, ±2 standard deviations",
-            )
-        ends = np.array([x.min(), x.max()])
-        left.plot(ends, ends, color=VERMILLION, linewidth=1.6, label="model: measured = predicted")
-        left.set_xlabel(f"contribution of the finding by its model [{unit}]")
-        left.set_ylabel(f"residual without it [{unit}]")
-        left.legend(loc="upper left")
-        _draw_histogram(right, rows, residual)
-        figure.subplots_adjust(left=0.065, right=0.99, wspace=0.2)
-        return figure
+    figure, (left, right) = svg.subplots(3.4, 1, 2, width_ratios=(1.5, 1.0))
+    left.plot(x[::step], y[::step], ".", color=svg.SKY, ms=3, alpha=0.5, label="samples, filtered")
+    edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, 25)))
+    if len(edges) > 2:
+        centre, mean, sd = binned_means(x, y, edges)
+        left.errorbar(
+            centre,
+            mean,
+            yerr=2.0 * sd,
+            fmt="o",
+            color=svg.INK,
+            ms=4,
+            elinewidth=1.0,
+            label="means, ±2 standard deviations",
+        )
+    ends = np.array([x.min(), x.max()])
+    left.plot(ends, ends, color=svg.VERMILLION, linewidth=1.6, label="model: measured = predicted")
+    left.set_xlabel(f"contribution of the finding by its model [{unit}]")
+    left.set_ylabel(f"residual without it [{unit}]")
+    left.legend(loc="upper left")
+    _draw_histogram(right, rows, residual)
+    figure.subplots_adjust(left=0.065, right=0.99, wspace=0.2)
+    return figure
 
 
 def _draw_histogram(axes: Axes, rows: ChannelResiduals, residual: np.ndarray) -> None:
@@ -192,19 +176,22 @@ def _draw_histogram(axes: Axes, rows: ChannelResiduals, residual: np.ndarray) ->
     reach = float(np.clip(np.quantile(np.abs(without), 0.99), 4.0, 40.0))
     bins = np.linspace(-reach, reach, 61).tolist()
     for values, colour, label in (
-        (without, VERMILLION, "without the finding"),
-        (with_it, BLUE, "with it"),
+        (without, svg.VERMILLION, "without the finding"),
+        (with_it, svg.BLUE, "with it"),
     ):
         shown = np.clip(values, -reach, reach)
         axes.hist(shown, bins, density=True, histtype="step", color=colour, lw=1.4, label=label)
     place = np.linspace(-4.0, 4.0, 81)
     density = np.exp(-0.5 * place**2) / np.sqrt(2.0 * np.pi)
-    axes.plot(place, density, color=GREY, linewidth=1.0, linestyle=(0, (4, 2)), label="noise alone")
+    axes.plot(
+        place, density, color=svg.GREY, linewidth=1.0, linestyle=(0, (4, 2)), label="noise alone"
+    )
     axes.set_xlabel("residual over noise")
     axes.set_ylabel("share of samples per unit")
     axes.legend(loc="upper left")
 
 
+@svg.figure_style()
 def spectrum_figure(rows: ChannelResiduals, time: np.ndarray, period: float) -> Figure:
     """Plot the share of the squared residual that a sinusoid of each frequency explains."""
     runs = [rows.run == r for r in np.unique(rows.run)]
@@ -217,16 +204,14 @@ def spectrum_figure(rows: ChannelResiduals, time: np.ndarray, period: float) -> 
         for i, f in enumerate(frequencies):
             waves = np.column_stack([np.sin(2 * np.pi * f * t), np.cos(2 * np.pi * f * t)])
             share[i] += float((waves.T @ y) @ np.linalg.solve(waves.T @ waves, waves.T @ y))
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, 2.6))
-        axes = figure.subplots()
-        axes.plot(frequencies, 100.0 * share / total, color=BLUE)
-        axes.axvline(1.0 / period, color=PURPLE, linewidth=1.0, linestyle=(0, (4, 2)))
-        axes.set_xlabel("frequency [Hz]")
-        axes.set_ylabel("share of the squared residual [%]")
-        axes.set_ylim(0.0)
-        figure.subplots_adjust(left=0.065, right=0.99, bottom=0.2)
-        return figure
+    figure, axes = svg.subplots(2.6)
+    axes.plot(frequencies, 100.0 * share / total, color=svg.BLUE)
+    axes.axvline(1.0 / period, color=svg.PURPLE, linewidth=1.0, linestyle=(0, (4, 2)))
+    axes.set_xlabel("frequency [Hz]")
+    axes.set_ylabel("share of the squared residual [%]")
+    axes.set_ylim(0.0)
+    figure.subplots_adjust(left=0.065, right=0.99, bottom=0.2)
+    return figure
 
 
 @dataclass(frozen=True, eq=False)

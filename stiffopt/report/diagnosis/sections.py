@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from stiffopt.discovery.answer import (
     MIN_LISTED_PROBABILITY,
@@ -14,6 +13,7 @@ from stiffopt.discovery.answer import (
     is_prismatic,
     statements,
 )
+from stiffopt.discovery.diagnosis import Diagnosis, Finding
 from stiffopt.report.common.terminal import ReportSection, print_lines, print_section
 from stiffopt.report.common.text import (
     DASH,
@@ -49,10 +49,6 @@ from stiffopt.report.diagnosis.words import (
     unstated_groups,
     value_name,
 )
-
-if TYPE_CHECKING:
-    from stiffopt.discovery.diagnosis import Diagnosis, Finding
-
 
 _FINDING_COLUMNS = ("finding", "probability", "value ± standard deviation", "explains", "or else")
 _CHANGE_COLUMNS = ("changed value", "from", "to", "cause")

@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from stiffopt.discovery.answer import missing_physics
 from stiffopt.discovery.comparison.inertial_parameters import nominal_bodies
+from stiffopt.discovery.comparison.nuisance import OutsideValue
+from stiffopt.discovery.diagnosis import Diagnosis, Finding
 from stiffopt.discovery.sanity.doubt import format_numbers
 from stiffopt.discovery.search.nominal_values import values_outside_tolerance
 from stiffopt.discovery.settings import MAX_NOMINAL_DEVIATIONS
 from stiffopt.discovery.signals import PARAMETERS_PER_BODY
 from stiffopt.report.common.text import capital, pm, significant
-from stiffopt.report.diagnosis.overview import moved_bodies
+from stiffopt.report.diagnosis.overview import MovedBody, moved_bodies
 from stiffopt.units import joint_unit
-
-if TYPE_CHECKING:
-    from stiffopt.discovery.comparison.nuisance import OutsideValue
-    from stiffopt.discovery.diagnosis import Diagnosis, Finding
-    from stiffopt.report.diagnosis.overview import MovedBody
-
 
 # Kinds of nominal values in words.
 _KIND_WORDS = {
@@ -131,11 +125,12 @@ def _single_body_sentence(diagnosis: Diagnosis) -> list[str]:
         return []
     constants = diagnosis.training.constants
     located = best.located
-    if located.effect.tolerances != ("mass", "com"):
+    body = located.changed_body(constants)
+    if body is None:
         return []
     values = best.amplitudes * located.sizes(constants)
     own = located.effect.parameters(values.tolist(), located.shapes, constants)
-    link = constants.links[-1 if located.link is None else located.link]
+    link = constants.links[body]
     moment = float(np.linalg.norm(values[1:4]))
     return [
         f"A single body of {own['dm']:+.2g} kg at {link}, first moment {significant(moment, 2)}"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,15 +16,12 @@ from stiffopt.discovery.answer import (
     statement_headline,
     statements,
 )
-from stiffopt.discovery.channel import Channel, channel_name
+from stiffopt.discovery.diagnosis import Diagnosis, Finding
+from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.judging.unexplained import ToolForce, Unexplained
+from stiffopt.discovery.names import Channel, channel_name
 from stiffopt.discovery.thresholds import OPEN_RATIO
 from stiffopt.report.common.text import capital, listed, significant, words
-
-if TYPE_CHECKING:
-    from stiffopt.discovery.diagnosis import Diagnosis, Finding
-    from stiffopt.discovery.effect import Effect
-    from stiffopt.discovery.judging.tool_force import ToolForce
-    from stiffopt.discovery.judging.unexplained import Unexplained
 
 CHANNEL_OUTCOMES = {
     "named": "explained by findings",
@@ -144,9 +140,8 @@ def saturation_sentences(diagnosis: Diagnosis) -> list[str]:
         if fault.kind == "saturated" and fault.joint is not None and fault.share > 0.05:
             worst[fault.joint] = max(worst.get(fault.joint, (0.0, "")), (fault.share, run))
     return [
-        f"The torque of joint {joint} is saturated in"
-        f" {100.0 * share:.0f} % of {run}, which hides the"
-        " true torque. Record it below its limit."
+        f"The torque of joint {joint} is saturated in {100.0 * share:.0f} % of {run}, which hides "
+        "the true torque. Record it below its limit."
         for joint, (share, run) in sorted(worst.items())
     ]
 

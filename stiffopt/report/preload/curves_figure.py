@@ -4,31 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stiffopt.preload.curves import FLOORS
+from stiffopt.preload.curves import FLOORS, PreloadCurve
+from stiffopt.preload.problem import FreeElement, PreloadProblem
+from stiffopt.preload.solution import PreloadSolution
+from stiffopt.report.common import svg
 from stiffopt.report.common.robot import JointUnits
-from stiffopt.report.common.svg import (
-    BLACK,
-    BLUE,
-    GREY,
-    INK,
-    PALE,
-    SKY,
-    VERMILLION,
-    WIDTH,
-    figure_style,
-)
 from stiffopt.report.preload.words import present_preload, readable
-
-if TYPE_CHECKING:
-    from stiffopt.preload.curves import PreloadCurve
-    from stiffopt.preload.problem import FreeElement, PreloadProblem
-    from stiffopt.preload.solution import PreloadSolution
 
 # Width of a label line over that of a panel; limits closer than this share one label.
 _LABEL_WIDTH_SHARE = 0.055
@@ -86,6 +72,7 @@ def preload_view(
     )
 
 
+@svg.figure_style()
 def curves_figure(
     problem: PreloadProblem,
     solution: PreloadSolution,
@@ -101,59 +88,48 @@ def curves_figure(
     rows = -(-count // columns)
     panel = 1.75 if columns == 3 else 2.3 if columns == 2 else 2.6
     height = _TOP_INCH + rows * panel + (rows - 1) * _ROW_GAP_INCH + _BOTTOM_INCH
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, height))
-        grid = figure.subplots(rows, columns, squeeze=False).ravel()
-        for axes in grid[count:]:
-            axes.set_visible(False)
-        for place, element in enumerate(problem.elements):
-            axes = grid[place]
-            own = [curve for curve in curves if curve.key == element.key]
-            own.sort(key=lambda curve: -abs(curve.torque))
-            _draw_panel(axes, [preload_view(problem, solution, element, curve) for curve in own])
-            axes.set_title(
-                f"{readable(element.key).capitalize()} [{_stiffness_unit(units, element)}]"
-            )
-            if place + columns >= count:
-                axes.set_xlabel("preload of one bolt or pin [kN]")
-        drawn = [axes.get_legend_handles_labels() for axes in grid[:count]]
-        legend = {
-            name: line for lines, names in drawn for line, name in zip(lines, names, strict=True)
-        }
-        figure.legend(
-            list(legend.values()),
-            list(legend),
-            loc="lower left",
-            ncols=4,
-            bbox_to_anchor=(0.05, 0.0),
-        )
-        figure.subplots_adjust(
-            left=0.07,
-            right=0.995,
-            bottom=_BOTTOM_INCH / height,
-            top=1 - _TOP_INCH / height,
-            wspace=0.24,
-            hspace=_ROW_GAP_INCH / panel,
-        )
-        return figure
-
-
-def _stiffness_unit(units: Sequence[JointUnits], element: FreeElement) -> str:
-    return units[element.joint - 1].stiffness
+    figure, grid = svg.panels(count, columns, (svg.WIDTH, height))
+    for place, (axes, element) in enumerate(zip(grid, problem.elements, strict=True)):
+        own = [curve for curve in curves if curve.key == element.key]
+        own.sort(key=lambda curve: -abs(curve.torque))
+        _draw_panel(axes, [preload_view(problem, solution, element, curve) for curve in own])
+        unit = units[element.joint - 1].stiffness
+        axes.set_title(f"{readable(element.key).capitalize()} [{unit}]")
+        if place + columns >= count:
+            axes.set_xlabel("preload of one bolt or pin [kN]")
+    drawn = [axes.get_legend_handles_labels() for axes in grid]
+    legend = {name: line for lines, names in drawn for line, name in zip(lines, names, strict=True)}
+    lines, names = list(legend.values()), list(legend)
+    figure.legend(lines, names, loc="lower left", ncols=4, bbox_to_anchor=(0.05, 0.0))
+    figure.subplots_adjust(
+        left=0.07,
+        right=0.995,
+        bottom=_BOTTOM_INCH / height,
+        top=1 - _TOP_INCH / height,
+        wspace=0.24,
+        hspace=_ROW_GAP_INCH / panel,
+    )
+    return figure
 
 
 def _draw_panel(axes: Axes, views: Sequence[PreloadView]) -> None:
     main = views[0]
     least, largest = main.least / 1e3, main.largest / 1e3
     axes.axvspan(
-        least, largest, color=SKY, alpha=0.3, linewidth=0, zorder=0, label="preload as tightened"
+        least,
+        largest,
+        color=svg.SKY,
+        alpha=0.3,
+        linewidth=0,
+        zorder=0,
+        label="preload as tightened",
     )
     for view in views[1:]:
-        axes.plot(view.preload / 1e3, view.stiffness, color=GREY, linewidth=0.9, zorder=2)
+        axes.plot(view.preload / 1e3, view.stiffness, color=svg.GREY, linewidth=0.9, zorder=2)
     axes.plot(
         main.preload / 1e3,
         main.stiffness,
-        color=BLUE,
+        color=svg.BLUE,
         linewidth=1.9,
         label="stiffness of the joint",
         zorder=3,
@@ -163,7 +139,7 @@ def _draw_panel(axes: Axes, views: Sequence[PreloadView]) -> None:
         [least, largest],
         ends,
         "o",
-        color=BLACK,
+        color=svg.BLACK,
         markersize=4.5,
         label="least and largest",
         zorder=4,
@@ -178,7 +154,7 @@ def _draw_panel(axes: Axes, views: Sequence[PreloadView]) -> None:
         axes.plot(
             [force / 1e3 for force in main.present],
             [bottom - 0.1 * room] * 2,
-            color=INK,
+            color=svg.INK,
             linewidth=1.2,
             marker="|",
             markersize=7,
@@ -223,15 +199,15 @@ def _draw_bounds(axes: Axes, bounds: Mapping[str, float], binding: Collection[st
     left, right = axes.get_xlim()
     for name, force in bounds.items():
         if name in FLOORS and force > left:
-            axes.axvspan(left, min(force, right), color=PALE, alpha=0.5, linewidth=0, zorder=0)
+            axes.axvspan(left, min(force, right), color=svg.PALE, alpha=0.5, linewidth=0, zorder=0)
     ceilings = [force for name, force in bounds.items() if name not in FLOORS]
     if ceilings and min(ceilings) < right:
-        axes.axvspan(min(ceilings), right, color=PALE, alpha=0.5, linewidth=0, zorder=0)
+        axes.axvspan(min(ceilings), right, color=svg.PALE, alpha=0.5, linewidth=0, zorder=0)
     groups: list[tuple[float, list[str]]] = []
     for name, force in sorted(bounds.items(), key=lambda each: each[1]):
         if not left <= force <= right:
             continue
-        colour = VERMILLION if name in FLOORS else GREY
+        colour = svg.VERMILLION if name in FLOORS else svg.GREY
         style = {"linewidth": 1.8} if name in binding else {"linewidth": 1.0, "dashes": (4, 2)}
         axes.axvline(force, color=colour, zorder=1, **style)
         # A label is as wide as it has lines.
@@ -268,5 +244,5 @@ def _draw_label(
         fontsize=7.0,
         fontweight="bold" if binds else "normal",
         linespacing=1.1,
-        color=VERMILLION if floor else GREY,
+        color=svg.VERMILLION if floor else svg.GREY,
     )

@@ -5,26 +5,24 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
+from stiffopt.fastening.utilisation import UtilisationRow
+from stiffopt.preload.bolt_sheet import BoltSheet
+from stiffopt.preload.problem import FreeElement, PreloadProblem
+from stiffopt.preload.sensitivity import (
+    LoosenedConnection,
+    Loosening,
+    PreloadWorth,
+    Sensitivity,
+    WindupShare,
+)
+from stiffopt.preload.solution import PreloadSolution
 from stiffopt.report.common.robot import EstimatedInputs, estimated_inputs
 from stiffopt.report.common.text import MAX_LISTED
 from stiffopt.report.preload.words import MARK, owner_name, readable
-
-if TYPE_CHECKING:
-    from stiffopt.fastening.utilisation import UtilisationRow
-    from stiffopt.preload.bolt_sheet import BoltSheet
-    from stiffopt.preload.problem import FreeElement, PreloadProblem
-    from stiffopt.preload.sensitivity import (
-        LoosenedConnection,
-        Loosening,
-        PreloadWorth,
-        Sensitivity,
-        WindupShare,
-    )
-    from stiffopt.preload.solution import PreloadSolution
 
 Item = TypeVar("Item")
 _KEY_PRESSURE = "key pressure"

@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from stiffopt.drivetrain.tables import with_own
 from stiffopt.fastening.utilisation import SAFETY_FACTORS
 from stiffopt.preload.bolt_sheet import bolt_sheets
 from stiffopt.preload.model import PreloadModel
-from stiffopt.preload.problem import OBJECTIVES
+from stiffopt.preload.problem import OBJECTIVES, FreeElement
+from stiffopt.preload.study import PreloadStudy
 from stiffopt.report.common.citations import preload_references
 from stiffopt.report.common.page import Filters, PageFigures, write_page
 from stiffopt.report.common.robot import joint_units
 from stiffopt.report.common.terminal import print_lines, print_table
 from stiffopt.report.common.text import DASH, si, significant
-from stiffopt.report.preload.bolt_figures import flange_drawings, joint_diagrams
 from stiffopt.report.preload.curves_figure import curves_figure
-from stiffopt.report.preload.figures import front_figure, loosening_figure, shares_figure
+from stiffopt.report.preload.figures import (
+    flange_drawings,
+    front_figure,
+    joint_diagrams,
+    loosening_figure,
+    shares_figure,
+)
 from stiffopt.report.preload.overview import (
     EstimateMarks,
     limit_sources,
@@ -47,10 +52,6 @@ from stiffopt.report.preload.words import (
     stiffness_sentence,
     weakest_sentence,
 )
-
-if TYPE_CHECKING:
-    from stiffopt.preload.problem import FreeElement
-    from stiffopt.preload.study import PreloadStudy
 
 REPORT_FILE = "report.html"
 _CONNECTION_COLUMNS = (

@@ -6,22 +6,19 @@ import itertools
 import math
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stiffopt.connection import BoltedFlange, ClampingPins
 from stiffopt.drivetrain import catalogue
 from stiffopt.errors import is_factor
+from stiffopt.fastening.utilisation import UtilisationRow
+from stiffopt.preload.pareto import ParetoFront
+from stiffopt.preload.problem import FreeElement, PreloadProblem
+from stiffopt.preload.sensitivity import WindupShare
+from stiffopt.preload.solution import PreloadSolution
+from stiffopt.preload.study import PreloadStudy
 from stiffopt.report.common.text import UNCHANGED, change, listed, percent, si, words
-
-if TYPE_CHECKING:
-    from stiffopt.fastening.utilisation import UtilisationRow
-    from stiffopt.preload.pareto import ParetoFront
-    from stiffopt.preload.problem import FreeElement, PreloadProblem
-    from stiffopt.preload.sensitivity import WindupShare
-    from stiffopt.preload.solution import PreloadSolution
-    from stiffopt.preload.study import PreloadStudy
 
 # Relative change of stiffness below which stiffness does not determine the preload.
 _SMALL_STIFFNESS_GAIN = 0.02
@@ -156,9 +153,8 @@ def active_limits_sentence(problem: PreloadProblem, solution: PreloadSolution) -
     # Utilisation of slip below which the loads are negligible or in a wrong unit.
     if slip and max(slip) < 0.05:
         text += (
-            f" Slip safety is {1.0 / max(slip):.3g} times the required"
-            " one: the loads are negligible."
-            " Check their unit."
+            f" Slip safety is {1.0 / max(slip):.3g} times the required one: the loads are "
+            "negligible. Check their unit."
             if max(slip) > 0.0
             else " No load case has a torque about a joint."
         )
@@ -322,10 +318,9 @@ def _stainless_friction(problem: PreloadProblem) -> Iterator[str]:
     if stainless:
         friction = problem.tightening.thread_friction
         yield (
-            f"bolts {listed(stainless)} gall in dry threads: thread_friction = {friction:g} must be"
-            " that of the lubricant in use. State it in [tightening],"
-            " with friction_highest where it"
-            " scatters."
+            f"bolts {listed(stainless)} gall in dry threads: thread_friction = {friction:g} must "
+            "be that of the lubricant in use. State it in [tightening], with friction_highest "
+            "where it scatters."
         )
 
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -16,13 +16,11 @@ from stiffopt.errors import InputFileError
 from stiffopt.files import to_json_types
 from stiffopt.report.scene.poses import Poses
 from stiffopt.robot.body_tree import arm_reach, joint_radii, link_capsules
+from stiffopt.robot.cell import Cell
 from stiffopt.robot.frames import rotation_from_rpy
 from stiffopt.robot.joint_load import complete_axes
 from stiffopt.robot.link_shapes import JointShape, Kind, LinkShape, mesh_triangles
-
-if TYPE_CHECKING:
-    from stiffopt.robot.cell import Cell
-    from stiffopt.robot.robot import Robot
+from stiffopt.robot.robot import Robot
 
 # Triangles of all meshes of an arm together, so that a page stays below 3 MB.
 _MAX_ARM_TRIANGLES = 60000

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stiffopt.certificate.assess import joint_windup
+from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.assessment import Assessment
 from stiffopt.robot.batched_kinematics import tool_jacobians
-
-if TYPE_CHECKING:
-    from stiffopt.problem.trajectory import TrajectoryProblem
-    from stiffopt.result.assessment import Assessment
-    from stiffopt.robot.robot import Robot
+from stiffopt.robot.robot import Robot
 
 FRAMES = 121
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
@@ -22,17 +22,16 @@ from stiffopt.report.scene.poses import Poses
 from stiffopt.report.solve.space_figures import exaggeration
 from stiffopt.robot.batched_kinematics import frame_positions
 from stiffopt.robot.body_tree import BodyTree, joint_radii, link_capsules
+from stiffopt.robot.cell import Cell
 from stiffopt.robot.frames import LinkFrame
-
-if TYPE_CHECKING:
-    from stiffopt.robot.cell import Cell
-    from stiffopt.robot.robot import Robot
+from stiffopt.robot.robot import Robot
 
 _HEIGHT_INCH = 4.6
 # Elevation of the viewpoint above the horizon [rad].
 _VIEW_ELEVATION = 0.4
 
 
+@figure_style()
 def still_figure(
     tree: BodyTree,
     tool: LinkFrame,
@@ -56,26 +55,25 @@ def still_figure(
     if part:
         paths.append((bent, VERMILLION, "-"))
     paths += [(other.position, GREY, (0, (4, 2))) for other in motions[1:]]
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, _HEIGHT_INCH))
-        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-        axes.set_axis_off()
-        ends = poses.position[[0, -1]]
-        flats = [frame_positions(tree, tool, each) @ view.T for each, _, _ in paths]
-        seen = np.vstack([flat[:, :2] for flat in flats])
-        scale = _fit_view(axes, tree, tool, view, np.vstack([ends, bent[at : at + 1]]), seen)
-        for edge in edges_around(cell):
-            axes.plot(*(edge @ view.T)[:, :2].T, color=GREY, linewidth=0.8, zorder=0.5)
-        for q in ends:
-            _draw_arm(axes, tree, tool, view, q, scale, PALE, None, 0.55)
-        if part:
-            _draw_arm(axes, tree, tool, view, poses.position[at], scale, BLUE, None, 0.25)
-        _draw_arm(axes, tree, tool, view, bent[at], scale, "#c3c9d1", share, 1.0)
-        for flat, (_, colour, dash) in zip(flats, paths, strict=True):
-            axes.plot(*flat[:, :2].T, color=colour, linestyle=dash, zorder=20)
-        flat = frame_positions(tree, tool, bent[at : at + 1]) @ view.T
-        axes.plot(*flat[:, :2].T, "o", color=VERMILLION, markersize=6, zorder=21)
-        return figure
+    figure = Figure(figsize=(WIDTH, _HEIGHT_INCH))
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set_axis_off()
+    ends = poses.position[[0, -1]]
+    flats = [frame_positions(tree, tool, each) @ view.T for each, _, _ in paths]
+    seen = np.vstack([flat[:, :2] for flat in flats])
+    scale = _fit_view(axes, tree, tool, view, np.vstack([ends, bent[at : at + 1]]), seen)
+    for edge in edges_around(cell):
+        axes.plot(*(edge @ view.T)[:, :2].T, color=GREY, linewidth=0.8, zorder=0.5)
+    for q in ends:
+        _draw_arm(axes, tree, tool, view, q, scale, PALE, None, 0.55)
+    if part:
+        _draw_arm(axes, tree, tool, view, poses.position[at], scale, BLUE, None, 0.25)
+    _draw_arm(axes, tree, tool, view, bent[at], scale, "#c3c9d1", share, 1.0)
+    for flat, (_, colour, dash) in zip(flats, paths, strict=True):
+        axes.plot(*flat[:, :2].T, color=colour, linestyle=dash, zorder=20)
+    flat = frame_positions(tree, tool, bent[at : at + 1]) @ view.T
+    axes.plot(*flat[:, :2].T, "o", color=VERMILLION, markersize=6, zorder=21)
+    return figure
 
 
 def largest(poses: Poses, part: str) -> int:

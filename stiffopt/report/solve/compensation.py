@@ -93,10 +93,9 @@ def compensation_text(compensation: Compensation) -> str:
         return compensation.refusal
     own = compensation.optimised
     return (
-        f"With the command {compensation.file or COMMAND_FILE} the"
-        " elastic arm's tool deviates from "
-        f"the plan by at most {_format_deviations(own.compensated)} in flight / after arrival, in "
-        f"the worst case {_format_deviations(own.compensated, True)}."
+        f"With the command {compensation.file or COMMAND_FILE} the elastic arm's tool deviates "
+        f"from the plan by at most {_format_deviations(own.compensated)} in flight / after "
+        f"arrival, in the worst case {_format_deviations(own.compensated, True)}."
     )
 
 

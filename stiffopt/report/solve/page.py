@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from stiffopt.baseline.baselines import better_baseline
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.problem.objective import OBJECTIVES
+from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.report.common.citations import solve_references
 from stiffopt.report.common.page import Filters, PageFigures, write_page
 from stiffopt.report.common.robot import estimated_inputs, joint_units
@@ -44,9 +44,6 @@ from stiffopt.report.solve.wording import (
 )
 from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.solution import Baseline, Solution
-
-if TYPE_CHECKING:
-    from stiffopt.problem.trajectory import TrajectoryProblem
 
 REPORT_FILE = "report.html"
 

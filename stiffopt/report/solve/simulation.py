@@ -4,26 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.modes import PoseModes
 from stiffopt.files import atomic_write
+from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.report.common import svg
 from stiffopt.report.common.page import PageFigures, write_page
-from stiffopt.report.common.svg import (
-    BLACK,
-    BLUE,
-    GREEN,
-    GREY,
-    VERMILLION,
-    WIDTH,
-    figure_style,
-    line_style,
-    set_log_scale,
-    to_svg,
-)
 from stiffopt.report.common.terminal import print_lines, print_table
 from stiffopt.report.common.text import percent, scale, si, significant
 from stiffopt.report.scene.poses import Poses
@@ -34,46 +25,41 @@ from stiffopt.report.solve.compensation import (
     compensation_figure,
 )
 from stiffopt.report.solve.wording import assumed_damping_note, simulation_section
-
-if TYPE_CHECKING:
-    from stiffopt.elastic.arm import ElasticArm
-    from stiffopt.problem.trajectory import TrajectoryProblem
-    from stiffopt.result.compensation import Compensation
-    from stiffopt.result.simulation import SimulatedMotion, Simulation
+from stiffopt.result.compensation import Compensation
+from stiffopt.result.simulation import SimulatedMotion, Simulation
 
 _MOTION_STYLES: tuple[dict[str, Any], ...] = (
-    {"color": BLUE, "linewidth": 2.2},
-    {"color": VERMILLION, "linestyle": (0, (5, 1.5))},
-    {"color": GREEN, "linestyle": (0, (1.5, 1.2))},
-    {"color": BLACK, "linestyle": (0, (1.0, 2.5))},
+    {"color": svg.BLUE, "linewidth": 2.2},
+    {"color": svg.VERMILLION, "linestyle": (0, (5, 1.5))},
+    {"color": svg.GREEN, "linestyle": (0, (1.5, 1.2))},
+    {"color": svg.BLACK, "linestyle": (0, (1.0, 2.5))},
 )
 PAGE_FILE = "simulation.html"
 _TIME_AFTER_ARRIVAL = 0.4  # shown in the figure and the scene [s]
 _VIBRATION_PART = "vibratory"  # part of the deflection that the scene magnifies
 
 
+@svg.figure_style()
 def deviation_figure(simulation: Simulation) -> Figure:
     """Plot the magnitude of the tool's deviation over time, all motions."""
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, 3.7))
-        axes = figure.subplots()
-        largest = max(motion.simulated.peak for motion in simulation.motions)
-        factor, unit = scale(largest, "m")
-        for motion, style in zip(simulation.motions, _MOTION_STYLES, strict=False):
-            found = motion.simulated
-            shown = found.time <= found.duration + _TIME_AFTER_ARRIVAL
-            values = factor * found.distance[shown]
-            axes.plot(found.time[shown], values, label=motion.name, **style)
-            at = int(np.searchsorted(found.time, found.duration))
-            axes.plot(found.duration, factor * found.distance[at], "o", color=style["color"])
-        axes.axhline(factor * simulation.optimised.simulated.band, color=GREY, linewidth=0.8)
-        axes.set_xlabel("time [s]")
-        axes.set_ylabel(f"deviation of the tool [{unit}]")
-        axes.set_ylim(bottom=0.0)
-        axes.margins(x=0.01)
-        axes.legend(loc="upper right")
-        figure.subplots_adjust(left=0.06, right=0.995)
-        return figure
+    figure, axes = svg.subplots(3.7)
+    largest = max(motion.simulated.peak for motion in simulation.motions)
+    factor, unit = scale(largest, "m")
+    for motion, style in zip(simulation.motions, _MOTION_STYLES, strict=False):
+        found = motion.simulated
+        shown = found.time <= found.duration + _TIME_AFTER_ARRIVAL
+        values = factor * found.distance[shown]
+        axes.plot(found.time[shown], values, label=motion.name, **style)
+        at = int(np.searchsorted(found.time, found.duration))
+        axes.plot(found.duration, factor * found.distance[at], "o", color=style["color"])
+    axes.axhline(factor * simulation.optimised.simulated.band, color=svg.GREY, linewidth=0.8)
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel(f"deviation of the tool [{unit}]")
+    axes.set_ylim(bottom=0.0)
+    axes.margins(x=0.01)
+    axes.legend(loc="upper right")
+    figure.subplots_adjust(left=0.06, right=0.995)
+    return figure
 
 
 def print_modes(rows: Sequence[PoseModes]) -> None:
@@ -93,22 +79,23 @@ def print_modes(rows: Sequence[PoseModes]) -> None:
     print_lines(assumed_damping_note(rows[0].assumed_damping))
 
 
+@svg.figure_style()
 def write_modes_figure(rows: Sequence[PoseModes], path: Path) -> Path:
     """Write the frequencies over a motion as SVG; return the path."""
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, 3.7))
-        axes = figure.subplots()
-        times = [row.time for row in rows]
-        for k in range(len(rows[0].modes)):
-            frequencies = [row.modes[k].frequency for row in rows]
-            axes.plot(times, frequencies, label=f"mode {k + 1}", **line_style(k))
-        set_log_scale(axes, "y")
-        axes.set_xlabel("time [s]")
-        axes.set_ylabel("frequency [Hz]")
-        axes.margins(x=0.01)
-        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-        svg = to_svg(figure, "modes", "Natural frequencies of the elastic modes along the motion")
-    atomic_write(path, svg)
+    figure, axes = svg.subplots(3.7)
+    times = [row.time for row in rows]
+    for k in range(len(rows[0].modes)):
+        frequencies = [row.modes[k].frequency for row in rows]
+        axes.plot(times, frequencies, label=f"mode {k + 1}", **svg.line_style(k))
+    svg.set_log_scale(axes, "y")
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel("frequency [Hz]")
+    axes.margins(x=0.01)
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    drawing = svg.to_svg(
+        figure, "modes", "Natural frequencies of the elastic modes along the motion"
+    )
+    atomic_write(path, drawing)
     return path
 
 

@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.report.common.robot import common_unit, element_colour, joint_units, windup_by_kind
-from stiffopt.report.common.svg import BLACK, GREY, WIDTH, figure_style
+from stiffopt.report.common.svg import BLACK, GREY, WIDTH, figure_style, subplots
 from stiffopt.report.common.text import number, si
 from stiffopt.report.solve.figures import ComparedMotion, motion_style
 from stiffopt.result.assessment import Assessment
 
-if TYPE_CHECKING:
-    from stiffopt.problem.trajectory import TrajectoryProblem
 
-
+@figure_style()
 def path_figure(problem: TrajectoryProblem, motions: Sequence[ComparedMotion], part: str) -> Figure:
     """Plot the tool path in two projections, planned and with magnified deflection.
 
@@ -31,19 +30,18 @@ def path_figure(problem: TrajectoryProblem, motions: Sequence[ComparedMotion], p
     widest, middle, least = (int(axis) for axis in np.argsort(-spans, kind="stable"))
     largest = max(motion.peak(part) for motion in motions)
     factor = exaggeration(max(float(spans.max()), 1e-3), largest)
-    with figure_style():
-        figure = Figure()
-        # Paths flatter than this are drawn one projection above the other.
-        stacked = bool(spans[middle] < 0.45 * spans[widest])
-        rows, columns = (2, 1) if stacked else (1, 2)
-        grid = figure.subplots(rows, columns, squeeze=False).ravel()
-        for axes, vertical in zip(grid, (middle, least), strict=True):
-            _draw_projection(axes, problem, motions, part, factor, (widest, vertical))
-        _fit_panels(figure, list(grid), stacked)
-        handles, labels = grid[0].get_legend_handles_labels()
-        below = -0.5 / figure.get_figheight()
-        figure.legend(handles, labels, loc="upper left", ncols=2, bbox_to_anchor=(0.06, below))
-        return figure
+    figure = Figure()
+    # Paths flatter than this are drawn one projection above the other.
+    stacked = bool(spans[middle] < 0.45 * spans[widest])
+    rows, columns = (2, 1) if stacked else (1, 2)
+    grid = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axes, vertical in zip(grid, (middle, least), strict=True):
+        _draw_projection(axes, problem, motions, part, factor, (widest, vertical))
+    _fit_panels(figure, list(grid), stacked)
+    handles, labels = grid[0].get_legend_handles_labels()
+    below = -0.5 / figure.get_figheight()
+    figure.legend(handles, labels, loc="upper left", ncols=2, bbox_to_anchor=(0.06, below))
+    return figure
 
 
 def _fit_panels(figure: Figure, grid: list[Axes], stacked: bool) -> None:
@@ -104,6 +102,7 @@ def exaggeration(extent: float, largest: float) -> float:
     return power * max(step for step in (1, 2, 5) if step * power <= wanted * (1 + 1e-12))
 
 
+@figure_style()
 def windup_figure(problem: TrajectoryProblem, motion: Assessment, part: str) -> Figure:
     """Plot the wind-up of every joint at the instant of the largest deflection, split by element.
 
@@ -112,35 +111,33 @@ def windup_figure(problem: TrajectoryProblem, motion: Assessment, part: str) -> 
     magnitude = np.linalg.norm(motion.deflection[part], axis=1)
     at = int(np.argmax(magnitude))
     units = joint_units(problem.robot)
-    with figure_style():
-        figure = Figure(figsize=(WIDTH, 0.9 + max(0.36 * len(units), 1.4)))
-        axes = figure.subplots()
-        shown: set[str] = set()
-        windups = 1e3 * np.abs(motion.windup[at])
-        slips = ~np.isfinite(windups)
-        windups[slips] = 0.0
-        for j, unit in enumerate(units):
-            torque = float(motion.spring_torque[at, j])
-            left = 0.0
-            shares = {} if slips[j] else windup_by_kind(problem.robot.chains[j], torque)
-            for kind, share in shares.items():
-                label = None if kind in shown else kind.replace("_", " ")
-                shown.add(kind)
-                width = share * windups[j]
-                colour = element_colour(kind)
-                axes.barh(j, width, left=left, height=0.62, color=colour, label=label)
-                left += width
-            size = "slips" if slips[j] else number(windups[j] / 1e3, unit.windup, 3)
-            text = f"{size} at {si(torque, unit.torque, 3)}"
-            place: dict[str, Any] = {"xytext": (4, 0), "textcoords": "offset points"}
-            axes.annotate(text, (windups[j], j), va="center", fontsize=8.5, **place)
-        axes.set_yticks(range(len(units)), [unit.label for unit in units])
-        axes.invert_yaxis()
-        axes.set_xlim(0.0, 1.22 * max(float(windups.max()), 1e-9))
-        axes.grid(visible=False, axis="y")
-        axes.set_xlabel(f"wind-up [{common_unit([u.windup for u in units])}]")
-        axes.set_title(f"At {motion.time[at]:.3f} s, where the {part} deflection is largest")
-        figure.subplots_adjust(left=0.05, right=0.995)
-        if shown:
-            axes.legend(loc="lower right", borderaxespad=0.4)
-        return figure
+    figure, axes = subplots(0.9 + max(0.36 * len(units), 1.4))
+    shown: set[str] = set()
+    windups = 1e3 * np.abs(motion.windup[at])
+    slips = ~np.isfinite(windups)
+    windups[slips] = 0.0
+    for j, unit in enumerate(units):
+        torque = float(motion.spring_torque[at, j])
+        left = 0.0
+        shares = {} if slips[j] else windup_by_kind(problem.robot.chains[j], torque)
+        for kind, share in shares.items():
+            label = None if kind in shown else kind.replace("_", " ")
+            shown.add(kind)
+            width = share * windups[j]
+            colour = element_colour(kind)
+            axes.barh(j, width, left=left, height=0.62, color=colour, label=label)
+            left += width
+        size = "slips" if slips[j] else number(windups[j] / 1e3, unit.windup, 3)
+        text = f"{size} at {si(torque, unit.torque, 3)}"
+        place: dict[str, Any] = {"xytext": (4, 0), "textcoords": "offset points"}
+        axes.annotate(text, (windups[j], j), va="center", fontsize=8.5, **place)
+    axes.set_yticks(range(len(units)), [unit.label for unit in units])
+    axes.invert_yaxis()
+    axes.set_xlim(0.0, 1.22 * max(float(windups.max()), 1e-9))
+    axes.grid(visible=False, axis="y")
+    axes.set_xlabel(f"wind-up [{common_unit([u.windup for u in units])}]")
+    axes.set_title(f"At {motion.time[at]:.3f} s, where the {part} deflection is largest")
+    figure.subplots_adjust(left=0.05, right=0.995)
+    if shown:
+        axes.legend(loc="lower right", borderaxespad=0.4)
+    return figure

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,17 +10,19 @@ from stiffopt.baseline.baselines import better_baseline
 from stiffopt.certificate.objective_value import is_maximised
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.problem.objective import OBJECTIVES, ObjectiveKind
+from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.report.common.terminal import ReportSection
 from stiffopt.report.common.text import DASH, listed, percent, si, significant, words
 from stiffopt.result.assessment import Violation
-from stiffopt.result.compensation import MIN_SLOWDOWN, RIVAL_COMMAND_FILE, RIVAL_TRAJECTORY_FILE
+from stiffopt.result.compensation import (
+    MIN_SLOWDOWN,
+    RIVAL_COMMAND_FILE,
+    RIVAL_TRAJECTORY_FILE,
+    CompensatedMotion,
+    Compensation,
+)
 from stiffopt.result.simulation import ElasticMotion, Simulation
 from stiffopt.result.solution import ObjectiveValue, Solution
-
-if TYPE_CHECKING:
-    from stiffopt.problem.trajectory import TrajectoryProblem
-    from stiffopt.result.compensation import CompensatedMotion, Compensation
-
 
 # Ratio below which a gain is written as "3.4 times less", above it as a percentage.
 _MAX_FACTOR_RATIO = 0.6
@@ -93,17 +94,15 @@ def difference_text(problem: TrajectoryProblem, solution: Solution) -> str:
     part = motion.compared
     deviates = "deviates by" if part.name == "dynamic" else f"has a {part.name} deflection of"
     why = (
-        "the command smooths the kinks of the joints' wind-up law"
-        " more than the plan, as limits and "
-        "mesh require; a higher limits.jerk or a longer duration reduces the difference"
+        "the command smooths the kinks of the joints' wind-up law more than the plan, as limits "
+        "and mesh require; a higher limits.jerk or a longer duration reduces the difference"
         if problem.plans_links
         else "the quasi-static plan does not include the vibration of the links"
     )
     text = (
         f"With motors that follow exactly the elastic arm {deviates} up to "
-        f"{si(part.simulated.peak, 'm', 3)} in flight where "
-        f"{si(part.planned.peak, 'm', 3)} was planned ({percent(abs(change), 2)} "
-        f"{'more' if change > 0 else 'less'}): {why}."
+        f"{si(part.simulated.peak, 'm', 3)} in flight where {si(part.planned.peak, 'm', 3)} was "
+        f"planned ({percent(abs(change), 2)} {'more' if change > 0 else 'less'}): {why}."
     )
     if motion.simulated.settling_time is None and motion.simulated.peak_after is not None:
         return f"{text} It does not settle to {si(motion.simulated.band, 'm')} within 1 s."
@@ -299,9 +298,8 @@ def assumed_damping_note(joints: Sequence[int]) -> list[str]:
         return []
     named = f"joint{'s' if len(joints) > 1 else ''} {listed(str(j) for j in joints)}"
     return [
-        f"The damping of {named} is assumed: 2 % of critical for each"
-        " joint on its own, so that the "
-        "damping ratios of modes differ; state damping in the robot file where it was measured."
+        f"The damping of {named} is assumed: 2 % of critical for each joint on its own, so that "
+        "the damping ratios of modes differ; state damping in the robot file where it was measured."
     ]
 
 
@@ -311,9 +309,8 @@ def _hysteresis_note(simulation: Simulation) -> list[str]:
     if reach is None or peak <= 0.0:
         return []
     return [
-        "No joint states its hysteresis: loops of 0.05 mrad half"
-        " width in all joints, as measured on "
-        f"reducers, could hold the tool {si(reach, 'm', 2)} from its static equilibrium, "
+        "No joint states its hysteresis: loops of 0.05 mrad half width in all joints, as measured "
+        f"on reducers, could hold the tool {si(reach, 'm', 2)} from its static equilibrium, "
         f"{100.0 * reach / peak:.0f} % of the optimised peak; state hysteresis in the robot file "
         "where it was measured."
     ]

@@ -1,1 +1,0 @@
-"""Report of an identified joint stiffness."""

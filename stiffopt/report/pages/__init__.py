@@ -1,0 +1,1 @@
+"""Reports of one page each: budget, cycle, identification, improvement, stiffness, sweep."""

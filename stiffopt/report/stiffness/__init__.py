@@ -1,1 +1,0 @@
-"""Report of a robot's joint stiffness."""
