@@ -62,12 +62,13 @@ def main() -> None:
     parser.add_argument("--python", type=Path, required=True, help="of the peers' environment")
     parser.add_argument("--work", type=Path, default=WORK)
     parser.add_argument("--cases", type=int, default=100)
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS)
     given = parser.parse_args()
     store = Store(given.work.resolve() / key_under_test(given.key).text)
     names = [path.parent.name for path in sorted(store.folder.glob("cases/law_*/commitment.txt"))]
     lines = [
-        "| case | law | " + " | ".join(("stiffopt", *METHODS)) + " |",
-        "| --- " * (3 + len(METHODS)) + "|",
+        "| case | law | " + " | ".join(("stiffopt", *given.methods)) + " |",
+        "| --- " * (3 + len(given.methods)) + "|",
     ]
     every = []
     for name in names[: given.cases]:
@@ -78,11 +79,14 @@ def main() -> None:
             problem = Path(folder) / "problem.npz"
             write_problem(channel, problem)
             done = subprocess.run(
-                [given.python, WORKER, problem], capture_output=True, text=True, check=True
+                [given.python, WORKER, problem, *given.methods],
+                capture_output=True,
+                text=True,
+                check=True,
             )
         left = json.loads(done.stdout)
         own = search_channel(channel)
-        shares = [own.explained, *(channel.share(left[method]) for method in METHODS)]
+        shares = [own.explained, *(channel.share(left[method]) for method in given.methods)]
         every.append(shares)
         kind = json.loads(store.truth(name).read_text())["effects"][0]["effect"]
         cells = " | ".join(f"{share:.2f}" for share in shares)

@@ -100,7 +100,7 @@ class Scored:
     seconds: float
 
 
-def score(store: Store, name: str, of: str = "") -> Scored | None:
+def score(store: Store, name: str, of: str = "", answered: str = "") -> Scored | None:
     """Score an answered case; None without an answer.
 
     Parameters
@@ -109,8 +109,11 @@ def score(store: Store, name: str, of: str = "") -> Scored | None:
     name : str
     of : str
         Effect that counts as the law; default: that of the family of laws.
+    answered : str
+        Name of the answer; default: that of the case.
     """
-    path = store.answer(name) / "diagnosis.json"
+    given = store.answer(answered or name)
+    path = given / "diagnosis.json"
     if not path.exists():
         return None
     found = json.loads(path.read_text())
@@ -129,7 +132,7 @@ def score(store: Store, name: str, of: str = "") -> Scored | None:
     own = [f for f in claimed if true is not None and f["joint"] == true["joint"]]
     seen = {_plain(s) for f in own for s in laws[f["effect"]]["signals"]}
     wanted = set() if true is None else {_plain(s) for s in true["law"].get("signals", ())}
-    error = {} if true is None else _function_errors(store, name, true)
+    error = {} if true is None else _function_errors(store, name, true, given)
     removed = {}
     for role in ("test", "extrapolate") if true is not None else ():
         before, after = (found["fit"][role][key] ** 2 for key in ("nrmse_before", "nrmse_after"))
@@ -143,7 +146,7 @@ def score(store: Store, name: str, of: str = "") -> Scored | None:
         signals=bool(wanted) and wanted <= seen,
         error=error,
         removed=removed,
-        seconds=json.loads((store.answer(name) / "time.json").read_text())["cpu"],
+        seconds=json.loads((given / "time.json").read_text())["cpu"],
     )
 
 
@@ -153,7 +156,9 @@ def _plain(symbol: str) -> str:
     return re.sub(r"sg\((\w+)\)", r"\1", symbol).replace("F_", "w_").replace("D_", "T_")
 
 
-def _function_errors(store: Store, name: str, true: dict[str, Any]) -> dict[str, float]:
+def _function_errors(
+    store: Store, name: str, true: dict[str, Any], answer: Path
+) -> dict[str, float]:
     """Error by role of the effects of an answer, over the range that was met.
 
     Nominal values within tolerance count on neither side: what the simulator added to the healthy
@@ -164,7 +169,7 @@ def _function_errors(store: Store, name: str, true: dict[str, Any]) -> dict[str,
     """
     exact, joint = store.oracle_predictions(name), true["joint"] - 1
     recordings = load_recordings(store.case(name))
-    model = load_extended(store.answer(name) / "extended.toml")
+    model = load_extended(answer / "extended.toml")
     training = prepare_training(recordings, Settings())
     noise = training.noise.channels
     kinds = (

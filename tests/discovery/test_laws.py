@@ -44,7 +44,8 @@ def forms_of(kind: str) -> list[str]:
     return [*own, *(FORMS[form].general for form in own if FORMS[form].general)]
 
 
-EVERY = [(kind, form) for kind in SOURCE_KINDS for form in forms_of(kind)]
+SUMS = [("load", "lag+linear"), ("load", "stop+stop"), ("speed", "magnitude+constant")]
+EVERY = [(kind, form) for kind in SOURCE_KINDS for form in forms_of(kind)] + SUMS
 SIGN = Factor(LawSource("direction", 4), "linear")
 
 
@@ -59,10 +60,13 @@ def test_every_form_of_every_signal_is_a_valid_effect(kind: str, form: str) -> N
     assert list(find_faults(law_effect(law, [0.7] * law.amplitude_count))) == []
 
 
-@pytest.mark.parametrize("name", [name for name, form in FORMS.items() if form.shapes])
+@pytest.mark.parametrize(
+    "name",
+    [*(name for name, form in FORMS.items() if form.shapes), *(form for _, form in SUMS[:2])],
+)
 def test_slopes_by_shapes_agree_with_differences(name: str) -> None:
     signals = sample_signals(count=200)
-    kind = next(k for k in SOURCE_KINDS if name in forms_of(k))
+    kind = next(k for k, form in EVERY if form == name)
     law = law_with(kind, name)
     own = Factor(law.factors[-1].source, name)
     x = np.asarray(own.source.value(signals))
@@ -286,15 +290,39 @@ def test_a_square_needs_no_exponent() -> None:
     found = search_channel(KnownChannel(lambda s: 3.0 * s.motor_velocity[:, 4] ** 2))
     assert found.best is not None
     assert found.best.law.equation == "tau_5 += A * w_5**2"
-    assert found.best.law.amplitude_unit == "N m/(rad/s)^2"
+    assert found.best.law.amplitude_units == ("N m/(rad/s)^2",)
 
 
 def test_only_units_of_several_names_need_brackets() -> None:
     units = [
-        Law(4, "drive_torque", (Factor(LawSource(kind, 4), "linear"),)).amplitude_unit
+        Law(4, "drive_torque", (Factor(LawSource(kind, 4), "linear"),)).amplitude_units
         for kind in ("position", "speed", "load")
     ]
-    assert units == ["N m/rad", "N m/(rad/s)", "N m/(N m)"]
+    assert units == [("N m/rad",), ("N m/(rad/s)",), ("N m/(N m)",)]
+    both = Law(4, "drive_torque", (Factor(LawSource("speed", 4), "magnitude+constant"),))
+    assert both.amplitude_units == ("N m/(rad/s)", "N m")
+    assert [size for *_, size in both.amplitude_sizes([-3.0, 0.2])] == [3.0, 0.2]
+
+
+def test_a_second_form_of_a_signal_is_found_beside_the_first() -> None:
+    """A gear's ripple of two orders: neither is the law alone."""
+
+    def content(signals):
+        angle = signals.motor_position[:, 4]
+        return 4.0 * np.sin(190.4 * angle) + 1.5 * np.cos(95.2 * angle)
+
+    found = search_channel(KnownChannel(content))
+    assert found.best is not None
+    (factor,) = found.best.law.factors
+    assert factor.form == "harmonic+harmonic"
+    assert factor.shapes == pytest.approx((190.4, 95.2), rel=1e-3)
+    assert found.best.fit.amplitudes == pytest.approx([0.0, 4.0, 1.5, 0.0], abs=0.2)
+
+
+def test_noise_is_no_second_form() -> None:
+    found = search_channel(KnownChannel(lambda s: 0.4 * s.spring_torque[:, 4], noise=1.03))
+    assert found.best is not None
+    assert found.best.law.equation == "tau_5 += A * T_5"
 
 
 def test_functions_of_one_signal_are_one_law_whatever_it_is_called() -> None:
@@ -319,7 +347,9 @@ def test_the_best_pairs_of_every_carrier_are_tried() -> None:
 @pytest.mark.parametrize("frequency", [0.3, 0.55, 0.9])
 def test_the_frequency_of_a_hidden_mode_is_searched(frequency: float) -> None:
     def content(signals):
-        return operators.sprung(2.0 * signals.motor_acceleration[:, 4], frequency, 0.05, signals.dt)
+        speed, pushed = signals.motor_velocity[:, 4], signals.motor_acceleration[:, 4]
+        before = operators.acceleration_before(speed, pushed, signals.dt)
+        return 2.0 * operators.sprung(pushed, frequency, 0.05, signals.dt, before)
 
     found = search_channel(KnownChannel(content, noise=0.3))
     assert found.best is not None

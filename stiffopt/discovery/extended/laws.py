@@ -9,7 +9,7 @@ import numpy as np
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, LocatedEffect
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.extended.schema import EffectSection, LawFactorSection, ResidualSection
-from stiffopt.discovery.laws.forms import FORMS
+from stiffopt.discovery.laws.forms import FORMS, form_named
 from stiffopt.discovery.laws.law import Factor, Law, law_effect
 from stiffopt.discovery.laws.sources import SOURCE_KINDS, LawSource
 from stiffopt.discovery.laws.table import ResidualTable
@@ -54,10 +54,8 @@ def read_table(section: ResidualSection, joints: int, path: object, where: str) 
 
 
 def _read_factor(section: LawFactorSection, joints: int, path: object, where: str) -> Factor:
-    for key, value, known in (
-        ("signal", section.signal, SOURCE_KINDS),
-        ("form", section.form, FORMS),
-    ):
+    forms = [("form", part, [*FORMS]) for part in section.form.split("+", 1)]
+    for key, value, known in (("signal", section.signal, [*SOURCE_KINDS]), *forms):
         if value not in known:
             raise InputFileError(
                 path, f"{where}.{key}", f"no {key} {value!r}. {nearest(value, known)}"
@@ -66,7 +64,7 @@ def _read_factor(section: LawFactorSection, joints: int, path: object, where: st
     if needed != (given is not None) or (given is not None and not 1 <= given <= joints):
         allowed = f"needs a joint, 1 to {joints}" if needed else "has no joint"
         raise InputFileError(path, f"{where}.joint", f"{section.signal} {allowed}.")
-    shapes = [shape.name for shape in FORMS[section.form].shapes]
+    shapes = [shape.name for shape in form_named(section.form).shapes]
     if len(section.bounds) != len(shapes):
         raise InputFileError(
             path, f"{where}.bounds", f"needs one pair for each of: {', '.join(shapes) or 'none'}."

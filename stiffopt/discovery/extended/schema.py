@@ -38,7 +38,9 @@ class LawFactorSection(Section):
 
     signal: Annotated[str, Doc("Kind of signal, such as position, speed, load or height.")]
     joint: Annotated[int | None, Doc("Joint of the signal, numbered from 1.")] = None
-    form: Annotated[str, Doc("Form of the law in it, such as linear, saturating or step.")]
+    form: Annotated[
+        str, Doc("Form of the law in it, such as linear or step, or the sum lag+linear.")
+    ]
     bounds: Annotated[
         tuple[tuple[Ratio, Ratio], ...], Doc("Lowest and highest value of its shapes.")
     ] = ()

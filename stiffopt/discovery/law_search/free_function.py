@@ -53,6 +53,7 @@ def carriers(channel: OpenChannel) -> list[Carrier]:
         (load,),
         (sign, Factor(LawSource("load", j), "magnitude")),
         (Factor(LawSource("acceleration", j), "linear"),),
+        (Factor(LawSource("drive", j), "linear"),),
     ]
 
 

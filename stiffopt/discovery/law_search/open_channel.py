@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -77,6 +78,12 @@ class OpenChannel:
     def excess(self) -> float:
         """Sum of squares beyond the noise."""
         return max(self.square - len(self.target), 1e-9)
+
+    def beside(self, columns: np.ndarray, fit: Fitted) -> OpenChannel:
+        """Return the channel with what a fit of columns (m, k) leaves as its target."""
+        rest = copy(self)
+        rest.target = self.target - columns @ fit.amplitudes
+        return rest
 
     def share(self, left: float) -> float:
         """Return the share of the excess that is gone where so many squares are left; at most 1."""

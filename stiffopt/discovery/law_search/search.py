@@ -18,7 +18,6 @@ from stiffopt.discovery.law_search.free_function import (
     screen_products,
 )
 from stiffopt.discovery.law_search.open_channel import OpenChannel
-from stiffopt.discovery.laws.forms import FORMS
 from stiffopt.discovery.laws.law import Factor, Law, Place
 from stiffopt.discovery.laws.shapes import SignalRange
 from stiffopt.discovery.laws.sources import LawSource
@@ -122,20 +121,23 @@ def _fit_pairs(channel: OpenChannel, terms: Sequence[FreeTerm]) -> list[FittedLa
 
 def _laws_of(channel: OpenChannel, base: Sequence[Factor], source: LawSource) -> list[Law]:
     """Return the laws of one signal beside given factors, with all initial shapes."""
-    extent = _extent_of(channel, source)
-    if not base and source == LawSource("position", channel.joint):
-        extent = replace(extent, peaks=channel.orders(source))
+    extent = _extent_of(channel, source, alone=not base)
     return [
         Law(channel.joint, _place_of(channel), (*base, factor))
         for form in source.own.forms
         for factor in Factor(source, form).starts(extent)
-        if sum(len(FORMS[f.form].formulas) > 1 for f in (*base, factor)) <= 1
+        if sum(len(f.own.formulas) > 1 for f in (*base, factor)) <= 1
     ]
 
 
-def _extent_of(channel: OpenChannel, source: LawSource) -> SignalRange:
-    """Return the range of a signal; of a clock with the likeliest frequencies."""
+def _extent_of(channel: OpenChannel, source: LawSource, *, alone: bool = False) -> SignalRange:
+    """Return the range of a signal; of a clock with the likeliest frequencies.
+
+    `alone`: without other signals, for which a position has the likeliest orders.
+    """
     extent = channel.extent(source)
+    if alone and source == LawSource("position", channel.joint):
+        return replace(extent, peaks=channel.orders(source))
     if "wave" in source.own.forms:
         return replace(extent, peaks=channel.frequencies(source))
     return extent
@@ -145,13 +147,17 @@ def _place_of(channel: OpenChannel) -> Place:
     return "drive_torque" if channel.kind == "torque" else "deflection"
 
 
-def _fit_best(channel: OpenChannel, laws: Sequence[Law]) -> list[FittedLaw]:
-    """Fit the shapes of the best starts of every structure; return them, the best first."""
+def _fit_best(channel: OpenChannel, laws: Sequence[Law], earlier: int = 1) -> list[FittedLaw]:
+    """Fit the shapes of the best starts of every structure; return them, the best first.
+
+    `earlier`: number of laws among which the one that all of these extend was the best.
+    """
     best: dict[object, FittedLaw] = {}
+    tried = earlier * len(laws)
     if not laws:
         return []
     for law, fit in zip(laws, score_starts(channel, laws), strict=True):
-        scored = as_fitted(channel, law, fit, len(laws))
+        scored = as_fitted(channel, law, fit, tried)
         known = best.get(law.structure)
         if known is None or scored.fit.removed > known.fit.removed:
             best[law.structure] = scored
@@ -162,11 +168,12 @@ def _fit_best(channel: OpenChannel, laws: Sequence[Law]) -> list[FittedLaw]:
 def _generalise(channel: OpenChannel, found: Sequence[FittedLaw]) -> list[FittedLaw]:
     """Put a more general form in place of one of a best law's where that is likelier.
 
-    A law is no rival of its own refinement: what it leaves over is what its formula lacks.
+    A law is no rival of its own refinement: what it leaves over is what its formula lacks. Of the
+    best one that is a second form of the same signal too, with an amplitude of its own.
     """
-    best = []
+    best: list[FittedLaw] = []
     for each in found[:_MAX_NEAR]:
-        refined = [each]
+        refined = [each] if best else [each, *_add_form(channel, each)]
         for number, factor in enumerate(each.law.factors):
             if factor.own.general:
                 own = factor.generalised(_extent_of(channel, factor.source))
@@ -177,14 +184,35 @@ def _generalise(channel: OpenChannel, found: Sequence[FittedLaw]) -> list[Fitted
     return _ranked([*best, *found[_MAX_NEAR:]])
 
 
+def _add_form(channel: OpenChannel, found: FittedLaw) -> list[FittedLaw]:
+    """Return fitted laws in which one factor is the sum of two forms of its signal."""
+    if channel.square - found.fit.removed <= len(channel.target):
+        return []  # only noise is left
+    laws, rest = [], channel.beside(channel.law_columns(found.law), found.fit)
+    for number, factor in enumerate(found.law.factors):
+        before, after = found.law.factors[:number], found.law.factors[number + 1 :]
+        if any(len(other.own.formulas) > 1 for other in (*before, *after)):
+            continue
+        extent = _extent_of(rest, factor.source, alone=not (before or after))
+        laws += [
+            replace(found.law, factors=(*before, both, *after))
+            for form in ("constant", *factor.source.own.forms)
+            for both in factor.plus(form, extent)
+        ]
+    return _fit_best(channel, laws, found.tried)
+
+
 def _fit_near_frequencies(channel: OpenChannel, best: FittedLaw) -> list[FittedLaw]:
     """Return the law at the other frequencies that single runs do not tell from its own."""
     fitted = []
-    for wave in (factor for factor in best.law.factors if factor.is_wave):
-        (own,), half_turn = wave.shapes, 0.5 / channel.extent(wave.source).span
+    for wave in best.law.factors:
+        if (own := wave.frequency) is None:
+            continue
+        half_turn = 0.5 / channel.extent(wave.source).span
         near = channel.near_frequencies(wave.source, own)
         for frequency in [f for f in near if abs(f - own) > half_turn][:_MAX_NEAR]:
-            other = replace(wave, shapes=(frequency,))
+            shapes = tuple(frequency if value == own else value for value in wave.shapes)
+            other = replace(wave, shapes=shapes)
             factors = tuple(other if each is wave else each for each in best.law.factors)
             fitted.append(fit_shapes(channel, replace(best.law, factors=factors), best.tried))
     return fitted

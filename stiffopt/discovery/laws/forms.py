@@ -6,10 +6,11 @@ a file of effects and the numbers of a fit all come from it.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+from typing import Any
 
 import numpy as np
 
@@ -31,7 +32,6 @@ from stiffopt.discovery.laws.shapes import (
 )
 from stiffopt.symbolic import Quantity
 
-Symmetry = Literal["odd", "even", "none"]
 # Imaginary step of complex-step derivatives: their error is its square.
 _IMAGINARY_STEP = 1e-30
 # Relative step of central differences, for formulas with comparisons.
@@ -46,9 +46,8 @@ class Form:
     # NumPy expressions in x, dt, before and the shapes, each of one amplitude.
     formulas: tuple[str, ...]
     words: str  # "{x}" is the signal
-    symmetry: Symmetry = "none"  # in the signal
     shapes: tuple[FormShape, ...] = ()
-    unit_power: int = 0  # power of the signal's unit that the value has
+    unit_powers: tuple[int, ...] = (0,)  # power of the signal's unit in the value of each formula
     analytic: bool = True  # False for formulas with comparisons, which have no complex derivative
     # True where no smooth function of the signal resembles it: with memory, or periodic.
     unscreened: bool = False
@@ -94,13 +93,12 @@ class Form:
 
 
 def _form_with_memory(name: str, formula: str, words: str, **entries: Any) -> Form:
-    """Return a form that depends on the past of its signal, and on its sign as the signal does."""
+    """Return a form that depends on the past of its signal."""
     return Form(
         name,
         (formula,),
         words,
-        symmetry="odd",
-        unit_power=1,
+        unit_powers=(1,),
         unscreened=True,
         has_memory=True,
         **entries,
@@ -110,54 +108,53 @@ def _form_with_memory(name: str, formula: str, words: str, **entries: Any) -> Fo
 FORMS = {
     each.name: each
     for each in (
-        Form("linear", ("x",), "in proportion to the {x}", symmetry="odd", unit_power=1),
+        Form("constant", ("(1.0 + 0.0 * x)",), "by a constant"),
+        Form("linear", ("x",), "in proportion to the {x}", unit_powers=(1,)),
         Form(
             "offset",
             ("(x - c)",),
             "in proportion to the {x} from one value on, both ways",
             shapes=(centre("c", 0.25, 0.5, 0.75, beyond=1.0),),
-            unit_power=1,
-            general="stiffening",
+            unit_powers=(1,),
             resembles="a spring or cable at rest at one place",
         ),
         Form(
             "stiffening",
             ("(x - c) * (1.0 + ((x - c) / s) ** 2)",),
             "with the {x} from one value on, both ways, ever more",
-            shapes=(centre("c", 0.5, beyond=1.0), width("s", 0.7, least=0.1, most=10.0)),
-            unit_power=1,
+            shapes=(
+                centre("c", 0.25, 0.5, 0.75, beyond=1.0),
+                width("s", 0.7, least=0.1, most=10.0),
+            ),
+            unit_powers=(1,),
             resembles="a spring or cable that stiffens to both sides of one place",
         ),
         Form(
             "magnitude",
             ("np.abs(x)",),
             "with the magnitude of the {x}",
-            symmetry="even",
-            unit_power=1,
+            unit_powers=(1,),
             general="rounded_magnitude",
         ),
         Form(
             "rounded_magnitude",
             ("(np.sqrt(x**2 + s**2) - s)",),
             "with the magnitude of the {x}, hardly at first",
-            symmetry="even",
             shapes=(scale("s", 0.1, least=1e-3),),
-            unit_power=1,
+            unit_powers=(1,),
         ),
         Form(
             "square",
             ("x**2",),
             "with the square of the {x}",
-            symmetry="even",
-            unit_power=2,
+            unit_powers=(2,),
             general="power",
         ),
         Form(
             "signed_square",
             ("x * np.abs(x)",),
             "with the square of the {x}, odd",
-            symmetry="odd",
-            unit_power=2,
+            unit_powers=(2,),
             general="signed_power",
             resembles="the drag of a fluid",
         ),
@@ -165,21 +162,18 @@ FORMS = {
             "power",
             ("np.exp(n * np.log(np.abs(x) + 1e-12))",),
             "with a power of the magnitude of the {x}",
-            symmetry="even",
             shapes=(fixed("n", "", (0.5,), 0.2, 5.0),),
         ),
         Form(
             "signed_power",
             ("np.sign(x) * np.exp(n * np.log(np.abs(x) + 1e-12))",),
             "with a power of the {x}, odd",
-            symmetry="odd",
             shapes=(fixed("n", "", (0.5,), 0.05, 5.0),),
         ),
         Form(
             "saturating",
             ("np.tanh(x / s)",),
             "with the {x}, up to a limit",
-            symmetry="odd",
             shapes=(SCALE_SHAPE,),
             resembles="a clutch, a seal or a controller at its limit",
         ),
@@ -187,14 +181,12 @@ FORMS = {
             "saturating_even",
             ("x**2 / (x**2 + s**2)",),
             "with the magnitude of the {x}, up to a limit",
-            symmetry="even",
             shapes=(SCALE_SHAPE,),
         ),
         Form(
             "fading",
             ("s**2 / (x**2 + s**2)",),
             "with the {x}: most at rest, and fading with its magnitude",
-            symmetry="even",
             shapes=(SCALE_SHAPE,),
             resembles="a film of lubricant that forms with speed",
         ),
@@ -202,7 +194,6 @@ FORMS = {
             "peaked",
             ("x / s / (1.0 + np.exp(n * np.log(np.abs(x) / s + 1e-12)))",),
             "with the {x} up to a peak, and falls beyond it",
-            symmetry="odd",
             shapes=(SCALE_SHAPE, fixed("n", "", (2.0, 4.0), 1.1, 8.0)),
             resembles="an eddy-current brake or a lubricant that thins",
         ),
@@ -239,7 +230,7 @@ FORMS = {
             ("0.5 * (x - c + np.sqrt((x - c) ** 2 + 1e-8))",),
             "in proportion to the {x} above one value",
             shapes=(PLACE_SHAPE,),
-            unit_power=1,
+            unit_powers=(1,),
             general="power_above",
             resembles="a cable or spring that tightens from one place on",
         ),
@@ -248,7 +239,7 @@ FORMS = {
             ("0.5 * (c - x + np.sqrt((x - c) ** 2 + 1e-8))",),
             "in proportion to the {x} below one value",
             shapes=(PLACE_SHAPE,),
-            unit_power=1,
+            unit_powers=(1,),
             general="power_below",
             resembles="a cable or spring that tightens up to one place",
         ),
@@ -270,6 +261,7 @@ FORMS = {
             "harmonic",
             ("np.cos(k * x)", "np.sin(k * x)"),
             "periodically in the {x}",
+            unit_powers=(0, 0),
             shapes=(ORDER_SHAPE,),
             unscreened=True,
             general="harmonic_overtone",
@@ -279,6 +271,7 @@ FORMS = {
             "harmonic_overtone",
             ("np.cos(k * x)", "np.sin(k * x)", "np.cos(2.0 * k * x)", "np.sin(2.0 * k * x)"),
             "periodically in the {x}, with an overtone",
+            unit_powers=(0, 0, 0, 0),
             shapes=(ORDER_SHAPE,),
             unscreened=True,
             resembles="teeth, rollers or magnets passing at that order",
@@ -287,6 +280,7 @@ FORMS = {
             "wave",
             ("np.cos(2.0 * np.pi * f * x)", "np.sin(2.0 * np.pi * f * x)"),
             "periodically in the {x}",
+            unit_powers=(0, 0),
             shapes=(FREQUENCY_SHAPE,),
             unscreened=True,
             general="wave_overtone",
@@ -301,6 +295,7 @@ FORMS = {
                 "np.sin(4.0 * np.pi * f * x)",
             ),
             "periodically in the {x}, with an overtone",
+            unit_powers=(0, 0, 0, 0),
             shapes=(FREQUENCY_SHAPE,),
             unscreened=True,
             resembles="a pump or fan that runs by itself",
@@ -372,3 +367,32 @@ FORMS = {
         ),
     )
 }
+
+
+@cache
+def form_named(name: str) -> Form:
+    """Return a form of `FORMS`, or the sum "one+other" of two, each with its own amplitudes.
+
+    Raises `KeyError`: no form has such a name.
+    """
+    if "+" not in name:
+        return FORMS[name]
+    one, other = (FORMS[part] for part in name.split("+", 1))
+    taken = {shape.name for shape in one.shapes}
+    names = {s.name: f"{s.name}_2" if s.name in taken else s.name for s in other.shapes}
+    return Form(
+        name,
+        (*one.formulas, *(substitute_names(each, names) for each in other.formulas)),
+        f"{one.words}, plus {other.words}",
+        shapes=(*one.shapes, *(replace(s, name=names[s.name]) for s in other.shapes)),
+        unit_powers=(*one.unit_powers, *other.unit_powers),
+        analytic=one.analytic and other.analytic,
+        unscreened=one.unscreened or other.unscreened,
+        has_memory=one.has_memory or other.has_memory,
+        resembles="; or ".join(dict.fromkeys(e.resembles for e in (one, other) if e.resembles)),
+    )
+
+
+def substitute_names(formula: str, names: dict[str, str]) -> str:
+    """Replace whole names of a formula, those of functions excepted."""
+    return re.sub(r"\b[A-Za-z_]\w*\b(?!\()", lambda m: names.get(m.group(), m.group()), formula)

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
-from stiffopt.discovery.laws.forms import FORMS, Form
+from stiffopt.discovery.laws.forms import Form, form_named, substitute_names
 from stiffopt.discovery.laws.shapes import FREQUENCY_SHAPE, SignalRange
 from stiffopt.discovery.laws.sources import SOURCE_KINDS, LawSource
 from stiffopt.discovery.signals import JointSignals, RobotSignals
@@ -38,19 +38,19 @@ class Factor:
     """One factor of a law."""
 
     source: LawSource
-    form: str  # key of `FORMS`
+    form: str  # as of `form_named`
     shapes: tuple[float, ...] = ()
     bounds: tuple[tuple[float, float], ...] = ()  # of the shapes
 
     @property
     def own(self) -> Form:
         """The form itself."""
-        return FORMS[self.form]
+        return form_named(self.form)
 
     @property
-    def is_wave(self) -> bool:
-        """True where it is periodic over a clock."""
-        return FREQUENCY_SHAPE in self.own.shapes
+    def frequency(self) -> float | None:
+        """Frequency over a clock [Hz]; None where it is not periodic over one."""
+        return dict(zip(self.own.shapes, self.shapes, strict=True)).get(FREQUENCY_SHAPE)
 
     def values(
         self, signals: RobotSignals | JointSignals, shapes: Sequence[Quantity] | None = None
@@ -74,6 +74,12 @@ class Factor:
         names = [shape.name for shape in first.own.shapes]
         shapes = [known.get(n, v) for n, v in zip(names, first.shapes, strict=True)]
         return replace(first, shapes=tuple(shapes))
+
+    def plus(self, form: str, extent: SignalRange) -> Iterator[Factor]:
+        """Yield sums of the factor and another form of its signal, with all its initial shapes."""
+        for other in Factor(self.source, form).starts(extent):
+            shapes, bounds = (*self.shapes, *other.shapes), (*self.bounds, *other.bounds)
+            yield Factor(self.source, f"{self.form}+{form}", shapes, bounds)
 
     def starts(self, extent: SignalRange) -> Iterator[Factor]:
         """Yield the factor with every combination of initial shapes, and with their bounds."""
@@ -131,7 +137,7 @@ class Law:
     @property
     def frequencies(self) -> tuple[float, ...]:
         """Frequencies over clocks [Hz]."""
-        return tuple(factor.shapes[0] for factor in self.factors if factor.is_wave)
+        return tuple(f.frequency for f in self.factors if f.frequency is not None)
 
     @property
     def structure(self) -> tuple[object, ...]:
@@ -226,12 +232,24 @@ class Law:
         return tuple(name if plain.count(name) == 1 else f"{name}{k + 1}" for k, name in names)
 
     @property
-    def amplitude_unit(self) -> str:
-        """Unit of the amplitudes."""
-        powers = [(f.source.own.unit, f.own.unit_power) for f in self.factors]
-        named = ((f"({unit})" if "/" in unit or " " in unit else unit, n) for unit, n in powers)
-        units = [f"/{unit}" + f"^{n}" * (n > 1) for unit, n in named if unit and n]
-        return _PLACE_UNITS[self.place] + "".join(units)
+    def amplitude_units(self) -> tuple[str, ...]:
+        """Units of the amplitudes."""
+        found = [_PLACE_UNITS[self.place]]
+        for factor in self.factors:
+            unit = factor.source.own.unit
+            name = f"({unit})" if "/" in unit or " " in unit else unit
+            powers = [n if unit else 0 for n in factor.own.unit_powers]
+            over = [f"/{name}" + f"^{n}" * (n > 1) if n else "" for n in powers]
+            found = [a + b for a in found for b in over]
+        return tuple(found)
+
+    def amplitude_sizes(self, amplitudes: Sequence[float]) -> list[tuple[str, str, float]]:
+        """Return name, unit and typical size of every amplitude: the largest one of its unit."""
+        units = self.amplitude_units
+        largest = dict.fromkeys(units, 1e-12)
+        for unit, value in zip(units, amplitudes, strict=True):
+            largest[unit] = max(largest[unit], abs(float(value)))
+        return [(n, u, largest[u]) for n, u in zip(self.amplitude_names, units, strict=True)]
 
     @property
     def shape_units(self) -> tuple[str, ...]:
@@ -257,7 +275,7 @@ class Law:
                 }
             for shape in factor.own.shapes:
                 words[shape.name] = names.pop(0)
-            parts = [_substitute(each, words) for each in factor.own.formulas]
+            parts = [_in_brackets(substitute_names(each, words)) for each in factor.own.formulas]
             found = [f"{a} * {b}" if a else b for a in found for b in parts]
         return (
             found
@@ -282,9 +300,8 @@ class Law:
         return f"{where} changes {', and '.join(parts)}"
 
 
-def _substitute(formula: str, words: dict[str, str]) -> str:
-    """Replace whole words of a formula; in parentheses where it is a sum."""
-    text = re.sub(r"\b[A-Za-z]+\b(?!\()", lambda m: words.get(m.group(), m.group()), formula)
+def _in_brackets(text: str) -> str:
+    """Return a formula, in brackets where it is a sum."""
     depth = 0
     for k, letter in enumerate(text):
         depth += (letter == "(") - (letter == ")")
@@ -325,9 +342,8 @@ def resembled(law: Law) -> str:
 def law_effect(law: Law, amplitudes: Sequence[float]) -> Effect:
     """Return a law as an effect of its joint.
 
-    `amplitudes`: fitted ones: the largest is the typical size.
+    `amplitudes`: fitted ones: the largest of each unit is the typical size.
     """
-    size = max(float(np.max(np.abs(amplitudes))), 1e-12)
     like = resembled(law)
     return Effect(
         name=law.name,
@@ -349,12 +365,12 @@ def law_effect(law: Law, amplitudes: Sequence[float]) -> Effect:
         amplitudes=tuple(
             Amplitude(
                 name=name,
-                unit=law.amplitude_unit,
+                unit=unit,
                 scale=size,
                 lower=-_AMPLITUDE_BOUND,
                 upper=_AMPLITUDE_BOUND,
             )
-            for name in law.amplitude_names
+            for name, unit, size in law.amplitude_sizes(amplitudes)
         ),
         shapes=tuple(
             Shape(name=name, unit=unit, starts=(value,), lower=low, upper=high)

@@ -73,7 +73,7 @@ def _format_law(
     amplitudes: Sequence[float],
     reported: Mapping[str, tuple[float, float]],
 ) -> str:
-    units = dict.fromkeys(law.amplitude_names, law.amplitude_unit)
+    units = dict(zip(law.amplitude_names, law.amplitude_units, strict=True))
     units |= dict(zip(law.shape_names, law.shape_units, strict=True))
     values = [
         f"{key} = {value!r} +- {sd:.2g} {units.get(key, '')}".rstrip()
@@ -83,7 +83,6 @@ def _format_law(
     if law.shapes:
         unpack += f"    ({', '.join(law.shape_names)},) = shapes\n"
     formulas = zip(law.amplitude_names, law.formulas(code=True), strict=True)
-    size = max(abs(a) for a in amplitudes)
     bounds = [b for factor in law.factors for b in factor.bounds]
     return _LAW_TEMPLATE.format(
         number=number,
@@ -97,9 +96,9 @@ def _format_law(
         equation_text=json.dumps(law.equation),
         words=json.dumps(law.words + resembled(law)),
         amplitudes="".join(
-            f"Amplitude(name={json.dumps(key)}, unit={json.dumps(law.amplitude_unit)},"
+            f"Amplitude(name={json.dumps(key)}, unit={json.dumps(unit)},"
             f" scale={size!r}, lower=-50.0, upper=50.0), "
-            for key in law.amplitude_names
+            for key, unit, size in law.amplitude_sizes(amplitudes)
         ).strip(),
         shapes="".join(
             f"Shape(name={json.dumps(key)}, unit={json.dumps(unit)}, starts=({value!r},),"

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from stiffopt.discovery.effect import RobotChange
-from stiffopt.discovery.laws.forms import FORMS
 from stiffopt.discovery.laws.law import Law
 from stiffopt.formatting import significant
 from stiffopt.robot.added_torque import AddedTorque, MotionState, Quantity
@@ -24,6 +23,7 @@ _PLANNED_SIGNALS = {
     "load": "load",
 }
 # Laws in proportion to one signal of their own joint that are a value of the robot.
+_STEEP_FORMS = {"power", "signed_power"}  # where their exponent n is below 1
 _ROBOT_VALUES = {"direction": "coulomb", "speed": "viscous", "acceleration": "rotor_inertia"}
 
 
@@ -100,8 +100,11 @@ def _why_not_planned(law: Law) -> str:
     for factor in law.factors:
         if factor.source.kind not in _PLANNED_SIGNALS:
             return f"a law of the {factor.source.words}, which a plan does not contain"
-        if FORMS[factor.form].has_memory:
+        if factor.own.has_memory:
             return f"a law of the past {factor.source.words}, which a plan does not contain"
-        if factor.form in ("power", "signed_power") and factor.shapes[0] < 1.0:
+        exponents = [
+            v for s, v in zip(factor.own.shapes, factor.shapes, strict=True) if s.name == "n"
+        ]
+        if not _STEEP_FORMS.isdisjoint(factor.form.split("+")) and min(exponents) < 1.0:
             return f"a law as steep as no optimiser takes where the {factor.source.words} is zero"
     return ""

@@ -36,6 +36,7 @@ class SourceKind:
 _PLACE_FORMS = (
     "linear",
     "offset",
+    "stiffening",
     "step",
     "step_down",
     "bend",

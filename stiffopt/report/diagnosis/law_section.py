@@ -93,7 +93,7 @@ def _describe_law(diagnosis: Diagnosis, finding: Finding, law: Law) -> LawOnPage
 def law_numbers(law: Law, values: Sequence[float]) -> tuple[str, ...]:
     """Return every amplitude and shape in full with its unit."""
     names = (*law.amplitude_names, *law.shape_names)
-    units = (*[law.amplitude_unit] * law.amplitude_count, *law.shape_units)
+    units = (*law.amplitude_units, *law.shape_units)
     every = zip(names, values, units, strict=True)
     return tuple(f"{name} = {float(value)!r} {unit}".rstrip() for name, value, unit in every)
 
