@@ -16,12 +16,12 @@ DEVIATION = 'objective = "tool_deviation"'
 
 @pytest.fixture(scope="module")
 def hurried(tmp_path_factory):
-    """A motion of the shoulder in a time that its jerk does not allow."""
+    """A motion of the shoulder in less than (32 d / jerk)^(1/3) = 0.431 s, the least by its jerk."""
     folder = tmp_path_factory.mktemp("hurried")
     joints = [joint("swivel", reducer(), jerk_max=400.0)]
     write_robot(folder, "swivel", joints)
     path = folder / "problem.toml"
-    path.write_text(problem_text("swivel", duration="0.45", minimise=DEVIATION))
+    path.write_text(problem_text("swivel", duration="0.4", minimise=DEVIATION))
     return load_problem(path).problem
 
 
@@ -31,12 +31,12 @@ def test_advised_duration_is_feasible(hurried):
     named = re.search(r'motion\.duration = "([0-9.]+) s"', found.message)
     assert named is not None, found.message
     longer = float(named[1])
-    assert 0.45 < longer < 0.9
+    assert 0.43 < longer < 0.9
     assert solve(replace(hurried, duration=(longer, longer)), throw=False).status.usable
 
 
 def test_no_advice_for_free_duration(hurried):
-    free = replace(hurried, duration=(0.45, 2.0))
+    free = replace(hurried, duration=(0.4, 2.0))
     _, kept = solve_with_state(free)
     assert kept is not None
     assert feasible_duration_advice(*kept) == ""
