@@ -5,11 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE as TOLERANCE
 from stiffopt.cli import run
 from stiffopt.errors import ProblemError
 from stiffopt.files import load_json, read_table
 from stiffopt.improvement.given_motion import GivenMotion
-from stiffopt.improvement.improvement import improve
+from stiffopt.improvement.improvement import LimitUse, improve
 from stiffopt.report.pages.improvement import answer, faults
 from stiffopt.robot.files import load_robot
 
@@ -131,3 +132,15 @@ def test_command_line_writes_command_and_report(tmp_path, capsys):
     assert "was changed since" in capsys.readouterr().err
     assert "The motion as given" in (out / "report.html").read_text()
     assert run(["improve", str(file)]) == 2
+
+
+def test_a_limit_used_within_the_certificate_s_tolerance_is_no_fault(arm):
+    def faults_at(share):
+        limit = 3.0
+        use = LimitUse(joint=2, quantity="velocity", value=share * limit, limit=limit, time=0.1)
+        both = SimpleNamespace(peak=1e-3, peak_after=0.0, settling_time=0.0, band=5e-5)
+        given = SimpleNamespace(uses=(use,), exceeded=(), both=both)
+        return faults(SimpleNamespace(problem=SimpleNamespace(robot=arm), given=given))
+
+    assert not any("times the limit" in each for each in faults_at(1.0 + 0.9 * TOLERANCE))
+    assert "times the limit" in faults_at(1.0 + 1.1 * TOLERANCE)[0]

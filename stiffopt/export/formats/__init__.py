@@ -1,1 +1,1 @@
-"""Motion formats, one per file; each registers itself in `export.format.FORMATS`."""
+"""Motion formats, one or a family per file; each registers itself in `export.format.FORMATS`."""

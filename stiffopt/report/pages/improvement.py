@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.improvement.improvement import JOINT_LIMITS, Improvement, LimitUse
 from stiffopt.report.common import svg
 from stiffopt.report.common.page import PageFigures, write_page
@@ -80,7 +81,7 @@ def faults(found: Improvement) -> list[str]:
         f"{robot.joint_names[use.joint - 1]}: {use.quantity} of {_value(found, use)} is "
         f"{use.share:.3g} times the limit, at {use.time:.3f} s."
         for use in found.given.uses
-        if use.share > 1.0
+        if use.share > 1.0 + CERTIFICATE_TOLERANCE
     ]
     named = {"velocity", "acceleration", "jerk", "torque"}
     told += [
