@@ -16,7 +16,7 @@ DEVIATION = 'objective = "tool_deviation"'
 
 @pytest.fixture(scope="module")
 def hurried(tmp_path_factory):
-    """A motion of the shoulder in less than the 0.431 s that its jerk allows: (32 d / jerk)^(1/3)."""
+    """A motion of the shoulder in less than 0.431 s, which its jerk allows: (32 d / jerk)^(1/3)."""
     folder = tmp_path_factory.mktemp("hurried")
     joints = [joint("swivel", reducer(), jerk_max=400.0)]
     write_robot(folder, "swivel", joints)
