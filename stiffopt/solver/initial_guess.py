@@ -46,13 +46,13 @@ def guess_from_motion(
     if problem.path is not None:
         return _path_guess(problem.path, source, statics)
     states, controls = np.hstack([source.position, source.velocity]), source.acceleration
-    s = source.time / source.duration
+    s, duration = source.time / source.duration, source.duration
     if problem.plans_links:
-        s, states, controls = _smooth_motion_guess(source)
+        s, states, controls, duration = _smooth_motion_guess(problem, source)
     return Guess(
         states=_make_interpolator(s, states),
         controls=_make_interpolator(s, controls),
-        duration=source.duration,
+        duration=duration,
         statics=statics,
         phase_fractions=_phase_fractions(source, motion),
     )
@@ -96,11 +96,15 @@ def _retime_guess(guess: Guess, skew: float) -> Guess:
     return replace(guess, states=states, controls=controls)
 
 
-def _smooth_motion_guess(source: Assessment) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _smooth_motion_guess(
+    problem: TrajectoryProblem, source: Assessment
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """Smooth a motion by five moving averages, compressed before to keep its duration.
 
     `s` (m,): scaled time. `states, controls` (m, 5 n), (m, n): position and its derivatives up to
-    snap, and the fifth.
+    snap, and the fifth. And the duration [s]: a free one is as long as the limits of the
+    derivatives ask, since toppra's motion with its jerk smoothed exceeds them by a factor of ten
+    and more, from where convergence is a matter of rounding.
     """
     s = np.linspace(0.0, 1.0, _SMOOTHED_INTERVALS + 1)
     window = 2 * (_SMOOTHED_INTERVALS // (2 * _WINDOWS_PER_DURATION)) + 1
@@ -117,7 +121,17 @@ def _smooth_motion_guess(source: Assessment) -> tuple[np.ndarray, np.ndarray, np
     orders = [values]
     for _ in range(5):
         orders.append(np.gradient(orders[-1], source.duration / _SMOOTHED_INTERVALS, axis=0))
-    return s, np.hstack(orders[:5]), orders[5]
+    limits = problem.active_limits
+    excess = [
+        float(np.max(np.abs(own) / limit)) ** (1.0 / order)
+        for order, (own, limit) in enumerate(
+            zip(orders[1:], (limits.velocity, limits.acceleration, limits.jerk), strict=False), 1
+        )
+    ]
+    longest = max(problem.duration[1], source.duration)
+    slower = min(max(1.0, *excess), longest / source.duration)
+    orders = [own / slower**order for order, own in enumerate(orders)]
+    return s, np.hstack(orders[:5]), orders[5], slower * source.duration
 
 
 def _make_interpolator(s: np.ndarray, values: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
