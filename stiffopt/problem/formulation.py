@@ -288,6 +288,12 @@ def _state_and_control_bounds(
     rate = coordinates.rate_bounds(margins)
     limited = bool(np.any(np.isfinite(rate)))
     start, end = coordinates.boundary_states(motion)
+    # Bounds that are backed off still hold a given boundary state that is within the limits.
+    lowest, highest = coordinates.state_bounds({})
+    for value, fixed in ((start, motion.start_fixed), (end, motion.end_fixed)):
+        if fixed:
+            lower = np.minimum(lower, np.maximum(value, lowest))
+            upper = np.maximum(upper, np.minimum(value, highest))
     free = (slice(0, coordinates.size),)
     bounds: dict[str, Any] = {
         "state_lower": lower,

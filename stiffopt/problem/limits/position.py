@@ -64,9 +64,12 @@ class Position(DriveLimit):
         return values
 
     def bounds(self, limits: Limits, margin: float) -> tuple[np.ndarray, np.ndarray]:
-        """Range, narrowed by `margin` times its width at either end."""
+        """Range, narrowed at either end by the share margin / (1 + margin) of its width.
+
+        So it keeps a width for every margin below 1.
+        """
         span = limits.position_upper - limits.position_lower
-        inset = margin * np.where(np.isfinite(span), span, 0.0)
+        inset = margin / (1.0 + margin) * np.where(np.isfinite(span), span, 0.0)
         return limits.position_lower + inset, limits.position_upper - inset
 
     def violations(self, limits: Limits, motion: DriveHistory) -> list[Violation]:
