@@ -87,6 +87,10 @@ def test_friction_at_low_speed_is_found_in_the_residual(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.xfail(
+    strict=True,
+    reason="what the first joint leaves counts as the error of the simulation",
+)
 def test_a_joint_that_no_effect_explains_hides_no_other(tmp_path: Path) -> None:
     model, findings = search(tmp_path / "set", beside_another=True, stribeck=RISE).run(
         Extension(), ()
