@@ -88,13 +88,10 @@ class _ServoChange:
     def __init__(self, led: Servo, actual: Servo) -> None:
         self._led, self._actual = led, actual
 
-    @property
-    def follows_exactly(self) -> bool:
-        """True for the servo that is led."""
-        return self._led == self._actual
-
     def follow(self, command: MotorMotion, until: float, ahead: float = 0.0) -> MotorMotion:
         """Motion until a time [s], by the transfer functions, padded by as long a rest."""
+        if self._actual == self._led:
+            return command
         steps = int(np.ceil(until / _TIME_STEP))
         time = np.linspace(0.0, until, steps + 1)
         s = 2j * np.pi * np.fft.rfftfreq(2 * len(time), until / steps)

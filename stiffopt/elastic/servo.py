@@ -194,6 +194,8 @@ class Servo:
 
         The command is sent `ahead` [s] of the time of the result.
         """
+        if self.follows_exactly and ahead == 0.0:
+            return command
         gain, forward, delay, torque = self._numbers
         inner = _VELOCITY_LOOP_RATIO * gain
         # The delay is a whole number of steps, so that delayed positions are known samples.

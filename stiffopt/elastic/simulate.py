@@ -119,7 +119,7 @@ def _simulate_joints(
 ) -> SimulatedMotion:
     """Simulate an arm with rigid bearings."""
     end = motion.duration + (REST if motion.ends_at_rest else 0.0)
-    motor = motion if servo is None or servo.follows_exactly else servo.follow(motion, end, ahead)
+    motor = motion if servo is None else servo.follow(motion, end, ahead)
     # At rest the integrator would choose steps too long to notice the onset of vibration.
     start, speed = motor.at(0.0)
     arms = [arm, *(each for _, each in changes)]

@@ -181,10 +181,6 @@ class Member:
 class Follower(Protocol):
     """Motors' response to a command, as of `Servo`."""
 
-    @property
-    def follows_exactly(self) -> bool:
-        """True for a response that is the command."""
-
     def follow(self, command: MotorMotion, until: float, ahead: float = 0.0) -> MotorMotion:
         """Return the motion of the motors until a time [s]."""
 
@@ -353,8 +349,7 @@ class UncertainArms:
         """Positions and velocities (K, 2, n) of the motors behind a servo."""
         if self._bearings is not None:
             command = self._bearings.motion(command)
-        if not servo.follows_exactly:
-            command = servo.follow(command, self.time[-1], self._ahead)
+        command = servo.follow(command, self.time[-1], self._ahead)
         return np.stack([command(self.time), command(self.time, 1)], axis=1)
 
     def initial_equilibrium(self, arms: _DepartureArrays, turn: np.ndarray) -> np.ndarray:

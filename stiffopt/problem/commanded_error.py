@@ -1,7 +1,7 @@
 """Tool error of the commanded arm as smooth functions of the links' state, for the optimiser.
 
 Where the command leads the nominal arm exactly, the error left on an arm with other parameters is
-that of the parameters alone (`elastic.worst_arms`). In flight it is quasi-static: a joint
+that of the parameters alone (`elastic.led_error`). In flight it is quasi-static: a joint
 whose stiffness is off by a share misses by that share of its dynamic wind-up (at a kink of a
 reducer by more or less, and with many local optima), the payload by the
 wind-up under its own inertia, an output bearing by that share of its deflection beyond that at
