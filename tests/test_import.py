@@ -38,6 +38,15 @@ def test_the_command_needs_nothing_heavy_for_a_wrong_command_line():
     assert not loaded(code) & HEAVY
 
 
+def test_the_report_of_a_solve_loads_no_studies_and_diagnoses():
+    code = """
+import stiffopt.report.solve.page
+import sys
+assert "scipy.optimize" not in sys.modules
+assert not [m for m in sys.modules if m.startswith(("stiffopt.preload", "stiffopt.discovery"))]"""
+    assert "matplotlib" in loaded(code)
+
+
 def test_cases_of_a_sweep_are_read_while_workers_load_what_is_heavy():
     code = (
         "import stiffopt.report.pages.sweep_terminal\nfrom stiffopt.sweep.cases import load_sweep"

@@ -7,12 +7,15 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib.resources import files
+from typing import TYPE_CHECKING
 
-from stiffopt.discovery.effect import Effect
 from stiffopt.errors import InputError, nearest
-from stiffopt.preload.study import PreloadStudy
-from stiffopt.problem.trajectory import TrajectoryProblem
-from stiffopt.robot.robot import Robot
+
+if TYPE_CHECKING:
+    from stiffopt.discovery.effect import Effect
+    from stiffopt.preload.study import PreloadStudy
+    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.robot.robot import Robot
 
 _TRANSCRIPTION_KEYS = {"radau": "GargEtAl2010"}
 _SOLVER_KEYS = ("WaechterBiegler2006", "AnderssonEtAl2019", "CarpentierEtAl2019")
