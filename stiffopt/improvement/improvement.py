@@ -151,7 +151,7 @@ def improve(
     before = _assess_motion(problem, given.without_noise)
     margins: dict[str, float] = {}
     plan, changed, compensation = given.smoothed, False, None
-    if retime or _excess(problem, plan):
+    if retime or _violations(assess(problem, plan)):
         plan, changed = _retimed(problem, given.smoothed, margins, retime), True
     for _ in range(_MAX_BACK_OFFS):
         problem = problem_of_motion(robot, plan, problem)
@@ -183,10 +183,6 @@ def improve(
 
 def _violations(motion: Assessment) -> tuple[Violation, ...]:
     return tuple(v for v in motion.violations if v.value > CERTIFICATE_TOLERANCE)
-
-
-def _excess(problem: TrajectoryProblem, plan: JointMotion) -> bool:
-    return not assess(problem, plan).feasible(CERTIFICATE_TOLERANCE)
 
 
 def _retimed(

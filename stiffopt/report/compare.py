@@ -82,20 +82,16 @@ def _objective_entry(document: Any, key: str) -> str:
 
 
 def _is_objective(key: str) -> bool:
-    """Return whether an entry is, or is made of, values of the objective."""
-    return bool(
-        re.fullmatch(
-            r"objective\.(value|terms\..+)|((baselines\..+|strict_baseline)\.)?objective"
-            r"|ratio_to_better_baseline",
-            key,
-        )
+    """Return whether an entry is a value of the objective."""
+    return key == "objective.value" or bool(
+        re.fullmatch(r"(baselines\..+|strict_baseline)\.objective", key)
     )
 
 
 def _unit_of(key: str, objective: str) -> str:
     """Return the SI unit of an entry by its name; `objective` is that of objective values."""
     place = re.sub(r"\[\d+\]", "", key)
-    if place != "ratio_to_better_baseline" and _is_objective(place):
+    if _is_objective(place):
         return objective
     return _ENTRY_UNITS.get(place.rpartition(".")[2], "")
 
