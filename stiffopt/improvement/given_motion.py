@@ -31,6 +31,9 @@ _MAX_END_SHARE = 0.2
 _LEAST_SPEED_SHARE = 0.02
 # Shortest rest within a motion at which it is divided [s].
 _MIN_DWELL = 0.1
+# Jumps of the acceleration between rows over its changes from row to row, below which velocities
+# are the derivatives of the positions: a few hundredths if so, 1 and more of measured ones.
+_MAX_JUMP_SHARE = 0.3
 # Joint deviation of the path from the smoothed motion [rad] or [m]: 10 um at 1 m.
 _PATH_TOLERANCE = 1e-5
 # Least number of instants at which arc length is integrated.
@@ -41,14 +44,17 @@ class GivenMotion:
     """Motion through given rows, as a controller interpolates it, in rest before and after.
 
     `time` (K,): from 0 [s]. `position` (K, n). `velocity` (K, n): cubic between rows with
-    velocities; else a cubic spline.
+    velocities; else, and of samples, a cubic spline.
     """
 
     def __init__(
         self, time: np.ndarray, position: np.ndarray, velocity: np.ndarray | None = None
     ) -> None:
         self.times = np.asarray(time, dtype=float)
-        if velocity is None:
+        exact = velocity is not None and are_derivatives(velocity, self.times, position)
+        self._has_noise = self.is_sampled and not exact
+        # Of cubics between samples the acceleration jumps, in planned ones hardly, but in no time.
+        if velocity is None or self.is_sampled:
             self._spline = CubicSpline(self.times, position, bc_type="clamped")
         else:
             self._spline = CubicHermiteSpline(self.times, position, velocity)
@@ -79,7 +85,7 @@ class GivenMotion:
 
     @property
     def is_sampled(self) -> bool:
-        """True for rows so close together that their differences show noise."""
+        """True for rows so close together that a controller does not join them."""
         return float(np.median(np.diff(self.times))) <= _LONGEST_SAMPLE_INTERVAL
 
     @cached_property
@@ -107,8 +113,20 @@ class GivenMotion:
 
     @property
     def without_noise(self) -> JointMotion:
-        """Given motion without the noise of samples."""
-        return self.smoothed if self.is_sampled else self
+        """Given motion without the noise of samples, which planned ones with velocities lack."""
+        return self.smoothed if self._has_noise else self
+
+
+def are_derivatives(velocity: np.ndarray, time: np.ndarray, position: np.ndarray) -> bool:
+    """Return whether velocities (K, n) are exact derivatives of positions (K, n).
+
+    The acceleration of the cubics between rows is then nearly continuous.
+    """
+    joined = CubicHermiteSpline(time, position, velocity)
+    begin = joined(time[:-1], 2)
+    change = joined(time[:-1], 3) * np.diff(time)[:, None]
+    jump = begin[1:] - (begin + change)[:-1]
+    return bool(np.linalg.norm(jump) <= _MAX_JUMP_SHARE * np.linalg.norm(change))
 
 
 @dataclass(frozen=True, eq=False)

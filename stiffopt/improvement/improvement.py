@@ -81,7 +81,7 @@ class AssessedMotion:
     @property
     def exceeded(self) -> tuple[Violation, ...]:
         """Limits that it exceeds, the worst first."""
-        return tuple(v for v in self.assessment.violations if v.value > CERTIFICATE_TOLERANCE)
+        return _violations(self.assessment)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,7 +157,8 @@ def improve(
         problem = problem_of_motion(robot, plan, problem)
         tell("command of the motors")
         compensation = _compensation(problem, plan)
-        excess = () if compensation is None else compensation.optimised.excess
+        excess = _violations(assess(problem, plan)) if changed else ()
+        excess += () if compensation is None else compensation.optimised.excess
         if not excess:
             break
         for each in excess:
@@ -178,6 +179,10 @@ def improve(
         margins=margins,
         notes=problem.remarks,
     )
+
+
+def _violations(motion: Assessment) -> tuple[Violation, ...]:
+    return tuple(v for v in motion.violations if v.value > CERTIFICATE_TOLERANCE)
 
 
 def _excess(problem: TrajectoryProblem, plan: JointMotion) -> bool:

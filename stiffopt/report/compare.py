@@ -51,12 +51,17 @@ def compare_results(first: Path, second: Path) -> tuple[str, list[Row]]:
             second, "", f"holds {names[1]}, {first} holds {names[0]}. Compare two of one kind."
         )
     one, two = (load_json(folder / names[0]) for folder in (first, second))
-    units = _objective_unit(one), _objective_unit(two)
+    units = _objective_entry(one, "unit"), _objective_entry(two, "unit")
+    objectives = [
+        tuple(_objective_entry(each, key) for key in ("name", "measure")) for each in (one, two)
+    ]
     rows = []
     for key, a, b in _differences(one, two):
         was = _format_value(a, _unit_of(key, units[0]))
         now = _format_value(b, _unit_of(key, units[1]))
-        rows.append((quantity(key), was, now, _format_change(key, a, b)))
+        differ = _is_objective(key) and objectives[0] != objectives[1]
+        change = "different objectives" if differ else _format_change(key, a, b)
+        rows.append((quantity(key), was, now, change))
     return names[0], rows
 
 
@@ -70,18 +75,27 @@ def quantity(key: str) -> str:
     return ", ".join(words(part).strip() for part in parts)
 
 
-def _objective_unit(document: Any) -> str:
-    """Return the unit of the objective's value, or ""."""
+def _objective_entry(document: Any, key: str) -> str:
+    """Return an entry of the objective, such as the unit of its value, or ""."""
     objective = document.get("objective") if isinstance(document, dict) else None
-    return str(objective.get("unit", "")) if isinstance(objective, dict) else ""
+    return str(objective.get(key, "")) if isinstance(objective, dict) else ""
+
+
+def _is_objective(key: str) -> bool:
+    """Return whether an entry is, or is made of, values of the objective."""
+    return bool(
+        re.fullmatch(
+            r"objective\.(value|terms\..+)|((baselines\..+|strict_baseline)\.)?objective"
+            r"|ratio_to_better_baseline",
+            key,
+        )
+    )
 
 
 def _unit_of(key: str, objective: str) -> str:
     """Return the SI unit of an entry by its name; `objective` is that of objective values."""
     place = re.sub(r"\[\d+\]", "", key)
-    if place == "objective.value" or re.fullmatch(
-        r"(baselines\..+|strict_baseline)\.objective", place
-    ):
+    if place != "ratio_to_better_baseline" and _is_objective(place):
         return objective
     return _ENTRY_UNITS.get(place.rpartition(".")[2], "")
 

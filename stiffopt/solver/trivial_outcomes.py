@@ -120,10 +120,15 @@ def baseline_as_optimum(
 def interrupted_with_baseline(
     run: SolveRun, compared: dict[str, Baseline], notes: tuple[str, ...]
 ) -> Solution:
-    """Return the better baseline where Ctrl-C came before the optimiser had a motion."""
+    """Return a baseline where Ctrl-C came before the optimiser had a motion.
+
+    The better one, or the one that exceeds its limits least.
+    """
     problem = run.problem
-    made = [b for b in compared.values() if b.trajectory is not None]
-    kept = better_baseline(problem, compared) or next(iter(made), None)
+    made = [(b.assessment.worst_violation.value, b) for b in compared.values() if b.assessment]
+    kept = better_baseline(problem, compared)
+    if kept is None and made:
+        kept = min(made, key=lambda each: each[0])[1]
     if kept is None or kept.trajectory is None or kept.assessment is None:
         raise KeyboardInterrupt
     worst = kept.assessment.worst_violation

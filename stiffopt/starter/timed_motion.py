@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from stiffopt.errors import InputError, InputFileError
+from stiffopt.improvement.given_motion import are_derivatives
 from stiffopt.recording.readers.columns import Table, is_unnamed
 from stiffopt.recording.readers.read import is_messages, read_tables
 from stiffopt.recording.run import counted
@@ -60,7 +61,7 @@ def read_timed_motion(path: Path, robot: Robot, rate: float | None = None) -> Ti
     names = _position_columns(path, table, clock, robot)
     values = np.column_stack([table[name] for name in names])
     time = table[clock] * SECONDS_PER_UNIT[unit]
-    velocity = _velocities(table, robot)
+    velocity = _velocities(table, names, robot)
     # Loggers write a row twice; another position at the same instant is a fault.
     row = np.column_stack([time, values])
     new = np.append(True, (row[1:] != row[:-1]).any(axis=1))
@@ -70,6 +71,10 @@ def read_timed_motion(path: Path, robot: Robot, rate: float | None = None) -> Ti
     position = values * np.where(robot.prismatic, 1.0, factor)
     if velocity is not None:
         velocity = velocity * np.where(robot.prismatic, 1.0, factor)
+        # Points of a joint trajectory may be too far apart to tell.
+        is_planned = names[0] == f"position[{robot.joint_names[0]}]"
+        if not is_planned and not are_derivatives(velocity, time, position):
+            velocity = None
     reasons: tuple[str, ...] = (why, f"position: {', '.join(names)}; {told}")
     if not new.all():
         reasons += (f"{counted(int(np.sum(~new)), 'row')} that repeat the row before: left out",)
@@ -152,12 +157,16 @@ def _angle_factor(
     return _RADIANS_PER_UNIT[unit], why
 
 
-def _velocities(table: Mapping[str, np.ndarray], robot: Robot) -> np.ndarray | None:
-    """Return the planned velocities of a joint trajectory; others are differences of positions."""
-    names = [f"velocity[{joint}]" for joint in robot.joint_names]
-    if not all(name in table for name in names):
+def _velocities(
+    table: Mapping[str, np.ndarray], positions: Sequence[str], robot: Robot
+) -> np.ndarray | None:
+    """Return the velocities of set points if those are the positions, else measured ones."""
+    planned = may_be_set_point(positions[0])
+    names = [name for name in table if may_be_set_point(name) == planned]
+    found = columns_of_kind(names, "velocity", robot.joint_names)
+    if not found or not all(found[0]):
         return None
-    return np.column_stack([table[name] for name in names])
+    return np.column_stack([table[name] for name in found[0]])
 
 
 def _checked_motion(

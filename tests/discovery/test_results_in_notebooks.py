@@ -122,6 +122,29 @@ def test_another_joint_is_no_percentage(tmp_path):
     assert rows == [("worst, joint", "6", "4", ""), ("worst, time", "1 s", "1.5 s", "+50 %")]
 
 
+def test_values_of_different_objectives_have_no_relative_change(tmp_path):
+    for name, objective, measure, value in (
+        ("one", "deflection", "peak", 1e-3),
+        ("two", "deflection", "rms", 5e-4),
+        ("three", "torque_squared", None, 8.0),
+        ("four", "deflection", "peak", 2e-3),
+    ):
+        (tmp_path / name).mkdir()
+        answer = {
+            "objective": {"name": objective, "measure": measure, "value": value},
+            "baselines": {"quintic": {"objective": 2.0 * value, "duration": 1.0 + value}},
+        }
+        (tmp_path / name / "result.json").write_text(json.dumps(answer))
+    for other in ("two", "three"):
+        _, rows = compare_results(tmp_path / "one", tmp_path / other)
+        changes = {name: change for name, _, _, change in rows}
+        assert changes["objective, value"] == "different objectives"
+        assert changes["baselines, quintic, objective"] == "different objectives"
+        assert changes["baselines, quintic, duration"].endswith("%") or other == "three"
+    _, rows = compare_results(tmp_path / "one", tmp_path / "four")
+    assert {name: change for name, _, _, change in rows}["objective, value"] == "+100 %"
+
+
 def test_the_report_opens_where_it_is_asked_for(tmp_path, monkeypatch):
     opened = []
     monkeypatch.setattr("webbrowser.open", opened.append)

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.interpolate import PPoly
 
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE as TOLERANCE
 from stiffopt.cli import run
@@ -11,7 +12,7 @@ from stiffopt.errors import ProblemError
 from stiffopt.files import load_json, read_table
 from stiffopt.improvement.given_motion import GivenMotion
 from stiffopt.improvement.improvement import LimitUse, improve
-from stiffopt.report.pages.improvement import answer, faults
+from stiffopt.report.pages.improvement import answer, faults, headline
 from stiffopt.robot.files import load_robot
 
 START = np.array([0.2, 0.3, -0.4, 0.2, 0.6, 0.1])
@@ -81,6 +82,48 @@ def test_noise_of_samples_is_no_motion_at_the_ends_and_is_smoothed_away():
     off = given.smoothed(time) - positions
     assert np.sqrt(np.mean(off**2)) < 4e-5
     assert np.abs(given.smoothed(time, 3)).max() < 60.0
+
+
+def test_planned_samples_that_start_with_full_jerk_are_not_charged_with_a_smoothed_one():
+    """Velocities of a planned table show that its positions have no noise; measured ones do not."""
+    time = np.linspace(0.0, 0.8, 401)
+    # Jerk of either sign, for 0.2 s, 0.4 s and 0.2 s, from rest to rest.
+    jerk = PPoly(np.array([[300.0, -300.0, 300.0]]), np.array([0.0, 0.2, 0.6, 0.8]))
+    plan = jerk.antiderivative(3)
+    position, velocity = plan(time)[:, None] * [1.0, -0.5], plan(time, 1)[:, None] * [1.0, -0.5]
+    grid = np.linspace(0.0, 0.8, 8001)
+    planned = GivenMotion(time, position, velocity)
+    assert np.abs(planned.without_noise(grid, 3)).max() < 1.1 * 300.0
+    assert np.abs(planned.smoothed(grid, 3)).max() > 1.5 * 300.0
+    measured = velocity + np.random.default_rng(2).normal(0.0, 1e-2, velocity.shape)
+    logged = GivenMotion(time, position, measured)
+    assert logged.without_noise is logged.smoothed
+
+
+@pytest.mark.slow
+def test_a_plan_with_a_bend_is_backed_off_until_it_keeps_its_limits(arm):
+    """Averaged over time, a timing exceeds the jerk where its path bends: as its motors would."""
+    time = np.linspace(0.0, 0.5, 251)
+    s = time / 0.5
+    shape = 10 * s**3 - 15 * s**4 + 6 * s**5
+    bump = np.exp(-(((shape - 0.3) / 0.07) ** 2)) - np.exp(-((0.3 / 0.07) ** 2))
+    position = START + shape[:, None] * TRAVEL + bump[:, None] * np.array([0, 0, 0.05, 0, 0.2, 0])
+    found = improve(arm, GivenMotion(time, position))
+    assert found.retimed
+    assert found.kept
+    assert not found.improved.exceeded
+
+
+def test_a_motion_that_exceeds_a_limit_is_not_told_as_improved():
+    both = SimpleNamespace(peak=1e-3)
+    led = SimpleNamespace(optimised=SimpleNamespace(simulated=SimpleNamespace(peak=2e-5)))
+    given = SimpleNamespace(both=both, assessment=SimpleNamespace(duration=0.6))
+    plan = SimpleNamespace(duration=0.7)
+    found = SimpleNamespace(kept=False, given=given, plan=plan, compensation=led)
+    assert headline(found) == "0.600 s as given; largest tool error 1 mm as given."
+    found.kept = True
+    assert "0.700 s improved" in headline(found)
+    assert headline(found).endswith("20 µm improved.")
 
 
 def test_motion_that_ends_in_flight_is_refused():

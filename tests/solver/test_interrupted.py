@@ -2,7 +2,9 @@
 
 import json
 import signal
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from small_arms import write_problem
 
@@ -46,6 +48,18 @@ def test_before_the_first_stage_the_better_baseline_is_kept(stated, monkeypatch)
     assert kept.assessment is kept.baselines[name].assessment
     assert kept.objective.value == kept.baselines[name].objective
     assert kept.trajectory.duration == pytest.approx(0.5)
+
+
+def test_where_no_baseline_keeps_every_limit_the_one_that_exceeds_least_is_kept(
+    stated, monkeypatch
+):
+    """At 400 rad/s^3 the quintic motion exceeds its jerk a little, the time-optimal one jumps."""
+    interrupted_at(monkeypatch, 1)
+    limits = replace(stated.limits, jerk=np.full(stated.robot.n, 400.0))
+    kept = solving.solve(replace(stated, limits=limits))
+    excess = [each.assessment.worst_violation.value for each in kept.baselines.values()]
+    assert kept.assessment.worst_violation.value == min(excess)
+    assert min(excess) < 0.5 * max(excess)
 
 
 def test_between_stages_the_last_one_is_kept(stated, monkeypatch):

@@ -137,3 +137,21 @@ def test_faults_are_told_with_their_row(arm, tmp_path):
         path = write_table(tmp_path / f"{number}.csv", head, *columns)
         with pytest.raises(InputError, match=words):
             read_timed_motion(path, arm)
+
+
+def test_velocities_of_a_table_are_taken_where_they_are_those_of_its_positions(arm, tmp_path):
+    time = np.linspace(0.0, 1.0, 501)
+    shape = 10 * time**3 - 15 * time**4 + 6 * time**5
+    rate = 30 * time**2 * (1.0 - time) ** 2
+    travel = np.array([0.9, 0.3, -0.4, 0.5, 0.2, -0.8])
+    header = "t," + ",".join([*(f"q{j}" for j in range(1, 7)), *(f"qd{j}" for j in range(1, 7))])
+    positions, velocities = START + shape[:, None] * travel, rate[:, None] * travel
+    noise = np.random.default_rng(3).normal(0.0, 5e-3, velocities.shape)
+    for name, rates, taken in (
+        ("planned", velocities, True),
+        ("measured", velocities + noise, False),
+        ("other", np.degrees(velocities), False),
+    ):
+        path = write_table(tmp_path / f"{name}.csv", header, time, positions, rates)
+        read = read_timed_motion(path, arm)
+        assert (read.velocity is not None) == taken, name

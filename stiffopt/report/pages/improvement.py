@@ -17,7 +17,7 @@ from stiffopt.report.common.text import MAX_LISTED, scale, si
 from stiffopt.result.compensation import COMMAND_FILE
 from stiffopt.units import joint_unit
 
-GIVEN, IMPROVED = "given", "improved"
+GIVEN = "given"
 
 
 def write_improvement_report(
@@ -41,16 +41,22 @@ def write_improvement_report(
     return write_page("pages/improvement.html.j2", folder / "report.html", context, figures)
 
 
+def _tried(found: Improvement) -> str:
+    """Name the motion that was found: one that exceeds a limit is no improvement."""
+    return "improved" if found.kept else "tried"
+
+
 def headline(found: Improvement) -> str:
-    """Return durations and tool errors of the given and the improved motion in words."""
+    """Return durations and tool errors in words, of the improved motion if it keeps all limits."""
     before, after = found.given.assessment.duration, found.plan.duration
-    text = f"{before:.3f} s as given, {after:.3f} s improved"
-    if found.given.both is not None and found.compensation is not None:
-        own = found.compensation.optimised.simulated
-        text += (
-            f"; largest tool error {si(found.given.both.peak, 'm', 3)} as given, "
-            f"{si(own.peak, 'm', 3)} improved"
-        )
+    text = f"{before:.3f} s as given"
+    if found.kept:
+        text += f", {after:.3f} s improved"
+    if found.given.both is not None:
+        text += f"; largest tool error {si(found.given.both.peak, 'm', 3)} as given"
+        if found.kept and found.compensation is not None:
+            own = found.compensation.optimised.simulated
+            text += f", {si(own.peak, 'm', 3)} improved"
     return f"{text}."
 
 
@@ -139,7 +145,7 @@ def limit_section(found: Improvement) -> ReportSection:
         "quantity",
         "largest as given",
         "at",
-        "improved",
+        _tried(found),
         "limit",
         "share of the limit",
     )
@@ -160,8 +166,9 @@ def error_section(found: Improvement) -> ReportSection:
     ]
     if led is not None:
         own, worst = led.optimised.simulated, led.optimised.compensated
-        peaks.append(("improved: together", own.peak, own.peak_after))
-        peaks.append(("improved: worst of uncertain arms", worst.flight.worst, worst.after.worst))
+        peaks.append((f"{_tried(found)}: together", own.peak, own.peak_after))
+        name = f"{_tried(found)}: worst of uncertain arms"
+        peaks.append((name, worst.flight.worst, worst.after.worst))
     rows = [(name, *(si(size, "m", 3) for size in sizes)) for name, *sizes in peaks]
     return ReportSection(head=head, rows=rows, numbers=head[1:])
 
@@ -198,7 +205,7 @@ def error_figure(found: Improvement) -> Figure:
     most = max(before.distance.max(), after.distance.max())
     factor, unit = scale(float(most), "m")
     figure, axes = svg.subplots(3.0)
-    for own, name, colour in ((before, GIVEN, svg.VERMILLION), (after, IMPROVED, svg.BLUE)):
+    for own, name, colour in ((before, GIVEN, svg.VERMILLION), (after, _tried(found), svg.BLUE)):
         axes.plot(*svg.decimate_curve(own.time, factor * own.distance), color=colour, label=name)
         axes.axvline(own.duration, color=colour, linewidth=0.8, linestyle=":")
     axes.set_xlabel("time [s]")
@@ -219,7 +226,7 @@ def limits_figure(found: Improvement) -> Figure:
     for axes, name in zip(rows, shown, strict=False):
         for own, colour, label in (
             (found.given.assessment, svg.VERMILLION, GIVEN),
-            (found.improved.assessment, svg.BLUE, IMPROVED),
+            (found.improved.assessment, svg.BLUE, _tried(found)),
         ):
             share = np.max(np.abs(getattr(own, name)) / getattr(limits, name), axis=1)
             axes.plot(*svg.decimate_curve(own.time, 100.0 * share), color=colour, label=label)
