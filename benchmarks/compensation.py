@@ -25,7 +25,7 @@ from common import Row, main
 from elastic_simulation import Sampled, simulate
 
 from stiffopt.baseline.baselines import baselines
-from stiffopt.command.compensation import compensate_motion
+from stiffopt.command.compensation import commands_on_arms
 from stiffopt.command.simulation import PlannedMotion, elastic_arm
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.problem.files import load_problem
@@ -108,7 +108,8 @@ def rows_of(name: str, problem: TrajectoryProblem) -> list[Row]:
         ("within its limits", rival),
         ("without limits", replace(rival, exceeded=LIMITS)),
     ):
-        found, command = compensate_motion(problem, arm, motion)
+        (made,) = commands_on_arms(problem, arm, [motion])
+        found, command = made.for_reports(), made.motors
         others[how] = peaks(problem, Followed(command), plan, found)
         rows += described(f"{name}, toppra compensated {how}", others[how], found)
     for objective in MOTIONS:
@@ -131,7 +132,8 @@ def optimised(
     own = PlannedMotion.of(objective, solution.assessment, True)
     if solution.trajectory.link is not None:
         own = replace(own, motors=solution.trajectory)
-    found, command = compensate_motion(problem, arm, own)
+    (made,) = commands_on_arms(problem, arm, [own])
+    found, command = made.for_reports(), made.motors
     plan = Followed(solution.trajectory.link or solution.trajectory)
     ours = peaks(problem, Followed(command), plan, found)
     rows = described(f"{name}, {objective} compensated", ours, found)

@@ -105,7 +105,8 @@ def led_s_curves(
         longest = _MAX_SLOWING * planned.duration
         while True:
             (own,) = rival_commands(problem, arm, [planned])
-            errors = _largest([own.for_reports()])
+            report = own.for_reports()
+            errors = _largest([report])
             if all(a <= b for a, b in zip(errors, allowed, strict=True)):
                 break
             if planned.duration >= longest:
@@ -114,7 +115,7 @@ def led_s_curves(
             planned = planned.slowed_to(problem, _SLOWING_STEP * planned.duration)
         kept = not own.excess and np.isfinite(errors[0])
         lasted.append(float(own.motion.time[-1]) if kept else np.inf)
-        found.append(own.for_reports())
+        found.append(report)
     return lasted, found
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import runpy
 import signal
 import sys
 
@@ -123,3 +124,9 @@ def test_unknown_sets_and_peers_end_in_a_sentence(monkeypatch, tmp_path, capsys,
         identification.main()
     assert stopped.value.code == 2
     assert said in capsys.readouterr().err
+
+
+def test_a_missing_package_of_loop_peers_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "cma", None)
+    with pytest.raises(SystemExit, match=r"cma.* Install the packages mujoco\[sysid\] and cma"):
+        runpy.run_module("benchmarks.loop_peers", run_name="__main__")

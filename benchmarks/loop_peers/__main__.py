@@ -1,17 +1,17 @@
 """Position errors of a held-out run by peers that fit given parameters to the same training run.
 
-    python -m benchmarks.loop_peers [--recordings DIR] [--work DIR]
+    python -m benchmarks.loop_peers [--recordings DIR] [--page FILE]
 
 The leg of a real quadruped (`go2_leg_fl`), held in the air: commands and positions at 200 Hz. Every
 fit sees `train.csv` alone; `test.csv` is simulated from its commands and its first position. All
-begin with the gains that the recording's description states. Writes
-LOOP_PEERS.md beside this folder. Needs `mujoco[sysid]` and `cma`.
+begin with the gains that the recording's description states. Writes LOOP_PEERS.md beside this
+folder. Needs the packages `mujoco[sysid]` and `cma`.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -20,12 +20,15 @@ from typing import Any
 
 import numpy as np
 
-from . import pace_fit, sysid_fit
-from .leg import DAMPING, JOINTS, STIFFNESS, Run, build_spec, read_run, simulate
+from benchmarks.blind.real import RECORDINGS
+from benchmarks.blind.sets import write_set
 
-RECORDINGS = Path(
-    os.environ.get("STIFFOPT_RECORDINGS", Path(__file__).parents[3] / "shared" / "recordings")
-)
+try:
+    from . import pace_fit, sysid_fit
+    from .leg import DAMPING, JOINTS, STIFFNESS, Run, build_spec, read_run, simulate
+except ModuleNotFoundError as missing:
+    sys.exit(f"{missing}. Install the packages mujoco[sysid] and cma.")
+
 PAGE = Path(__file__).parents[1] / "LOOP_PEERS.md"
 GENERATIONS, POPULATION, ITERATIONS = 250, 24, 60
 Fit = Callable[[Path, Run], tuple[Callable[[Run], np.ndarray], dict[str, Any]]]
@@ -40,23 +43,24 @@ def _diagnose(folder: Path) -> tuple[np.ndarray, dict[str, Any]]:
     """Return positions of the held-out run simulated by the diagnosis of this package."""
     from stiffopt.discovery.diagnose import diagnose
 
+    told = {
+        "schema": 1,
+        "name": "leg",
+        "robot": "leg.urdf",
+        "joints": list(JOINTS),
+        "signals": {
+            "time": "time",
+            **{kind: [f"{kind}_{joint}" for joint in JOINTS] for kind in ("command", "position")},
+        },
+        "actuator": {
+            "kind": "position_servo",
+            "kp": [STIFFNESS] * len(JOINTS),
+            "kd": [DAMPING] * len(JOINTS),
+        },
+        "runs": [{"file": f"{role}.csv", "role": role} for role in ("train", "test")],
+    }
     with tempfile.TemporaryDirectory() as own:
-        for name in ("train.csv", "test.csv", "leg.urdf"):
-            (Path(own) / name).write_bytes((folder / name).read_bytes())
-        listed = {
-            kind: ", ".join(f'"{kind}_{joint}"' for joint in JOINTS)
-            for kind in ("command", "position")
-        }
-        joints = ", ".join(f'"{joint}"' for joint in JOINTS)
-        lines = ["schema = 1", 'name = "leg"', 'robot = "leg.urdf"', f"joints = [{joints}]"]
-        lines += ["[signals]", 'time = "time"']
-        lines += [f"{kind} = [{own}]" for kind, own in listed.items()]
-        lines += ["[actuator]", 'kind = "position_servo"']
-        lines += [f"kp = {[STIFFNESS] * 3}", f"kd = {[DAMPING] * 3}"]
-        for role in ("train", "test"):
-            lines += ["[[runs]]", f'file = "{role}.csv"', f'role = "{role}"']
-        (Path(own) / "recordings.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
-        found = diagnose(Path(own), experiment=False)
+        found = diagnose(write_set(folder, Path(own), told), experiment=False)
     loop = found.closed_loop
     assert loop is not None
     values = {name: np.array(own) for name, own in loop.values.items() if name != "amplitudes"}
@@ -80,6 +84,8 @@ def main() -> None:
     parser.add_argument("--page", type=Path, default=PAGE)
     given = parser.parse_args()
     folder = given.recordings / "go2_leg_fl"
+    if not folder.is_dir():
+        parser.error(f"No recordings in {folder}; name their folder in STIFFOPT_RECORDINGS.")
     train, test = (read_run(folder / f"{name}.csv") for name in ("train", "test"))
     urdf = folder / "leg.urdf"
     fits: dict[str, Fit] = {

@@ -35,11 +35,6 @@ class Run:
         """Return the times (S,) at which simulation steps end [s]."""
         return TIMESTEP * np.arange(1, 1 + int(np.ceil(self.time[-1] / TIMESTEP)))
 
-    def held_command(self, begin: np.ndarray) -> np.ndarray:
-        """Return the commands (S, 3) that hold at some times, the first before the run."""
-        rows = np.searchsorted(self.time, begin + 1e-9, side="right") - 1
-        return self.command[np.maximum(rows, 0)]
-
     def mean_command(self, delay: float) -> np.ndarray:
         """Return the commands (S, 3) of simulation steps, late by a delay [s], as step means."""
         ends = np.append(self.time[1:], 2.0 * self.time[-1] - self.time[-2])
@@ -71,9 +66,7 @@ def build_spec(urdf: Path) -> Any:
     for name, largest in zip(JOINTS, TORQUE_MAX, strict=True):
         joint = spec.joint(name)
         for key, value in GUESS.items():
-            # Newer versions hold a polynomial of the damping.
-            own = getattr(joint, key)
-            setattr(joint, key, [value, *own[1:]] if np.ndim(own) else value)
+            set_value(joint, key, value)
         servo = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         servo.set_to_position(kp=STIFFNESS, kv=DAMPING)
         servo.forcerange = [-largest, largest]
@@ -81,6 +74,12 @@ def build_spec(urdf: Path) -> Any:
         sensor = spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_JOINTPOS, objname=name)
         sensor.objtype = mujoco.mjtObj.mjOBJ_JOINT
     return spec
+
+
+def set_value(joint: Any, key: str, value: float) -> None:
+    """Set a value of a joint, of a polynomial its first coefficient: newer versions hold some."""
+    own = getattr(joint, key)
+    setattr(joint, key, [value, *own[1:]] if np.ndim(own) else value)
 
 
 def initial_velocity(model: Any, run: Run, bias: np.ndarray) -> np.ndarray:

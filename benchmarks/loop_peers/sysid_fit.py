@@ -14,7 +14,11 @@ from typing import Any
 import numpy as np
 from mujoco import sysid
 
-from .leg import DAMPING, JOINTS, STIFFNESS, Run, build_spec, initial_state, simulate
+from .leg import DAMPING, JOINTS, STIFFNESS, Run, build_spec, initial_state, set_value, simulate
+
+if not hasattr(sysid, "ParameterDict"):
+    # MuJoCo alone has an empty package of that name.
+    raise ModuleNotFoundError("mujoco lacks its extra sysid")
 
 BOUNDS = {"armature": (0.001, 0.5), "damping": (0.001, 7.0), "frictionloss": (0.001, 1.0)}
 DELAY_BOUNDS = (0.0, 0.025)  # [s]
@@ -23,9 +27,7 @@ _MASS_BOUNDS, _CENTRE_BOUNDS, _GAIN_BOUNDS = (0.5, 5.0), (-0.03, 0.03), (0.5, 2.
 
 
 def _set_joint(joint: str, key: str, spec: Any, parameter: Any) -> None:
-    own = getattr(spec.joint(joint), key)
-    value = float(parameter.value[0])
-    setattr(spec.joint(joint), key, [value, *own[1:]] if np.ndim(own) else value)
+    set_value(spec.joint(joint), key, float(parameter.value[0]))
 
 
 def _set_gain(

@@ -137,7 +137,10 @@ class _Lead:
 
 
 class CommandSearch:
-    """Search for the command of one planned motion on many arms; a known servo is that of all."""
+    """Search for the command of one planned motion on many arms; a known servo is that of all.
+
+    Commands lead the servo `led`, default that of the problem.
+    """
 
     def __init__(
         self,
@@ -147,6 +150,7 @@ class CommandSearch:
         law: MotorLaw,
         servo: Servo | None = None,
         choice: CommandChoice | None = None,
+        led: Servo | None = None,
     ) -> None:
         self._choice = choice
         self._problem, self._arm, self._motion, self._law = problem, arm, motion, law
@@ -154,10 +158,9 @@ class CommandSearch:
         self._servo = self._worst = servo or problem.servo
         if servo is None:
             self._worst = problem.uncertainty.worst_servo(problem.servo)
-        self._led = problem.led_servo
-        ahead = (servo or self._led).dead_time
-        self._many = UncertainArms(arm, self._plan, self._servo, self._worst, ahead)
-        self._ahead = ahead
+        self._led = led or problem.led_servo
+        self._ahead = (servo or self._led).dead_time
+        self._many = UncertainArms(arm, self._plan, self._servo, self._worst, self._ahead)
         self._loads: WeakKeyDictionary[JointMotion, np.ndarray] = WeakKeyDictionary()
         self._nominal = Departure.none(arm.robot.n)
         self._box = ParameterBox(problem.uncertainty, arm.robot, servo=self._worst != self._servo)
@@ -198,9 +201,10 @@ class CommandSearch:
             return made
         arms: list[Departure] = []
         # One command at a time: each of a motion of minutes has a hundred megabytes.
-        least: tuple[float, ExistingCommand | None] = (np.inf, None)  # excess of limits
         kept: tuple[float, ExistingCommand | None] = (np.inf, None)  # peaks in flight and after
-        beyond: list[tuple[float, ExistingCommand]] = []  # where no candidate is within limits
+        # Excess of limits, of candidates and, where there is none, of whole leads.
+        least: tuple[float, ExistingCommand | None] = (np.inf, None)
+        beyond: tuple[float, ExistingCommand | None] = (np.inf, None)
         for lead in map(self._lead_of, self._spacings):
             for made in self._candidates_within_limits(lead):
                 command = MotorMotion.of(made.motors)
@@ -217,8 +221,11 @@ class CommandSearch:
                     least = excess, made
             if kept[1] is None and least[1] is None:
                 made = deque(lead.commands(1.0), 1).pop()
-                beyond.append((self._excess_beyond_plan(made.motors), made))
-        return kept[1] or least[1] or min(beyond, key=lambda own: own[0])[1]
+                excess = self._excess_beyond_plan(made.motors)
+                beyond = (excess, made) if excess < beyond[0] else beyond
+        found = kept[1] or least[1] or beyond[1]
+        assert found is not None
+        return found
 
     def _worst_arms(self, command: MotorMotion) -> list[Departure]:
         """Return the corners with joints alike, and the worst arms of a command."""

@@ -28,11 +28,9 @@ from stiffopt.problem.motor_model import MotorLaw
 from stiffopt.result.compensation import (
     COMMAND_FILE,
     MIN_SLOWDOWN,
-    CompensatedMotion,
     Compensation,
 )
 from stiffopt.result.store import export_times
-from stiffopt.result.trajectory import JointMotion
 
 if TYPE_CHECKING:
     from stiffopt.command.simulation import PlannedMotion
@@ -184,10 +182,11 @@ def judge_existing_command(
     """
     law = MotorLaw(problem.robot, problem.process_force)
     chosen = [CommandSearch(problem, arm, each, law).chosen_command() for each in motions[1:]]
+    led = problem.led_servo  # of the uncertainty for which the commands were made
     problem = problem if uncertainty is None else replace(problem, uncertainty=uncertainty)
     arm = arm if damping is None else arm.damped(damping)
     found = [
-        CommandSearch(problem, arm, motion, law, servo=servo).judge_existing(command)
+        CommandSearch(problem, arm, motion, law, servo=servo, led=led).judge_existing(command)
         for motion, command in zip(motions, [made, *chosen], strict=True)
     ]
     return Compensation(
@@ -197,7 +196,7 @@ def judge_existing_command(
         uncertainty=problem.uncertainty.statements(
             arm.robot.payload is not None, problem.servo if servo is None else None
         ),
-        ahead=problem.led_servo.dead_time,
+        ahead=led.dead_time,
         draws=problem.uncertainty.draws,
         loop="" if servo is None else str(servo),
         file=file,
@@ -223,14 +222,6 @@ def commands_on_arms(
         for each in _tell_each(motions, progress)
     )
     return [search.judge_existing(search.chosen_command()) for search in searches]
-
-
-def compensate_motion(
-    problem: TrajectoryProblem, arm: ElasticArm, motion: PlannedMotion
-) -> tuple[CompensatedMotion, JointMotion]:
-    """Return the effect of compensation on one motion, and the motors' command."""
-    (found,) = commands_on_arms(problem, arm, [motion])
-    return found.for_reports(), found.motors
 
 
 def _explain_refusal(problem: TrajectoryProblem, excess: tuple[Violation, ...]) -> str:

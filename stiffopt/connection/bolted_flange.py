@@ -144,11 +144,6 @@ class BoltedFlange(ContactConnection):
         lever = 2 * math.pi / 3 * (self.outer_radius**3 - self.inner_radius**3) / self.sectors
         return self.friction_coefficient * pressure * lever
 
-    def slip_torque_circle(self, preload: Quantity | None = None) -> Quantity:
-        """Return the slip torque with all friction on the bolt circle, mu n F PCD/2 [N m]."""
-        force = self.bolt_count * self._preload_or_own(preload)
-        return self.friction_coefficient * force * self.circle_diameter / 2
-
     def first_slip_torque(self, preload: Quantity | None = None) -> Quantity:
         """Return the torque at which the rim begins to slip, mu p J_p/Ro [N m]."""
         pressure = self.bolt_count * self._preload_or_own(preload) / self.area

@@ -7,6 +7,8 @@ worst arms of the `ParameterBox`.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from stiffopt.elastic.arm import ElasticArm
@@ -33,8 +35,7 @@ def led_error(
     """
     worst_servo, led = uncertainty.worst_servo(servo), uncertainty.led_servo(servo)
     differs = worst_servo != servo
-    nominal, slowest = (_ServoChange(led, each) for each in (servo, worst_servo))
-    many = UncertainArms(arm, plan, nominal, slowest if differs else None)
+    many = UncertainArms(arm, plan, _ServoChange(led, servo), _ServoChange(led, worst_servo))
     box = ParameterBox(uncertainty, arm.robot, servo=differs)
     command = _ideal_command(arm, plan, uncertainty)
     worst = worst_levels(many, command, box)
@@ -82,22 +83,23 @@ def _ideal_command(arm: ElasticArm, plan: JointMotion, uncertainty: Uncertainty)
     return MotorMotion(time, position, velocity)
 
 
+@dataclass(frozen=True)
 class _ServoChange:
     """Response of one servo to a command that leads another one exactly."""
 
-    def __init__(self, led: Servo, actual: Servo) -> None:
-        self._led, self._actual = led, actual
+    led: Servo
+    actual: Servo
 
     def follow(self, command: MotorMotion, until: float, ahead: float = 0.0) -> MotorMotion:
         """Motion until a time [s], by the transfer functions, padded by as long a rest."""
-        if self._actual == self._led:
+        if self.actual == self.led:
             return command
         steps = int(np.ceil(until / _TIME_STEP))
         time = np.linspace(0.0, until, steps + 1)
         s = 2j * np.pi * np.fft.rfftfreq(2 * len(time), until / steps)
         s[0] = _SLOW_RATE
         spectrum = np.fft.rfft(command(time, 1), 2 * len(time), axis=0)
-        spectrum *= ((self._actual.transfer(s) / self._led.transfer(s) - 1.0) / s)[:, None]
+        spectrum *= ((self.actual.transfer(s) / self.led.transfer(s) - 1.0) / s)[:, None]
         s[0] = 0.0
         late, rate = (np.fft.irfft(spectrum * s[:, None] ** k, axis=0)[: len(time)] for k in (0, 1))
         return MotorMotion(time, command(time) + late, command(time, 1) + rate)

@@ -122,24 +122,13 @@ class Uncertainty:
         worst = self.worst_servo(servo)
         if servo.leads_exactly or worst == servo:
             return servo
-        both = [
-            (
-                s.bandwidth or 0.0,
-                s.feed_forward or 0.0,
-                s.torque_feed_forward or 0.0,
-                s.delay or 0.0,
-            )
-            for s in (servo, worst)
-        ]
-        bandwidth, *others = np.transpose(both)
-        forward, torque, delay = (float(np.mean(each)) for each in others)
-        return replace(
-            servo,
-            bandwidth=float(1.0 / np.mean(1.0 / bandwidth)),
-            feed_forward=forward,
-            torque_feed_forward=torque,
-            delay=delay,
-        )
+        both = [vars(each) for each in (servo, worst)]
+        middle: dict[str, Any] = {
+            name: float(np.mean([own[name] for own in both]))
+            for name in ("feed_forward", "torque_feed_forward", "delay")
+        }
+        middle["bandwidth"] = float(1.0 / np.mean([1.0 / own["bandwidth"] for own in both]))
+        return replace(servo, **middle)
 
     def shares(self, joints: int) -> np.ndarray:
         """Shares (n,) by which the stiffness of each joint may be off.

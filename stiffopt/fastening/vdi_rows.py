@@ -13,6 +13,7 @@ from stiffopt.fastening.bolt_strength import (
     clamp_length,
     endurance_limit,
     head_bearing,
+    stress_amplitude,
     transverse_slip_limit,
     working_stress,
 )
@@ -136,7 +137,7 @@ def _stress_rows(steps: Verification, preload: float, least: float) -> Iterator[
     if steps.alternating_force > 0.0:
         mean = preload + steps.alternating_force / 2
         limit = float(endurance_limit(steps.data, steps.bolt.rolled, mean, steps.proof_stress))
-        amplitude = steps.alternating_force / (2 * steps.data.stress_area)
+        amplitude = stress_amplitude(steps.data, steps.alternating_force, 0.0)
         yield UtilisationRow(
             kind="alternating stress",
             equation="R9/4",

@@ -21,6 +21,7 @@ from stiffopt.fastening.bolt_strength import (
     endurance_limit,
     head_bearing,
     largest_working_preload,
+    stress_amplitude,
 )
 from stiffopt.fastening.compliance import LoadFactor, load_factor
 from stiffopt.fastening.elastic_ring import elastic_ring
@@ -187,7 +188,7 @@ class Verification:
             head_bearing(self.bolt).capacity - self.additional,
         ]
         before = float(endurance_limit(self.data, "before"))
-        needed = ENDURANCE_SAFETY * self.alternating_force / (2 * self.data.stress_area)
+        needed = ENDURANCE_SAFETY * stress_amplitude(self.data, self.alternating_force, 0.0)
         if self.bolt.rolled == "after" and needed > before:
             share = 2.0 - needed / before
             ends.append(share * self.proof_stress * self.data.stress_area if share > 0.3 else 0.0)

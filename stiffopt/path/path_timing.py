@@ -131,7 +131,7 @@ def _fastest_part(found: _PathTiming, path: JointPath) -> Trajectory:
         if not settled:
             continue
         uses = found.uses(law)
-        slowed = law.duration * _slowing(uses)
+        slowed = law.duration * slowing_within_limits(uses)
         if best is None or slowed < best[1]:
             best = law, slowed
         ended += gain < _MIN_GAIN or ended > 0
@@ -139,11 +139,11 @@ def _fastest_part(found: _PathTiming, path: JointPath) -> Trajectory:
             break
         if ended:
             found.tighten(uses)
-    law, slowed = best or (law, law.duration * _slowing(found.uses(law)))
+    law, slowed = best or (law, law.duration * slowing_within_limits(found.uses(law)))
     return law.trajectory().scaled_to(slowed)
 
 
-def _slowing(uses: Mapping[str, np.ndarray]) -> float:
+def slowing_within_limits(uses: Mapping[str, np.ndarray]) -> float:
     """Return the factor on the duration at which limits are kept that are used so far."""
     factors = [float(used.max()) ** (1.0 / _DERIVATIVE_ORDERS[name]) for name, used in uses.items()]
     return float(max(1.0, *factors))

@@ -288,11 +288,6 @@ class SearchProof:
         """True if no combination is left open."""
         return self.unvisited == 0
 
-    @property
-    def accounted(self) -> int:
-        """Sum of all counts; equal to `combinations`."""
-        return sum(self.excluded.values()) + self.evaluated + self.unvisited
-
 
 def describe_proof(
     proof: SearchProof, chosen: Sequence[CatalogueDesign], solution: PreloadSolution

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from stiffopt.path.path_timing import slowing_within_limits
 from stiffopt.problem.formulation import static_variables
 from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
 from stiffopt.result.assessment import Assessment
@@ -122,14 +123,12 @@ def _smooth_motion_guess(
     for _ in range(5):
         orders.append(np.gradient(orders[-1], source.duration / _SMOOTHED_INTERVALS, axis=0))
     limits = problem.active_limits
-    excess = [
-        float(np.max(np.abs(own) / limit)) ** (1.0 / order)
-        for order, (own, limit) in enumerate(
-            zip(orders[1:], (limits.velocity, limits.acceleration, limits.jerk), strict=False), 1
-        )
-    ]
+    uses = {
+        name: np.abs(own) / getattr(limits, name)
+        for name, own in zip(("velocity", "acceleration", "jerk"), orders[1:4], strict=True)
+    }
     longest = max(problem.duration[1], source.duration)
-    slower = min(max(1.0, *excess), longest / source.duration)
+    slower = min(slowing_within_limits(uses), longest / source.duration)
     orders = [own / slower**order for order, own in enumerate(orders)]
     return s, np.hstack(orders[:5]), orders[5], slower * source.duration
 

@@ -32,7 +32,6 @@ class StartSpread:
     usable: int
     starts: int
     near: int  # number of starts within 1 % of the best
-    best_start: int
 
 
 @dataclass(frozen=True)
@@ -101,21 +100,21 @@ class SweepSummary:
         if self.sweep.starts < 2:
             return {}
         bases = self.sweep.base_names
-        groups: dict[tuple[Cell, ...], list[tuple[int, float | None]]] = {}
+        groups: dict[tuple[Cell, ...], list[float | None]] = {}
         for case, found in self.done:
             name = (bases[case.base], *(table_cell(value) for _, value in case.changes))
-            groups.setdefault(name, []).append((case.start, objective_value(found)))
+            groups.setdefault(name, []).append(objective_value(found))
         spreads = {}
         for name, own in groups.items():
-            values = {start: value for start, value in own if value is not None}
+            values = [value for value in own if value is not None]
             if not values:
                 continue
-            best = (max if self.maximised else min)(values, key=lambda start: values[start])
-            spread = max(abs(value - values[best]) for value in values.values())
-            near = [v for v in values.values() if abs(v - values[best]) <= 0.01 * abs(values[best])]
-            worst = values[best] + (-spread if self.maximised else spread)
+            best = (max if self.maximised else min)(values)
+            spread = max(abs(value - best) for value in values)
+            near = sum(abs(value - best) <= 0.01 * abs(best) for value in values)
+            worst = best + (-spread if self.maximised else spread)
             spreads[name] = StartSpread(
-                values[best], worst, self.units["objective"], len(values), len(own), len(near), best
+                best, worst, self.units["objective"], len(values), len(own), near
             )
         return spreads
 

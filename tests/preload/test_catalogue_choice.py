@@ -51,6 +51,11 @@ def everything(problem, choose):
     return best, feasible
 
 
+def accounted(proof):
+    """Combinations that are excluded, evaluated or left open."""
+    return sum(proof.excluded.values()) + proof.evaluated + proof.unvisited
+
+
 def objective(model, preloads):
     """What is minimised."""
     if model.problem.objective == "total_preload":
@@ -86,10 +91,10 @@ def test_no_combination_of_two_flanges_is_better(name, needs):
     designs = choice.designs.values()
     assert sum(d.count for d in designs) == best[1]
     assert sum(SIZES[d.size] for d in designs) == best[2]
-    assert choice.proof.combinations == 12**2 == choice.proof.accounted
+    assert choice.proof.combinations == 12**2 == accounted(choice.proof)
     assert choice.proof.complete
     for proof in choice.tie_proofs:
-        assert proof.accounted == proof.combinations
+        assert accounted(proof) == proof.combinations
 
 
 def test_a_binding_stiffness_costs_preload():
@@ -178,7 +183,7 @@ def test_empty_catalogue_names_the_limit(needs, limit, unit):
     choice = choose_design(problem)
     assert choice.status is SolveStatus.INFEASIBLE
     assert choice.designs == {}
-    assert choice.proof.accounted == choice.proof.combinations
+    assert accounted(choice.proof) == choice.proof.combinations
     (stop,) = choice.stoppers
     assert (stop.limit, stop.unit) == (limit, unit)
     if unit == "m":
@@ -310,7 +315,7 @@ def test_interrupted_search_is_reported(monkeypatch, found, status):
     choice = choose_design(problem)
     assert choice.status == status
     assert not choice.proof.complete
-    assert choice.proof.accounted == choice.proof.combinations
+    assert accounted(choice.proof) == choice.proof.combinations
     assert "ended" in choice.message
     if choice.designs:
         assert all(row.satisfied for row in choice.solution.rows)

@@ -13,7 +13,13 @@ from stiffopt.baseline.baselines import baselines
 from stiffopt.baseline.rivals import FairRival, quintic_law, s_curve_law
 from stiffopt.certificate.assess import assess
 from stiffopt.command import command_search
-from stiffopt.command.compensation import compensate, compensate_motion, rival_commands
+from stiffopt.command.command_search import ExistingCommand
+from stiffopt.command.compensation import (
+    commands_on_arms,
+    compensate,
+    judge_existing_command,
+    rival_commands,
+)
 from stiffopt.command.simulation import PlannedMotion, elastic_arm
 from stiffopt.drivetrain.bearing import OutputBearing
 from stiffopt.elastic.servo import MAX_LEAD_AT_END
@@ -151,13 +157,14 @@ def test_command_is_feasible_on_the_fine_grid(smooth, monkeypatch):
     # At the ends and in the middle an acceleration that is too large does not show.
     monkeypatch.setattr(command_search, "_TRIAL_SAMPLES", 3)
     arm = elastic_arm(problem, motion.position[0])
-    _, best = compensate_motion(problem, arm, motion)
+    (first,) = commands_on_arms(problem, arm, [motion])
+    best = first.motors
     most = np.max(np.abs(best(np.linspace(0.0, best.duration, 6001), 2)), axis=0)
     tight = replace(problem, limits=replace(problem.active_limits, acceleration=0.99 * most))
-    found, other = compensate_motion(tight, arm, motion)
+    (found,) = commands_on_arms(tight, arm, [motion])
     assert found.excess == ()
     times = np.linspace(0.0, motion.time[-1], 501)
-    assert np.max(np.abs(other(times) - best(times))) > 1e-7
+    assert np.max(np.abs(found.motors(times) - best(times))) > 1e-7
 
 
 def test_a_damping_that_may_be_above_critical_is_refused(smooth):
@@ -189,12 +196,32 @@ def test_command_leads_the_tool_against_elastic_bearings(tmp_path):
     )
     motion = planned(problem, 0.8)
     arm = elastic_arm(problem, motion.position[0])
-    found, _ = compensate_motion(problem, arm, motion)
+    (found,) = commands_on_arms(problem, arm, [motion])
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(command_search.CommandSearch, "_bearing_lead", None)
-        by_windup, _ = compensate_motion(problem, arm, motion)
+        (by_windup,) = commands_on_arms(problem, arm, [motion])
     assert found.compensated.flight.nominal < 0.4 * by_windup.compensated.flight.nominal
     assert found.compensated.flight.worst < by_windup.compensated.flight.worst
+
+
+def test_a_made_command_is_sent_as_early_whatever_uncertainty_it_is_judged_by(tmp_path):
+    problem = load(tmp_path, extra="[servo]\nbandwidth = 20.0\ndelay = '2 ms'")
+    problem = replace(problem, uncertainty=Uncertainty(draws=50))
+    motion = planned(problem, 0.8)
+    arm = elastic_arm(problem, motion.position[0])
+    (own,) = commands_on_arms(problem, arm, [motion])
+    made = ExistingCommand(own.motors, own.spacing, own.share, own.servo_share)
+    late = Uncertainty(servo_delay=4e-3, draws=50)
+    same, other = (
+        judge_existing_command(problem, arm, [motion], made, uncertainty=each)
+        for each in (None, late)
+    )
+    # The middle of both delays would be 3 ms.
+    assert other.ahead == same.ahead == pytest.approx(2e-3)
+    for phase in ("flight", "after"):
+        before, anew = (getattr(each.optimised.compensated, phase) for each in (same, other))
+        assert anew.nominal == pytest.approx(before.nominal, rel=1e-9)
+    assert other.optimised.compensated.flight.worst > same.optimised.compensated.flight.worst
 
 
 def test_rival_is_slowed_before_its_command_is_judged_on_drawn_arms(tmp_path, monkeypatch):

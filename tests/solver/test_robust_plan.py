@@ -9,7 +9,7 @@ import pytest
 from small_arms import load
 
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
-from stiffopt.command.compensation import compensate_motion
+from stiffopt.command.compensation import commands_on_arms
 from stiffopt.command.simulated_solution import with_simulation
 from stiffopt.command.simulation import PlannedMotion, elastic_arm
 from stiffopt.elastic.uncertainty import AssumedUncertainty, Uncertainty
@@ -51,7 +51,8 @@ def at_worst(problem, solution):
     """Share of the wind-up that the command leads by; worst peaks in flight and after arrival."""
     arm = elastic_arm(problem, solution.assessment.position[0])
     own = PlannedMotion.of("optimised", solution.assessment, True)
-    motion, _ = compensate_motion(problem, arm, replace(own, motors=solution.trajectory))
+    (made,) = commands_on_arms(problem, arm, [replace(own, motors=solution.trajectory)])
+    motion = made.for_reports()
     assert motion.excess == ()
     return motion.share, motion.compensated.flight.worst, motion.compensated.after.worst
 
@@ -182,5 +183,6 @@ def test_fastest_motion_has_a_command_where_an_uncertainty_is_stated(tmp_path):
     assert bare.duration < led.duration < 1.15 * bare.duration
     assert with_simulation(asked, led).compensation.command is not None
     arm = elastic_arm(asked, bare.assessment.position[0])
-    refused, _ = compensate_motion(asked, arm, PlannedMotion.of("bare", bare.assessment, True))
+    planned = PlannedMotion.of("bare", bare.assessment, True)
+    (refused,) = commands_on_arms(asked, arm, [planned])
     assert refused.excess[0].value > 0.1

@@ -55,6 +55,29 @@ def test_minimum_duration_starts_near_the_guess():
     assert max(each.objective for each in found.history) < 1.5 * guess.duration
 
 
+@pytest.mark.parametrize("longest", [None, 5.0])
+def test_start_of_planned_links_keeps_the_limits_where_the_time_is_free(longest):
+    problem = load_problem(PROBLEMS / "ur10_tool_deviation.toml", ["motion.duration=0.8"]).problem
+    problem = problem if longest is None else replace(problem, duration=(0.3, longest))
+    motion, limits = resolve(problem), problem.active_limits
+    compared = baselines(problem, motion)
+    guess = initial_guess(problem, motion, compared)
+    states, n = guess.states(np.linspace(0.0, 1.0, 2001)), problem.joints
+    used = max(
+        np.max(np.abs(states[:, (k + 1) * n : (k + 2) * n]) / getattr(limits, name))
+        for k, name in enumerate(("velocity", "acceleration", "jerk"))
+    )
+    if longest is None:
+        assert guess.duration == 0.8
+        assert used > 1.0
+    else:
+        assert guess.duration > 1.2 * compared["toppra"].assessment.duration
+        assert used == pytest.approx(1.0, rel=1e-3)
+    # Rates are those of the positions in that time.
+    rate = np.gradient(states[:, :n], guess.duration / 2000, axis=0)
+    np.testing.assert_allclose(rate[1:-1], states[1:-1, n : 2 * n], atol=1e-3)
+
+
 def test_coarse_meshes_grow_with_the_phases():
     problem = load_problem(PROBLEMS / "er3a_pick_and_place.toml").problem
     many = replace(problem, vias=problem.vias[:1] * 30)
