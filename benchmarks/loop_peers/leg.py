@@ -19,7 +19,7 @@ STIFFNESS, DAMPING, TORQUE_MAX = 20.0, 1.5, (23.7, 23.7, 45.43)
 GUESS = {"armature": 0.01, "damping": 0.6, "frictionloss": 0.2}
 TIMESTEP = 2e-3  # [s]
 # Commands at the beginning of a run that bound its initial velocity [s].
-_BEGINNING = 0.05
+_BEGINNING_SECONDS = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +87,7 @@ def initial_velocity(model: Any, run: Run, bias: np.ndarray) -> np.ndarray:
 
     It lies between zero and the rate of the commands that follow: no second position is seen.
     """
-    span = int(np.searchsorted(run.time, _BEGINNING))
+    span = int(np.searchsorted(run.time, _BEGINNING_SECONDS))
     rate = (run.command[span] - run.command[0]) / run.time[span]
     data = mujoco.MjData(model)
     data.qpos[:] = run.position[0] - bias

@@ -24,7 +24,7 @@ BOUNDS = {
 }
 DELAY_BOUNDS = (0.0, 0.025)  # [s]
 # Initial width of the search over that of the normalised bounds (2), as there.
-_SIGMA = 0.5
+_INITIAL_WIDTH = 0.5
 
 
 def fit(urdf: Any, run: Run, generations: int, population: int, seed: int = 1) -> tuple[Any, ...]:
@@ -56,7 +56,7 @@ def fit(urdf: Any, run: Run, generations: int, population: int, seed: int = 1) -
 
     search = cma.CMAEvolutionStrategy(
         np.zeros(len(low)),
-        _SIGMA,
+        _INITIAL_WIDTH,
         {"bounds": [-1.0, 1.0], "popsize": population, "seed": seed, "verbose": -9},
     )
     for _ in range(generations):
