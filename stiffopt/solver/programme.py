@@ -150,7 +150,8 @@ def solve_again(
 ) -> Outcome:
     """Solve the last stage again from where it ended, with other bounds or smoothing.
 
-    A correction that stalls at a feasible point of about the predicted objective is acceptable.
+    A correction that ends at a feasible point of about the predicted objective is acceptable, though
+    it stalls or needs its last iteration: whether it converges there may hang on rounding.
     """
     made, raw = Programme(before.transcription, before.solver), before.raw
     made.solver.set_bounds(nlp)
@@ -197,7 +198,8 @@ def solve_stage(
 ) -> RawSolution:
     """Solve one stage; after a stall once more from the best point without multipliers.
 
-    A stall at a feasible point whose objective is `enough` or less is acceptable. Raises
+    A stall, or an end of the iterations, at a feasible point whose objective is `enough` or less is
+    acceptable. Raises
     `KeyboardInterrupt` after Ctrl-C during the solve.
     """
     report = _progress_reporter(
@@ -217,7 +219,8 @@ def solve_stage(
             max_iterations=max_iterations or run.max_iterations,
         )
         feasible = raw.violation <= FEASIBLE_VIOLATION
-        if raw.status == "stalled" and feasible and raw.objective <= enough:
+        stalled = raw.status in ("stalled", "iteration_limit")
+        if stalled and feasible and raw.objective <= enough:
             raw = replace(raw, status="acceptable")
         run.record(stage, raw)
         if raw.status == "interrupted":
