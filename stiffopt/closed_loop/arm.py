@@ -7,7 +7,7 @@ light links need no shorter steps. Its Jacobian here holds the actuators and fri
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cached_property, partial
 
 import casadi as ca
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from stiffopt import native
 from stiffopt.actuator.law import ActuatorLaw
 from stiffopt.closed_loop.balance import Balance
-from stiffopt.closed_loop.factors import factorize, solve
+from stiffopt.closed_loop.factors import solve
 from stiffopt.closed_loop.parameters import BODY_PARAMETERS, JOINT_PARAMETERS
 from stiffopt.closed_loop.physics import LoopPhysics
 from stiffopt.dynamics.newton_euler import own_bodies, torque_of_bodies
@@ -166,18 +166,17 @@ class CommandedArm:
         state, command = ca.SX.sym("x", self.size), ca.SX.sym("u", n)
         parameters = ca.SX.sym("p", self._parameter_count)
         width, h = ca.SX.sym("width"), ca.SX.sym("h")
-        model = Balance(self, *self._split(parameters), command, width)
+        balance = partial(Balance, self, *self._split(parameters), command, width)
         reading, rate, load, other = ca.vertsplit(
             state, [0, n, 2 * n, 2 * n + elastic, 2 * (n + elastic)]
         )
         place, speed = ca.vertcat(reading, load), ca.vertcat(rate, other)
-        mass, (force, slope) = model.mass(place, speed), model.force(place, speed)
-        rates, slopes = model.rates(place), model.slopes(place)
+        here = balance(place, speed)
+        (force, slope), rates, slopes = here.force, here.rates, here.slopes
         # Negative slopes, as of dry friction that a fit drives below zero, stay explicit.
         shift = _STAGE_WEIGHT * h
-        implicit = factorize(
-            mass + ca.diag(shift * ca.fmax(slope, 0)) + shift**2 * ca.mtimes(slopes, rates),
-            symmetric=model.symmetric,
+        implicit = here.factorize(
+            here.mass + ca.diag(shift * ca.fmax(slope, 0)) + shift**2 * ca.mtimes(slopes, rates)
         )
 
         def stage(rate: ca.SX, right: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -186,12 +185,10 @@ class CommandedArm:
             return rate + shift * ca.mtimes(rates, second), second
 
         first = stage(ca.mtimes(rates, speed), force)
-        ahead, ahead_speed = place + h * first[0], speed + h * first[1]
-        force_ahead = model.force(ahead, ahead_speed)[0]
-        acceleration = solve(model.factor(ahead, ahead_speed), force_ahead)
+        ahead = balance(place + h * first[0], speed + h * first[1])
         second = stage(
-            ca.mtimes(model.rates(ahead), ahead_speed) - 2.0 * first[0],
-            ca.mtimes(mass, acceleration - 2.0 * first[1]),
+            ca.mtimes(ahead.rates, ahead.speed) - 2.0 * first[0],
+            ca.mtimes(here.mass, ahead.acceleration - 2.0 * first[1]),
         )
         (q, s), (v, w) = (
             ca.vertsplit(before + h * (1.5 * one + 0.5 * two), [0, n, n + elastic])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import casadi as ca
@@ -20,7 +21,7 @@ _LOAD_WIDTH = 0.02
 
 
 class Balance:
-    """Equation of motion of a loop in its places (readings, spring torques) and speeds."""
+    """Equation of motion of a loop at a place (readings, spring torques) and a speed."""
 
     def __init__(
         self,
@@ -29,14 +30,12 @@ class Balance:
         bodies: tuple[ca.SX, ...],
         command: ca.SX,
         width: ca.SX,
+        place: ca.SX,
+        speed: ca.SX,
     ) -> None:
         self.loop, self.own, self.bodies, self.width = loop, own, bodies, width
         self.n, self.command = loop.n, command
-        # By place and speed, which live as long as a step is built.
-        self._bodies_at: dict[tuple[int, int], tuple[ca.SX, ca.SX]] = {}
-        self._factors_at: dict[tuple[int, int], list[list[ca.SX]]] = {}
-        # Torques of the physics may depend on accelerations anyhow.
-        self.symmetric = loop.physics.torque is None
+        self.place, self.speed = place, speed
         law = loop.law
         stiffness = np.where(np.isfinite(law.stiffness), law.stiffness, 0.0)
         self.kp = ca.DM(stiffness) * (1.0 + own["gain"])
@@ -47,15 +46,15 @@ class Balance:
             for each in (loop.link_sides, loop.motor_sides)
         )
 
-    def _links(self, place: ca.SX, speed: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+    def _links(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         """Return angles and speeds of the links, their Jacobian, and accelerations at no other."""
-        q, jacobian = place[: self.n], ca.SX(ca.DM.eye(self.n))
-        angle, rate = q - self.own["zero"], ca.mtimes(self._of_link.T, speed)
+        q, jacobian = self.place[: self.n], ca.SX(ca.DM.eye(self.n))
+        angle, rate = q - self.own["zero"], ca.mtimes(self._of_link.T, self.speed)
         drift = ca.SX.zeros(self.n)
         for k, joint in enumerate(self.loop.elastic):
             spring = self.loop.physics.springs[joint]
             if not spring.encoder_at_output:
-                angle[joint] -= spring.windup(place[self.n + k])
+                angle[joint] -= spring.windup(self.place[self.n + k])
         if self.loop.physics.displacement is not None:
             reading = ca.SX.sym("q", self.n)
             wound = self.loop.physics.displacement(reading)
@@ -76,84 +75,86 @@ class Balance:
         columns = [self._torque_of_links(none, angle, still, jacobian[:, i]) for i in range(self.n)]
         return ca.mtimes(jacobian.T, ca.horzcat(*columns))
 
-    def _still(self, place: ca.SX, speed: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Return the inertia (n, n) of the links, and their torques without acceleration."""
-        key = (id(place), id(speed))
-        if key not in self._bodies_at:
-            angle, rate, jacobian, drift = self._links(place, speed)
-            bias = self._torque_of_links(self.loop.tree.gravity, angle, rate, drift)
-            # Displaced links work along their readings.
-            self._bodies_at[key] = self._inertia(angle, jacobian), ca.mtimes(jacobian.T, bias)
-        return self._bodies_at[key]
+    @cached_property
+    def _still(self) -> tuple[ca.SX, ca.SX]:
+        """Inertia (n, n) of the links, and their torques without acceleration."""
+        angle, rate, jacobian, drift = self._links()
+        bias = self._torque_of_links(self.loop.tree.gravity, angle, rate, drift)
+        # Displaced links work along their readings.
+        return self._inertia(angle, jacobian), ca.mtimes(jacobian.T, bias)
 
-    def mass(self, place: ca.SX, speed: ca.SX) -> ca.SX:
-        """Return the forces of all sides per acceleration."""
-        found = ca.mtimes([self._of_link, self._still(place, speed)[0], self._of_link.T])
+    @cached_property
+    def mass(self) -> ca.SX:
+        """Forces of all sides per acceleration."""
+        found = ca.mtimes([self._of_link, self._still[0], self._of_link.T])
         found += ca.mtimes([self._of_motor, ca.diag(self.own["armature"]), self._of_motor.T])
         if self.loop.physics.torque is not None:
-            rate = ca.SX.sym("a", speed.shape[0])
-            added = self._added(place, speed, rate)[0]
-            found += ca.mtimes(self._of_motor, ca.jacobian(added, rate))
+            rate = ca.SX.sym("a", self.speed.shape[0])
+            found += ca.mtimes(self._of_motor, ca.jacobian(self._added(rate)[0], rate))
         return found
 
-    def factor(self, place: ca.SX, speed: ca.SX) -> list[list[ca.SX]]:
-        """Return the factors of the forces per acceleration."""
-        key = (id(place), id(speed))
-        if key not in self._factors_at:
-            self._factors_at[key] = factorize(self.mass(place, speed), symmetric=self.symmetric)
-        return self._factors_at[key]
+    def factorize(self, matrix: ca.SX) -> list[list[ca.SX]]:
+        """Return triangular factors of the mass, or of it with gains and springs added."""
+        # Torques of the physics may depend on accelerations anyhow.
+        return factorize(matrix, symmetric=self.loop.physics.torque is None)
 
-    def force(self, place: ca.SX, speed: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Return the forces that accelerate, and the slope of all losses by the speed."""
-        torque, losses, slope = self._drive(place, speed)
-        past, bias = torque - losses, self._still(place, speed)[1]
+    @cached_property
+    def acceleration(self) -> ca.SX:
+        """Accelerations of all sides."""
+        return solve(self._factor, self.force[0])
+
+    @cached_property
+    def _factor(self) -> list[list[ca.SX]]:
+        return self.factorize(self.mass)
+
+    @cached_property
+    def force(self) -> tuple[ca.SX, ca.SX]:
+        """Forces that accelerate, and the slope of all losses by the speed."""
+        torque, losses, slope = self._drive
+        past, bias = torque + self.own["offset"] - losses, self._still[1]
+        found = ca.mtimes(self._of_motor, past) - ca.mtimes(self._of_link, bias)
         if self.loop.physics.torque is not None:
-            still = ca.SX.zeros(speed.shape[0])
-            more, by_speed = self._added(place, speed, still)
-            losses, slope = losses + more, slope + by_speed
-        found = ca.mtimes(self._of_motor, torque + self.own["offset"] - losses)
-        found -= ca.mtimes(self._of_link, bias)
+            more, by_speed = self._added(ca.SX.zeros(self.speed.shape[0]))
+            found -= ca.mtimes(self._of_motor, more)
+            slope += by_speed
         slopes = ca.mtimes(self._of_motor, slope)
         for k, joint in enumerate(self.loop.elastic):
             link, motor = int(self.loop.link_sides[joint]), int(self.loop.motor_sides[joint])
             damping = self.loop.physics.springs[joint].damping
-            carried = place[self.n + k] + damping * (speed[motor] - speed[link])
+            carried = self.place[self.n + k] + damping * (self.speed[motor] - self.speed[link])
             found[link] += carried
             found[motor] -= carried
             slopes[link] += damping
             slopes[motor] += damping
-        direction = ca.tanh(ca.mtimes(self._of_motor.T, speed) / self.width)
-        dry = self._load_friction(place, speed, past, found, direction)
+        direction = ca.tanh(ca.mtimes(self._of_motor.T, self.speed) / self.width)
+        dry = self._load_friction(past, found, direction)
         found -= ca.mtimes(self._of_motor, dry * direction)
         slopes += ca.mtimes(self._of_motor, dry / self.width * (1.0 - direction**2))
         return found, slopes
 
-    def _load_friction(
-        self, place: ca.SX, speed: ca.SX, past: ca.SX, force: ca.SX, direction: ca.SX
-    ) -> ca.SX:
+    def _load_friction(self, past: ca.SX, force: ca.SX, direction: ca.SX) -> ca.SX:
         """Return the friction (n,) that goes with the torques that gears transmit to their links.
 
         `past`: torques past the other friction of the drives, `force`: all that accelerates without
         this friction. A rotor takes its share of both.
         """
         own = self.own
-        rate = ca.mtimes(self._of_motor.T, solve(self.factor(place, speed), force))
-        load = past - own["armature"] * rate
-        inertia = ca.mtimes(self._of_motor.T, ca.diag(self.mass(place, speed)))
-        share = 1.0 - own["armature"] / inertia
+        load = past - own["armature"] * ca.mtimes(self._of_motor.T, solve(self._factor, force))
+        share = 1.0 - own["armature"] / ca.mtimes(self._of_motor.T, ca.diag(self.mass))
         for k, joint in enumerate(self.loop.elastic):
-            load[joint], share[joint] = place[self.n + k], 0.0
+            load[joint], share[joint] = self.place[self.n + k], 0.0
         size = ca.sqrt(load**2 + _LOAD_WIDTH**2)
         against = 1.0 + own["load_friction"] * share * direction * load / size
         return own["load_friction"] * load**2 / size / against
 
-    def _drive(self, place: ca.SX, speed: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Return torques of the actuators, losses of the drives but by load, and their slopes."""
+    @cached_property
+    def _drive(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Torques of the actuators, losses of the drives but by load, and their slopes."""
         own, law = self.own, self.loop.law
-        q, v = place[: self.n], ca.mtimes(self._of_motor.T, speed)
+        q, v = self.place[: self.n], ca.mtimes(self._of_motor.T, self.speed)
         # An actuator damps by the speed that it reads.
         error = _clip(self.kp * (self.command - q), law.drive_max)
-        torque = _clip(error - self.kd * speed[: self.n], law.torque_max)
+        torque = _clip(error - self.kd * self.speed[: self.n], law.torque_max)
         for joint, largest in self.loop.physics.limits.items():
             torque[joint] = ca.fmax(ca.fmin(torque[joint], largest), -largest)
         direction = ca.tanh(v / self.width)
@@ -162,43 +163,46 @@ class Balance:
         slope = self.kd + own["viscous"] + dry / self.width * (1.0 - direction**2)
         return torque, losses, slope
 
-    def _added(self, place: ca.SX, speed: ca.SX, rate: ca.SX) -> tuple[ca.SX, ca.SX]:
+    def _added(self, rate: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Return the added torques at accelerations `rate`, and their slopes by the own speed."""
         physics, own = self.loop.physics, self.own
         assert physics.torque is not None
-        torque, losses, _ = self._drive(place, speed)
-        inertia, bias = self._still(place, speed)
+        torque, losses, _ = self._drive
+        inertia, bias = self._still
         faster = ca.mtimes(self._of_motor.T, rate)
         spring = bias + ca.mtimes([inertia, self._of_link.T, rate])
         for k, joint in enumerate(self.loop.elastic):
-            spring[joint] = place[self.n + k]
+            spring[joint] = self.place[self.n + k]
         # Speed and direction are one: both give the slope by which stages are stable.
         v = ca.SX.sym("v", self.n)
         way = ca.tanh(v / self.width)
         drive = spring + losses + own["armature"] * faster
-        signals = LoopSignals(place[: self.n], v, faster, way, torque, spring, drive)
+        signals = LoopSignals(self.place[: self.n], v, faster, way, torque, spring, drive)
         more = physics.torque(signals)
         by_speed = ca.diag(ca.jacobian(more, v))
-        actual = ca.mtimes(self._of_motor.T, speed)
+        actual = ca.mtimes(self._of_motor.T, self.speed)
         more, by_speed = ca.substitute([more, by_speed], [v], [actual])
         return more, by_speed
 
-    def rates(self, place: ca.SX) -> ca.SX:
-        """Return the rates of the places per speed."""
-        found = ca.SX(place.shape[0], place.shape[0])
+    @property
+    def rates(self) -> ca.SX:
+        """Rates of the places per speed."""
+        count = self.place.shape[0]
+        found = ca.SX(count, count)
         found[: self.n, : self.n] = ca.DM.eye(self.n)
         for k, joint in enumerate(self.loop.elastic):
-            stiffness = 1.0 / self._compliance(joint, place[self.n + k])
+            stiffness = 1.0 / self._compliance(joint, self.place[self.n + k])
             found[self.n + k, int(self.loop.motor_sides[joint])] += stiffness
             found[self.n + k, int(self.loop.link_sides[joint])] -= stiffness
         return found
 
-    def slopes(self, place: ca.SX) -> ca.SX:
-        """Return the decrease of the forces per place, of gains and springs alone.
+    @property
+    def slopes(self) -> ca.SX:
+        """Decrease of the forces per place, of gains and springs alone.
 
         Gains count as if encoders were at the motors: so the stages stay symmetric.
         """
-        count = place.shape[0]
+        count = self.place.shape[0]
         found = ca.SX(count, count)
         for joint in range(self.n):
             found[int(self.loop.motor_sides[joint]), joint] = self.kp[joint]
@@ -207,7 +211,7 @@ class Balance:
             found[motor, self.n + k] += 1.0
             found[link, self.n + k] -= 1.0
             if self.loop.physics.springs[joint].encoder_at_output:
-                compliance = self._compliance(joint, place[self.n + k])
+                compliance = self._compliance(joint, self.place[self.n + k])
                 found[motor, self.n + k] += self.kp[joint] * compliance
         return found
 

@@ -13,7 +13,7 @@ JOINT_PARAMETERS = {
     "armature": "kg m^2",
     "viscous": "N m s/rad",
     "coulomb": "N m",
-    "load_friction": "1",  # share of the actuator's torque
+    "load_friction": "1",  # share of the torque that the gear transmits
     "friction_slope": "N m/rad",  # of dry friction over the position, about the middle
     "drag": "N m s^2/rad^2",  # of friction with the square of the velocity
     "offset": "N m",

@@ -149,8 +149,14 @@ def test_noise_of_encoders_is_not_the_motion_that_held_commands_bend(loop: Comma
     assert np.isnan(none.encoder_noise(none.evaluate(prior))).all()
 
 
-def test_friction_by_load_goes_with_the_torque_past_the_rotor(loop: CommandedArm) -> None:
-    """A heavy rotor turns to and fro on its own torque, which its gear does not transmit."""
+@pytest.mark.parametrize("offset", [0.0, 2.0])
+def test_friction_by_load_goes_with_the_torque_past_the_rotor(
+    loop: CommandedArm, offset: float
+) -> None:
+    """A heavy rotor turns to and fro on its own torque, which its gear does not transmit.
+
+    It transmits what a drive gives beyond its law.
+    """
     share, rotor, wave, h = 0.3, 0.2, 9.0, 5e-5
     link = INERTIA + MASS * LEVER**2
     grid = np.arange(0.0, 2.0, STEP)
@@ -160,7 +166,7 @@ def test_friction_by_load_goes_with_the_torque_past_the_rotor(loop: CommandedArm
     for k, target in enumerate(command):
         path[k] = q
         for _ in range(round(STEP / h)):
-            drive = KP * (target - q) - VISCOUS * v
+            drive = KP * (target - q) - VISCOUS * v + offset
             weight = MASS * GRAVITY * LEVER * np.sin(q)
             for sign in (1.0, -1.0):  # of the load
                 less = share * sign * np.tanh(v / 0.005)
@@ -173,6 +179,7 @@ def test_friction_by_load_goes_with_the_torque_past_the_rotor(loop: CommandedArm
     parameters = zero_parameters(("servo",))
     for name, value in (("armature", rotor), ("viscous", VISCOUS), ("load_friction", share)):
         parameters.values[parameters.place(name)] = value
+    parameters.values[parameters.place("offset")] = offset
     whole = Stretch(run, 0, len(grid) - 1, np.zeros(1))
     (found,) = simulate_stretches(loop, [whole], parameters)
     error = found.position - run.position

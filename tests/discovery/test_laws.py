@@ -262,6 +262,8 @@ def test_a_law_takes_the_place_of_a_known_effect_only_where_it_fits_better() -> 
     cable = LocatedEffect(effect=catalogue.effect("cable_spring"), joint=4, shapes=(0.1,))
     sure, doubted = (Selected(cable, 100.0, 14.0, p, (), 4) for p in (1.0, 0.1))
     assert not beats(channel, best, left, [sure])
+    spring = LocatedEffect(effect=catalogue.effect("gravity_spring"), joint=4, shapes=(0.1,))
+    assert not beats(channel, best, left, [sure, replace(sure, located=spring)])
     # By as much as it has to be ahead of a sure finding, it is not of several rivals.
     far = next(f for f in np.geomspace(1.0, 4.0, 200) if beats(channel, best, f * left, [sure]))
     assert 1.0 < far < 2.0
@@ -401,6 +403,25 @@ def test_equal_frequencies_of_recordings_apart_are_laws_of_their_own() -> None:
     assert first.is_same_as(first, width=1.0)
     titles = {law_effect(law.law, law.fit.amplitudes).title for law in every}
     assert len(titles) == len(every)
+
+
+def test_both_frequencies_of_a_sum_of_waves_are_told_and_searched() -> None:
+    channel = KnownChannel(lambda s: np.zeros(len(s.time)))
+    for number, run in enumerate(channel.comparison.runs):
+        run.signals = replace(run.signals, session_time=run.time + 500.0 * number)
+    clock = channel.comparison.rows.sample_signal(lambda run: run.signals.session_time)
+    channel.target = channel.target + 9.0 * np.sin(4.4 * np.pi * clock)
+    channel.target = channel.target + 5.0 * np.cos(2.6 * np.pi * clock)
+    found = search_channel(channel)
+    assert found.best is not None
+    (factor,) = found.best.law.factors
+    assert factor.form == "wave+wave"
+    assert found.best.law.frequencies == pytest.approx((1.3, 2.2), abs=1e-4)
+    title = law_effect(found.best.law, found.best.fit.amplitudes).title
+    assert title.count(" with f = ") == 2
+    # The weaker one is as ambiguous between the recordings as the stronger.
+    other = [law.law.frequencies[0] for law in found.near if len(law.law.frequencies) == 2]
+    assert any(1e-3 < abs(own - 1.3) < 3e-3 for own in other)
 
 
 def test_shapes_are_fitted_to_their_true_values() -> None:

@@ -108,6 +108,7 @@ def test_a_plan_leaves_torque_for_the_law(tmp_path):
         (Law(0, "drive_torque", (factor("temperature", 0),)), "temperature of joint 1"),
         (Law(0, "link_torque", (factor("speed", 0, "slip", 0.2),)), "past speed of joint 1"),
         (Law(0, "drive_torque", (factor("speed", 1, "signed_power", 0.5),)), "steep"),
+        (Law(0, "drive_torque", (factor("speed", 1, "peaked+power", 0.1, 2.0, 0.5),)), "steep"),
     ],
 )
 def test_what_a_plan_cannot_contain_is_refused_in_a_sentence(law, reason, tmp_path):

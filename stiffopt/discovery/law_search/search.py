@@ -205,9 +205,7 @@ def _add_form(channel: OpenChannel, found: FittedLaw) -> list[FittedLaw]:
 def _fit_near_frequencies(channel: OpenChannel, best: FittedLaw) -> list[FittedLaw]:
     """Return the law at the other frequencies that single runs do not tell from its own."""
     fitted = []
-    for wave in best.law.factors:
-        if (own := wave.frequency) is None:
-            continue
+    for wave, own in [(f, own) for f in best.law.factors for own in f.frequencies]:
         half_turn = 0.5 / channel.extent(wave.source).span
         near = channel.near_frequencies(wave.source, own)
         for frequency in [f for f in near if abs(f - own) > half_turn][:_MAX_NEAR]:
@@ -251,12 +249,11 @@ def beats(
 
     Likelier than the findings and all their rivals, by the odds that tell these apart: nature
     follows formulas nearly, those of the catalogue and of laws alike, and each is one of as many as
-    there are, of laws more. A law that is the findings' function in other words, of no fewer
-    parameters, is not likelier.
+    there are, of laws more. A law that is the findings' function in other words is not likelier, of
+    however few parameters.
     """
     left, own = channel.square - best.fit.removed, best.law
-    fewer = _parameter_count(findings) - own.parameter_count
-    if fewer <= 0 and named - left < SAME_FUNCTION**2 * (channel.square - left):
+    if named - left < SAME_FUNCTION**2 * (channel.square - left):
         return False
     odds = _log_odds(channel, left, named, findings, own.parameter_count)
     prior = min(own.log_prior(channel.comparison.robot.n), -float(np.log(len(CATALOGUE))))

@@ -48,9 +48,16 @@ class Factor:
         return form_named(self.form)
 
     @property
-    def frequency(self) -> float | None:
-        """Frequency over a clock [Hz]; None where it is not periodic over one."""
-        return dict(zip(self.own.shapes, self.shapes, strict=True)).get(FREQUENCY_SHAPE)
+    def parts(self) -> Iterator[Factor]:
+        """Factors that it is the sum of, each of one form of `FORMS`."""
+        left = list(self.shapes)
+        for form in self.form.split("+"):
+            yield Factor(self.source, form, tuple(left.pop(0) for _ in form_named(form).shapes))
+
+    @property
+    def frequencies(self) -> tuple[float, ...]:
+        """Frequencies over a clock [Hz]; none where it is not periodic over one."""
+        return tuple(p.shapes[0] for p in self.parts if FREQUENCY_SHAPE in p.own.shapes)
 
     def values(
         self, signals: RobotSignals | JointSignals, shapes: Sequence[Quantity] | None = None
@@ -136,8 +143,8 @@ class Law:
 
     @property
     def frequencies(self) -> tuple[float, ...]:
-        """Frequencies over clocks [Hz]."""
-        return tuple(f.frequency for f in self.factors if f.frequency is not None)
+        """Frequencies over clocks [Hz], in ascending order."""
+        return tuple(sorted(own for factor in self.factors for own in factor.frequencies))
 
     @property
     def structure(self) -> tuple[object, ...]:

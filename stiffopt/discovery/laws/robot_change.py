@@ -22,8 +22,9 @@ _PLANNED_SIGNALS = {
     "acceleration": "acceleration",
     "load": "load",
 }
+# Forms that are steep at zero where their exponent, the only shape, is below 1.
+_STEEP_FORMS = {"power", "signed_power"}
 # Laws in proportion to one signal of their own joint that are a value of the robot.
-_STEEP_FORMS = {"power", "signed_power"}  # where their exponent n is below 1
 _ROBOT_VALUES = {"direction": "coulomb", "speed": "viscous", "acceleration": "rotor_inertia"}
 
 
@@ -102,9 +103,6 @@ def _why_not_planned(law: Law) -> str:
             return f"a law of the {factor.source.words}, which a plan does not contain"
         if factor.own.has_memory:
             return f"a law of the past {factor.source.words}, which a plan does not contain"
-        exponents = [
-            v for s, v in zip(factor.own.shapes, factor.shapes, strict=True) if s.name == "n"
-        ]
-        if not _STEEP_FORMS.isdisjoint(factor.form.split("+")) and min(exponents) < 1.0:
+        if any(each.form in _STEEP_FORMS and each.shapes[0] < 1.0 for each in factor.parts):
             return f"a law as steep as no optimiser takes where the {factor.source.words} is zero"
     return ""

@@ -85,6 +85,16 @@ class Scorer:
         self._general_scorers: dict[tuple[object, ...], Scorer] = {}
         self._known_evidence: dict[tuple[object, ...], float] = {}
 
+    @cached_property
+    def _squares(self) -> np.ndarray:
+        """Squares (2 n,) that the base model leaves in every channel."""
+        return self._by_channel(self._residual_beside(self.start.mean) ** 2)
+
+    def _by_channel(self, squares: np.ndarray) -> np.ndarray:
+        """Return the sums (2 n,) over the rows (m,) of every channel."""
+        channels, size = self.comparison.rows.channel, 2 * self.comparison.robot.n
+        return np.bincount(channels, squares, minlength=size)
+
     def _residual_beside(self, values: np.ndarray) -> np.ndarray:
         """Return what the base model with values (p,) leaves of the target (m,)."""
         return np.asarray(self.comparison.target - self.comparison.model_rows(self.base, values))
@@ -205,17 +215,13 @@ class Scorer:
         """
         added = self.comparison.effect_columns(located)
         residual = self._residual_beside(base_mean) - added @ mean
-        acted_on = np.sum(added**2, axis=1)
-        channels = self.comparison.rows.channel
-        size = 2 * self.comparison.robot.n
-        before = np.bincount(channels, self._residual_beside(self.start.mean) ** 2, minlength=size)
-        after = np.bincount(channels, residual**2, minlength=size)
-        acted = np.bincount(channels, acted_on, minlength=size)
+        before, after = self._squares, self._by_channel(residual**2)
+        acted = self._by_channel(np.sum(added**2, axis=1))
         # Less is vibration excited through other links.
         own = acted > MIN_ACTIVE_SHARE * acted.max()
         fall = np.where(own, before - after, -np.inf)
         channel = int(np.argmax(fall))
-        rows = channels == channel
+        rows = self.comparison.rows.channel == channel
         whole = before[channel] + self._resembled_square(located, added[rows] @ mean, rows)
         return channel, float(fall[channel] / whole) if whole > 0.0 else 0.0
 
