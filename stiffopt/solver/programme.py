@@ -150,8 +150,8 @@ def solve_again(
 ) -> Outcome:
     """Solve the last stage again from where it ended, with other bounds or smoothing.
 
-    A correction that ends at a feasible point of about the predicted objective is acceptable, though
-    it stalls or needs its last iteration: whether it converges there may hang on rounding.
+    A correction that ends at a feasible point of about the predicted objective is acceptable,
+    though it stalls or needs its last iteration: whether it converges there may hang on rounding.
     """
     made, raw = Programme(before.transcription, before.solver), before.raw
     made.solver.set_bounds(nlp)
