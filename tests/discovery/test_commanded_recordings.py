@@ -421,7 +421,6 @@ def test_gains_of_a_real_leg_are_told_by_its_weight_or_said_not_to_be(
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="joint 1: 13.1 +- 3.4 N m/rad, 2.02 deviations below 20")
 def test_gains_of_a_real_leg_are_those_that_its_manufacturer_states(
     leg_without_gains: Diagnosis,
 ) -> None:
