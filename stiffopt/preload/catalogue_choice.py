@@ -13,7 +13,7 @@ import numpy as np
 from stiffopt.drivetrain import catalogue
 from stiffopt.errors import ProblemError
 from stiffopt.fastening.tightening import Tightening
-from stiffopt.preload.catalogue_designs import CatalogueDesign, catalogue_designs, way_cost
+from stiffopt.preload.catalogue_designs import CatalogueDesign, catalogue_designs
 from stiffopt.preload.catalogue_programme import ChoiceProgramme, choice_programme
 from stiffopt.preload.catalogue_search import (
     CombinationResult,
@@ -95,18 +95,19 @@ def choose_design(
     for (i, method), (k, coating) in itertools.product(enumerate(methods), enumerate(coatings)):
         way = _tightened(problem.tightening, method, coating)
         own = _choose_for_tightening(replace(problem, tightening=way), progress)
-        own = replace(own, cost=own.cost + way_cost(choose, i, k))
+        if choose.cost is not None:
+            own = replace(own, cost=own.cost + choose.cost.method * i + choose.cost.coating * k)
         found.append((TighteningWay.of(way, coating, own), own))
     ways = tuple(way for way, _ in found)
     able = [each for each in found if each[1].status.usable]
     if len(found) == 1 or not able:
         return replace(found[-1][1], ways=ways if len(ways) > 1 else ())
     sign = -1.0 if problem.objective == "joint_stiffness" else 1.0
-    way, best = min(
+    done, best = min(
         able, key=lambda each: (each[1].cost if choose.cost else 0.0, sign * each[1].objective)
     )
-    bolts = f", bolts {way.coating}" if way.coating else ""
-    text = f"Tightened by {way.method.replace('_', ' ')}{bolts} at friction {way.friction:g}. "
+    bolts = f", bolts {done.coating}" if done.coating else ""
+    text = f"Tightened by {done.method.replace('_', ' ')}{bolts} at friction {done.friction:g}. "
     return replace(best, ways=ways, message=text + best.message)
 
 
