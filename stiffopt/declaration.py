@@ -276,6 +276,7 @@ AngularVelocity = Annotated[float, Unit("angular velocity")]
 Stiffness = Annotated[float, Unit("stiffness")]
 LinearStiffness = Annotated[float, Unit("linear stiffness")]
 WidthStiffness = Annotated[float, Unit("stiffness per width")]
+TemperatureDifference = Annotated[float, Unit("temperature difference")]
 Ratio = Annotated[float, Unit("ratio")]
 
 # Quantities of joints that are revolute or prismatic; resolved by `stiffopt.units.fit_joint`.

@@ -147,6 +147,7 @@ DIMENSIONS = {
         Dimension("linear viscous friction", "N*s/m", "5 N*s/m", 0, (0.0, 1e7)),
         # The upper end excludes temperatures in kelvin.
         Dimension("temperature", "degC", "22 degC", 0, (0.0, 200.0)),
+        Dimension("temperature difference", "K", "30 K", 0, (0.0, 200.0)),
         Dimension("ratio", "", "0.12", 0, (0.0, 1e12)),
     )
 }

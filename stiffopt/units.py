@@ -102,6 +102,7 @@ _FACTORS_WITHOUT_PINT = {
     "angular jerk": {"rad/s^3": 1.0, "deg/s^3": math.pi / 180.0},
     "stiffness": {"N*m/rad": 1.0, "Nm/rad": 1.0, "N*m/arcmin": 10800.0 / math.pi},
     "viscous friction": {"N*m*s/rad": 1.0},
+    "temperature difference": {"K": 1.0},
 }
 
 
@@ -114,8 +115,8 @@ def _conversion_factor(unit: str, dimension: Dimension) -> float:
 
 def _pint_factor(unit: str, dimension: Dimension) -> float:
     parsed = _parse_unit(unit)
-    if dimension.unit == "degC" and unit != "degC":
-        raise ValueError(f"temperatures are given in degC, not in {unit!r}")
+    if dimension.unit in ("degC", "K") and unit != dimension.unit:
+        raise ValueError(f"{dimension.name}s are given in {dimension.unit}, not in {unit!r}")
     angle = sum(power for name, power in parsed._units.items() if str(name).endswith(_ANGLE_UNITS))
     target = _unit_registry().parse_units(dimension.unit)
     if parsed.dimensionality != target.dimensionality or angle != dimension.angle:

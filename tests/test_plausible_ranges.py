@@ -74,7 +74,7 @@ def robot(joint: dict[str, Any]) -> dict[str, Any]:
         (
             {"tightening": {"temperature_change": 250}},
             "tightening.temperature_change",
-            '250 is not plausible, up to 200 is. Correct it, or write "250" to keep it.',
+            '250 K is not plausible, up to 200 K is. Correct it, or write "250 K" to keep it.',
         ),
         (
             bolt(circle_diameter=2.5),
@@ -103,7 +103,7 @@ def test_a_friction_of_15_is_refused_however_it_is_written(friction):
 
 def test_with_its_unit_a_number_is_meant_up_to_the_bounds():
     assert read(Parts, **bolt(circle_diameter="2.5 m")).bolt.circle_diameter == 2.5
-    assert read(Parts, tightening={"temperature_change": "250"}).tightening is not None
+    assert read(Parts, tightening={"temperature_change": "250 K"}).tightening is not None
     with pytest.raises(InputFileError, match="at most 3"):
         read(Parts, **bolt(clamp_length="16 m"))
 

@@ -26,6 +26,7 @@ from stiffopt.units import _FACTORS_WITHOUT_PINT, _pint_factor, fit_joint, joint
         ("2 mrad", "angle", 2e-3),
         ("500 g", "mass", 0.5),
         ("0.12", "ratio", 0.12),
+        ("50 K", "temperature difference", 50.0),
         ("-100 N", "force", -100.0),
         ("1e-3 kg*m^2", "inertia", 1e-3),
         (7, "length", 7.0),
@@ -44,6 +45,8 @@ def test_every_example_is_valid(dimension):
 @pytest.mark.parametrize(
     ("text", "dimension", "parts"),
     [
+        ("50 degC", "temperature difference", ["differences are given in K", "'30 K'"]),
+        ("300 K", "temperature", ["temperatures are given in degC"]),
         ("45 mm", "angle", ["joint[j1].x", "'45 mm'", "not one of angle", "'45 deg'"]),
         ("5 N*m", "stiffness", ["not one of stiffness", "'5 N*m/arcmin'"]),
         ("5 N*m/rad", "torque", ["not one of torque", "'45 N*m'"]),

@@ -9,7 +9,15 @@ from typing import Annotated, Literal
 import numpy as np
 
 from stiffopt.contact.validate import require_positive
-from stiffopt.declaration import FRICTION, Bounds, Doc, Length, Ratio, check_fields
+from stiffopt.declaration import (
+    FRICTION,
+    Bounds,
+    Doc,
+    Length,
+    Ratio,
+    TemperatureDifference,
+    check_fields,
+)
 from stiffopt.drivetrain.fasteners import BoltData
 from stiffopt.symbolic import Quantity
 
@@ -85,9 +93,9 @@ class Tightening:
         ),
     ] = None
     temperature_change: Annotated[
-        Ratio,
-        Bounds(least=0.0, most=3000.0, plausible=(0.0, 200.0)),
-        Doc("Kelvin, above or below assembly: differing thermal expansion changes the preload."),
+        TemperatureDifference,
+        Bounds(least=0.0, most=3000.0),
+        Doc("Above or below assembly: differing thermal expansion changes the preload."),
     ] = 30.0
 
     def __post_init__(self) -> None:

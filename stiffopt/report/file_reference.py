@@ -153,9 +153,8 @@ def file_keys(kind: str) -> Iterator[FileKey]:
         for cells in _key_rows(section, definitions):
             key, *rest = cells
             for place in inside:
-                yield FileKey(
-                    f"{place}.{key.strip('`')}".lstrip("."), *rest, owner=_type_entry(section)
-                )
+                name = f"{place}.{key.strip('`')}".lstrip(".")
+                yield FileKey(name, *rest, _type_entry(section))
 
 
 def _format_sections(schema: dict[str, Any]) -> Iterator[str]:
