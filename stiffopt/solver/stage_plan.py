@@ -24,9 +24,9 @@ _COARSE_PHASE_INTERVALS, _MIDDLE_PHASE_INTERVALS = 6, 10
 # Phases from which on a coarse mesh or a correction replaces work on a fine mesh, and intervals a
 # phase of a smooth problem's coarse mesh: an iteration of 31 phases takes a fifth there.
 MANY_PHASES, _COARSE_START_PHASE_INTERVALS = 8, 5
-# Factors on the smoothing width of dry friction, and of an objective's kink at zero, before the last
-# stage: from a wide one, most joints reverse where the exact law is best, in a third of the
-# iterations.
+# Factors on the smoothing width of dry friction, and on that of an objective's kink at zero, before
+# the last stage: from a wide one, most joints reverse where the exact law is best, in a third of
+# the iterations.
 _FRICTION_WIDENINGS = (16.0, 4.0)
 _KINK_WIDENINGS = (64.0, *_FRICTION_WIDENINGS)
 # And those with many phases on the fine mesh. Second derivatives are exact in the last stage only:
