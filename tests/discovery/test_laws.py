@@ -85,11 +85,32 @@ def test_slopes_by_shapes_agree_with_differences(name: str) -> None:
             assert error <= 1e-5 * np.abs(expected).max() + 1e-9
 
 
-@pytest.mark.parametrize(("kind", "form"), EVERY)
-def test_the_text_of_the_page_alone_gives_the_torque(kind: str, form: str) -> None:
-    signals = sample_signals(count=300)
-    law = law_with(kind, form)
-    amplitudes = [1.37, -0.61, 0.4, 0.2][: law.amplitude_count]
+def products(count: int) -> list[Law]:
+    """Laws of up to three factors, one of them a sum of two forms of a signal."""
+    draw = np.random.default_rng(39)
+    laws: list[Law] = []
+    for _ in range(count):
+        factors: list[Factor] = []
+        for number in range(draw.integers(1, 4)):
+            kind = str(draw.choice(list(SOURCE_KINDS)))
+            own = SOURCE_KINDS[kind]
+            joint = 4 if own.of_own_joint else int(draw.integers(6))
+            source = LawSource(kind, joint if own.per_joint else None)
+            one, other = draw.choice(forms_of(kind)), draw.choice(["constant", *own.forms])
+            factor = next(Factor(source, str(one)).starts(EXTENT))
+            if number == 0:
+                factor = next(factor.plus(str(other), EXTENT))
+            if number == 0 or len(factor.own.formulas) == 1:
+                factors.append(factor)
+        place = ("drive_torque", "link_torque", "deflection")[draw.integers(3)]
+        laws.append(Law(4, place, tuple(factors)))
+    return laws
+
+
+@pytest.mark.parametrize("law", [*(law_with(*own) for own in EVERY), *products(100)])
+def test_the_text_of_the_page_alone_gives_the_torque(law: Law) -> None:
+    signals = sample_signals(count=200)
+    amplitudes = np.linspace(1.37, -0.61, law.amplitude_count).tolist()
     numbers = law_numbers(law, (*amplitudes, *law.shapes))
     typed = typed_torque(law.equation, numbers, law_definitions(law), signals)
     columns = law.columns(signals)
@@ -171,7 +192,7 @@ def test_hidden_masses_follow_the_start_before_a_recording_that_begins_in_motion
         np.testing.assert_allclose(found, past, atol=1e-9 * np.abs(past).max())
     (code,) = law.formulas(code=True)
     space = {name: getattr(operators, name) for name in operators.OPERATOR_NAMES}
-    space |= {"signals": of_joint, "f": 2.0, "z": 0.1}
+    space |= {"signals": of_joint, "f": 2.0, "zeta": 0.1}
     np.testing.assert_array_equal(eval(code, space), found)
 
 
