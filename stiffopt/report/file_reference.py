@@ -136,12 +136,12 @@ class FileKey:
     """A key of a file as text: place, type, unit, plausible range, default and description."""
 
     place: str
+    owner: str  # such as `type = "key"`, of a section with several types; "" of others
     value: str
     unit: str
     plausible: str
     default: str
     sentence: str
-    owner: str = ""  # such as `type = "key"`, of a section with several types
 
 
 def file_keys(kind: str) -> Iterator[FileKey]:
@@ -154,7 +154,7 @@ def file_keys(kind: str) -> Iterator[FileKey]:
             key, *rest = cells
             for place in inside:
                 name = f"{place}.{key.strip('`')}".lstrip(".")
-                yield FileKey(name, *rest, _type_entry(section))
+                yield FileKey(name, _type_entry(section), *rest)
 
 
 def _format_sections(schema: dict[str, Any]) -> Iterator[str]:
