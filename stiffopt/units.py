@@ -221,8 +221,9 @@ def fit_joint(value: float, prismatic: bool, dimension: str, where: str = "") ->
     wanted = PRISMATIC[dimension] if prismatic else dimension
     if written and written != wanted:
         kind = "prismatic" if prismatic else "revolute"
+        place = f"{where}: " if where else ""
         raise UnitError(
-            f"{where}: the joint is {kind} and needs {wanted}, got {written}. "
+            f"{place}the joint is {kind} and needs {wanted}, got {written}. "
             f"Give a number [{DIMENSIONS[wanted].unit}] or a text such as "
             f"{DIMENSIONS[wanted].example!r}."
         )

@@ -280,7 +280,7 @@ def _joint_numbers(
         with locate_errors(path, f"joint[{section.name}].{key}"):
             given = getattr(section, key)
             if given is not None:
-                values[key] = fit_joint(given, prismatic, unit(JointSection, key).dimension, key)
+                values[key] = fit_joint(given, prismatic, unit(JointSection, key).dimension)
             elif number := urdf.get(fallback, 0.0):
                 bounds(JointSection, key).check(key, number)
                 values[key] = number
@@ -305,7 +305,7 @@ def _position_limits(
             given = getattr(section, key)
             if given is not None:
                 with locate_errors(path, f"joint[{section.name}].{key}"):
-                    limits[j] = fit_joint(given, bool(prismatic[j]), "angle", key)
+                    limits[j] = fit_joint(given, bool(prismatic[j]), "angle")
         if not lower[j] < upper[j]:
             raise InputFileError(
                 path,

@@ -221,3 +221,9 @@ def test_warning_beside_an_optimum_states_consequence(tmp_path, capsys):
     # What is used is a limit that counts.
     assert "132 % of validity" not in said
     assert warning in (tmp_path / "r" / "report.html").read_text()
+
+
+def test_a_torque_that_is_not_plausible_is_asked_about_once(tmp_path, capsys):
+    assert run(["init", "flange", "-o", str(tmp_path / "f"), "--torque", "10 MN*m"]) == 0
+    assert run(["preload", str(tmp_path / "f" / "flange.toml"), "--quiet"]) == 2
+    assert "joint[flange].torque_max: 1e+07 N*m is not plausible" in capsys.readouterr().err
