@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from typing import Any
 
@@ -153,9 +153,8 @@ def file_keys(kind: str) -> Iterator[FileKey]:
         for cells in _key_rows(section, definitions):
             key, *rest = cells
             for place in inside:
-                yield FileKey(
-                    f"{place}.{key.strip('`')}".lstrip("."), *rest, owner=_type_entry(section)
-                )
+                named = f"{place}.{key.strip('`')}".lstrip(".")
+                yield replace(FileKey(named, *rest), owner=_type_entry(section))
 
 
 def _format_sections(schema: dict[str, Any]) -> Iterator[str]:
