@@ -30,7 +30,7 @@ from stiffopt.preload.problem import Choice, FreeElement, PreloadProblem
 
 SLIP, LEAST, EMBEDDING = "slip safety", "least preload", "embedding loss"
 # Remedies of the limits that are no row of VDI 2230 and no limit of the fastener.
-_PRELOAD_REMEDIES = {
+_CONNECTION_REMEDIES = {
     SLIP: "more friction, more or larger bolts, a larger circle, or less scatter",
     LEAST: "a smaller require.least_preload, or a smaller bolt",
     EMBEDDING: "a larger clamp length, a larger torque, or smoother faces",
@@ -171,7 +171,7 @@ def _designs_by_torque(
         slip_safety(problem.requirements.slip_safety, cases, element.joint),
     )
     lever = workshop_torque(fastened, 1.0, tightening).nominal
-    remedies = _PRELOAD_REMEDIES | {limit.name: limit.remedy for limit in limits}
+    remedies = _CONNECTION_REMEDIES | {limit.name: limit.remedy for limit in limits}
     allowed = {"bolt utilisation": problem.requirements.bolt_utilisation}
     ends = [limit.capacity for limit in limits if limit.depends_on_preload]
     floor = problem.requirements.least_preload * min(ends)

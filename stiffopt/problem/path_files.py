@@ -246,11 +246,11 @@ def _table_path(
                 file, "", f"lacks the columns {', '.join(lacking)}: {', '.join(group)} belong "
                 "together. Add them, or rename those that are there."
             )  # fmt: skip
-    for names, kind, unit in (
+    for columns, kind, unit in (
         (_PLACE_COLUMNS, "length", table.length),
         (sum(_ANGLE_COLUMNS, ()), "angle", table.angle),
     ):
-        _check_unit(file, {name: read[name] for name in names if name in read}, kind, unit)
+        _check_unit(file, {name: read[name] for name in columns if name in read}, kind, unit)
     turn, origin = frame
     count = len(read["x"])
     metres = convert(1.0, table.length, "m")

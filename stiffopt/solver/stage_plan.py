@@ -84,7 +84,7 @@ def plan_stages(
         # Smooth problems converge directly from the guess; a coarse mesh would only cost time.
         start = min(_COARSE_START_PHASE_INTERVALS * phases, intervals)
         kinked = any(objective.kind.has_kink for objective in problem.objectives)
-        widenings = _FRICTION_WIDENINGS if problem.charges_dry_friction else ()
+        widenings: tuple[float, ...] = _FRICTION_WIDENINGS if problem.charges_dry_friction else ()
         widenings = _KINK_WIDENINGS if kinked else widenings
         exact = SolveStage(intervals, Smoothing(1.0))
         if phases < MANY_PHASES or start == intervals:

@@ -8,6 +8,7 @@ import pytest
 from typed_laws import typed_torque
 
 from stiffopt.discovery import catalogue
+from stiffopt.discovery.catalogue.drift import friction_drift
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, LocatedEffect
 from stiffopt.discovery.extended.model import load_extended
 from stiffopt.discovery.extended.store import _describe_table, _format_effect, _format_table
@@ -443,6 +444,28 @@ def test_both_frequencies_of_a_sum_of_waves_are_told_and_searched() -> None:
     # The weaker one is as ambiguous between the recordings as the stronger.
     other = [law.law.frequencies[0] for law in found.near if len(law.law.frequencies) == 2]
     assert any(1e-3 < abs(own - 1.3) < 3e-3 for own in other)
+
+
+@pytest.mark.parametrize(
+    ("effect", "named"),
+    [(friction_drift(("a", "b", "c", "d")), 900.0), (catalogue.effect("cable_spring"), 100.0)],
+)
+def test_values_of_single_runs_explain_nothing_where_a_law_would_take_their_place(
+    monkeypatch, effect, named
+) -> None:
+    """Runs left out hold no value of their own: a law of the temperature predicts them."""
+    located = LocatedEffect(effect=effect, joint=0, shapes=(0.5,))
+    comparison = SimpleNamespace(bodies=None, robot=SimpleNamespace(n=1))
+    asked = []
+    monkeypatch.setattr(
+        find,
+        "OpenChannel",
+        lambda _, effects, number: SimpleNamespace(square=100.0 if effects else 900.0),
+    )
+    monkeypatch.setattr(find, "may_beat", lambda channel, left, findings: asked.append(left))
+    state = find._State(comparison, [Selected(located, 100.0, 14.0, 1.0, (), 0)], ())
+    state.search(0, is_open=False)
+    assert asked == [named]
 
 
 def test_shapes_are_fitted_to_their_true_values() -> None:
