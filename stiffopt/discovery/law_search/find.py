@@ -431,5 +431,5 @@ def _is_determined(
     Sharp forms in a few samples gain evidence with an amplitude that is anything. `shapes_held`:
     the amplitude of a power or a hinge is told only together with its place.
     """
-    estimate, index = estimate_parameters(comparison, effects), list(effects).index(law)
-    return estimate.amplitude_deviations(index, shapes_held=shapes_held) >= CONFIRMED_DEVIATIONS
+    estimate = estimate_parameters(comparison, effects, shapes_held=shapes_held)
+    return estimate.amplitude_deviations(list(effects).index(law)) >= CONFIRMED_DEVIATIONS
