@@ -286,6 +286,11 @@ def test_a_law_takes_the_place_of_a_known_effect_only_where_it_fits_better() -> 
     assert not beats(channel, best, left, [sure])
     spring = LocatedEffect(effect=catalogue.effect("gravity_spring"), joint=4, shapes=(0.1,))
     assert not beats(channel, best, left, [sure, replace(sure, located=spring)])
+    # Values of four runs are no function, and random: equal to them a law is likelier, not below.
+    drift = LocatedEffect(effect=friction_drift(tuple("abcd")), joint=4, shapes=(0.5,))
+    values = Selected(drift, 100.0, 14.0, 1.0, (), 4)
+    assert beats(channel, best, left, [values])
+    assert not beats(channel, best, 0.9 * left, [values])
     # By as much as it has to be ahead of a sure finding, it is not of several rivals.
     far = next(f for f in np.geomspace(1.0, 4.0, 200) if beats(channel, best, f * left, [sure]))
     assert 1.0 < far < 2.0
@@ -444,28 +449,6 @@ def test_both_frequencies_of_a_sum_of_waves_are_told_and_searched() -> None:
     # The weaker one is as ambiguous between the recordings as the stronger.
     other = [law.law.frequencies[0] for law in found.near if len(law.law.frequencies) == 2]
     assert any(1e-3 < abs(own - 1.3) < 3e-3 for own in other)
-
-
-@pytest.mark.parametrize(
-    ("effect", "named"),
-    [(friction_drift(("a", "b", "c", "d")), 900.0), (catalogue.effect("cable_spring"), 100.0)],
-)
-def test_values_of_single_runs_explain_nothing_where_a_law_would_take_their_place(
-    monkeypatch, effect, named
-) -> None:
-    """Runs left out hold no value of their own: a law of the temperature predicts them."""
-    located = LocatedEffect(effect=effect, joint=0, shapes=(0.5,))
-    comparison = SimpleNamespace(bodies=None, robot=SimpleNamespace(n=1))
-    asked = []
-    monkeypatch.setattr(
-        find,
-        "OpenChannel",
-        lambda _, effects, number: SimpleNamespace(square=100.0 if effects else 900.0),
-    )
-    monkeypatch.setattr(find, "may_beat", lambda channel, left, findings: asked.append(left))
-    state = find._State(comparison, [Selected(located, 100.0, 14.0, 1.0, (), 0)], ())
-    state.search(0, is_open=False)
-    assert asked == [named]
 
 
 def test_shapes_are_fitted_to_their_true_values() -> None:

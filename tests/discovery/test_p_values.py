@@ -10,7 +10,11 @@ from test_admissible_shapes import JOINT
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, with_amplitudes
 from stiffopt.discovery.diagnosis import Parameter
-from stiffopt.discovery.search.uncertainty import Estimate, null_probability
+from stiffopt.discovery.search.uncertainty import (
+    Estimate,
+    estimate_parameters,
+    null_probability,
+)
 
 RUNS, STRETCHES = 8, 40
 
@@ -120,3 +124,39 @@ def test_prior_of_reported_values_is_that_of_amplitudes_and_initial_shapes() -> 
     tried = loss.shapes[0].grid(constants)
     expected = (max(tried) - min(tried)) * constants.torque_rated
     assert estimate.prior_deviations(0, constants)["tp"] == pytest.approx(expected)
+
+
+def test_an_amplitude_with_its_shapes_held_is_as_uncertain_as_it_spreads_between_runs():
+    """Conditioned on two shapes, a covariance from four runs leaves next to no spread."""
+    rng = np.random.default_rng(3)
+    runs = [SimpleNamespace(time=np.linspace(0.0, 1.0, 50)) for _ in range(4)]
+    run = np.repeat(np.arange(4), 50)
+    column, per_run = rng.normal(size=200), np.array([8.0, 12.0, 9.0, 13.0])
+    target = per_run[run] * column + 0.01 * rng.normal(size=200)
+    amplitude = np.array([float(column @ target / (column @ column))])
+    comparison = SimpleNamespace(
+        runs=runs,
+        rows=SimpleNamespace(
+            block=run,
+            run=run,
+            sample_signal=lambda value: np.concatenate([value(each) for each in runs]),
+        ),
+        priors=((), np.zeros(0)),
+        constants=None,
+        target=target,
+        fit=lambda effects: SimpleNamespace(
+            amplitudes=lambda: amplitude, posterior=SimpleNamespace(mean=amplitude)
+        ),
+        stack_columns=lambda effects: column[:, None],
+    )
+    located = SimpleNamespace(
+        shapes=(0.3, 2.0),
+        is_run_specific=False,
+        sizes=lambda constants: np.ones(1),
+        effect=SimpleNamespace(amplitudes=("A",)),
+    )
+    found = estimate_parameters(comparison, [located], shapes_held=True)
+    kept = [run != own for own in range(4)]
+    left_out = [float(column[k] @ target[k] / (column[k] @ column[k])) for k in kept]
+    sd = np.sqrt(3.0) * np.std(left_out)
+    assert found.amplitude_deviations(0) == pytest.approx(amplitude[0] / sd, rel=0.02)

@@ -263,12 +263,9 @@ class _State:
             replaced = [each.located for each in own]
             others = [e for e in self.effects if e not in replaced]
             apart = OpenChannel(self.comparison, others, number)
-            # Values of single runs explain nothing in runs left out, as a law has to.
-            known = [e for e in self.effects if e in others or not e.is_run_specific]
-            named = OpenChannel(self.comparison, known, number).square
-            if may_beat(apart, named, own):
+            if may_beat(apart, beside.square, own):
                 outcome = search_channel(apart)
-                if outcome.best is not None and beats(apart, outcome.best, named, own):
+                if outcome.best is not None and beats(apart, outcome.best, beside.square, own):
                     self.effects, self._dropped = others, replaced
                     return outcome
             if not is_open:
@@ -431,5 +428,5 @@ def _is_determined(
     Sharp forms in a few samples gain evidence with an amplitude that is anything. `shapes_held`:
     the amplitude of a power or a hinge is told only together with its place.
     """
-    estimate, index = estimate_parameters(comparison, effects), list(effects).index(law)
-    return estimate.amplitude_deviations(index, shapes_held=shapes_held) >= CONFIRMED_DEVIATIONS
+    estimate = estimate_parameters(comparison, effects, shapes_held=shapes_held)
+    return estimate.amplitude_deviations(list(effects).index(law)) >= CONFIRMED_DEVIATIONS

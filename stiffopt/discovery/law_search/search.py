@@ -250,10 +250,11 @@ def beats(
     Likelier than the findings and all their rivals, by the odds that tell these apart: nature
     follows formulas nearly, those of the catalogue and of laws alike, and each is one of as many as
     there are, of laws more. A law that is the findings' function in other words is not likelier, of
-    however few parameters.
+    however few parameters; values of single runs are no function.
     """
     left, own = channel.square - best.fit.removed, best.law
-    if named - left < SAME_FUNCTION**2 * (channel.square - left):
+    is_function = not _count_run_values(findings)
+    if is_function and named - left < SAME_FUNCTION**2 * (channel.square - left):
         return False
     odds = _log_odds(channel, left, named, findings, own.parameter_count)
     prior = min(own.log_prior(channel.comparison.robot.n), -float(np.log(len(CATALOGUE))))
@@ -263,6 +264,12 @@ def beats(
 def _parameter_count(findings: Sequence[Selected]) -> int:
     found = [each.located for each in findings]
     return sum(len(e.effect.amplitudes) + len(e.shapes) for e in found)
+
+
+def _count_run_values(findings: Sequence[Selected]) -> int:
+    """Return the number of values that differ from run to run."""
+    found = [each.located.effect for each in findings]
+    return sum(len(e.amplitudes) for e in found if e.of_runs is not None)
 
 
 def _gain(channel: OpenChannel, before: float, after: float) -> float:
@@ -281,7 +288,10 @@ def _log_odds(
     """Return the log odds of a law that leaves some squares over findings and their rivals."""
     fewer = _parameter_count(findings) - parameters
     width = tempering_width(_gain(channel, channel.square, left))
-    ahead = _gain(channel, named, left) / width + PARAMETER_LOG_PRICE * fewer
+    # Values of single runs are random: their likelihood is that of their spread.
+    values = _count_run_values(findings)
+    spread = 0.5 * values * np.log1p(max(channel.square - named, 0.0) / max(values, 1))
+    ahead = (_gain(channel, named, left) + spread) / width + PARAMETER_LOG_PRICE * fewer
     among_rivals = sum(float(np.log(each.probability)) for each in findings)
     return float(ahead + among_rivals + len(findings) * np.log(len(CATALOGUE)))
 

@@ -137,18 +137,13 @@ class Estimate:
             chances.append(min(_jackknife_p_value(values, *way) for way in ways if way[1] > 1))
         return max(chances)
 
-    def amplitude_deviations(self, index: int, *, shapes_held: bool = False) -> float:
+    def amplitude_deviations(self, index: int) -> float:
         """Return the largest ratio of an amplitude to its standard deviation, all else free."""
         rows, _ = self._parameter_rows(index)
-        k = len(self.sizes[index])
-        known = [
-            each[np.ix_(rows, rows)]
-            for each in (self.covariance, self.spread, self._between_runs(index))
-        ]
-        if shapes_held:
-            known = [_conditional_covariance(each, k) for each in known]
-        sd = np.sqrt(np.max([np.diag(each)[:k] for each in known], axis=0))
-        return float(np.max(np.abs(self.values[rows[:k]]) / np.maximum(sd, 1e-300)))
+        own = rows[: len(self.sizes[index])]
+        known = (self.covariance, self.spread, self._between_runs(index))
+        sd = np.sqrt(np.max([np.diag(each)[own] for each in known], axis=0))
+        return float(np.max(np.abs(self.values[own]) / np.maximum(sd, 1e-300)))
 
     def min_deviations(self, index: int) -> float:
         """Return the least significance of one effect over all covariance estimates [sigma].
@@ -227,18 +222,21 @@ class Estimate:
         return rows, np.concatenate([self.sizes[index], self.shape_sizes[index]])
 
 
-def estimate_parameters(comparison: Comparison, effects: Sequence[LocatedEffect]) -> Estimate:
+def estimate_parameters(
+    comparison: Comparison, effects: Sequence[LocatedEffect], *, shapes_held: bool = False
+) -> Estimate:
     """Fit nominal values and effects together and estimate their covariance.
 
     `comparison`: with the noise estimated beside the effects. `effects`: with fitted shapes.
 
-    Shapes are linearised numerically about their fitted values.
+    Shapes are linearised numerically about their fitted values, if they are not held there.
     """
     fit = comparison.fit(effects)
     names, prior_sd = comparison.priors
     sizes = tuple(e.sizes(comparison.constants) for e in effects)
     scaled = fit.amplitudes()
-    shape_sizes = tuple(np.array([abs(v) if v else 1.0 for v in e.shapes]) for e in effects)
+    free = [() if shapes_held else e.shapes for e in effects]
+    shape_sizes = tuple(np.array([abs(v) if v else 1.0 for v in own]) for own in free)
     slopes, begin = [], 0
     for located, steps in zip(effects, shape_sizes, strict=True):
         amplitudes = scaled[begin : begin + len(located.effect.amplitudes)]
