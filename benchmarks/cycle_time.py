@@ -86,6 +86,9 @@ def _largest(found: Iterable[CompensatedMotion]) -> Errors:
 
 # Factor from one duration to the next at which S-curves are tried, and the longest over the first.
 _SLOWING_STEP, _MAX_SLOWING = 1.05, 4.0
+# Durations are left out at which the error in flight, by its fall with the square of the duration,
+# would exceed the allowed one by more than this factor, which stands for what rings in it.
+_FLIGHT_MARGIN = 1.2
 
 
 def led_s_curves(
@@ -112,7 +115,9 @@ def led_s_curves(
             if planned.duration >= longest:
                 errors = np.inf, np.inf
                 break
-            planned = planned.slowed_to(problem, _SLOWING_STEP * planned.duration)
+            least = np.sqrt(errors[0] / allowed[0] / _FLIGHT_MARGIN)
+            slower = max(_SLOWING_STEP, float(least)) * planned.duration
+            planned = planned.slowed_to(problem, min(slower, longest))
         kept = not own.excess and np.isfinite(errors[0])
         lasted.append(float(own.motion.time[-1]) if kept else np.inf)
         found.append(report)

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
     import numpy as np
 
+    from stiffopt.elastic.servo import Servo
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.recipe.stored_result import StoredResult
     from stiffopt.robot.robot import Robot
@@ -82,7 +83,9 @@ def simulate(
     band
         Settling band: largest deviation of a settled tool.
     bandwidth
-        Bandwidth of a position loop [Hz]; default: motors follow exactly.
+        Bandwidth of a position loop [Hz] in place of that of the problem, at its rate of
+        set-points, which are sent ahead by the dead time that the problem's loop has; default: the
+        problem's loop.
     feed_forward
         Velocity feedforward of the loop, 0 to 1.
     delay
@@ -132,6 +135,7 @@ def simulate(
             result, out or result, problem, servo=servo, band=settled, damping=damping
         )
     stored = _stored_on_model(read_result(result, problem, changes, _with_model), model, effects)
+    servo = _at_rate_of(stored.problem, servo)
     if changes and stored.command is None:
         raise InputError(
             f"--set {shortened(changes[0])}: uncertainties apply to a command, and {result} has no "
@@ -181,7 +185,14 @@ def _stored_on_model(
     return replace(stored, problem=_with_model(stored.problem, model, effects))
 
 
-def _simulate_cycle(result: Path, folder: Path, problem: Path | None, **settings: Any) -> int:
+def _at_rate_of(problem: TrajectoryProblem, servo: Servo | None) -> Servo | None:
+    """Return a given position loop with set-points at the rate of a problem's."""
+    return None if servo is None else replace(servo, rate=problem.servo.rate)
+
+
+def _simulate_cycle(
+    result: Path, folder: Path, problem: Path | None, *, servo: Servo | None, **settings: Any
+) -> int:
     """Simulate the commands of a solved cycle with other settings, and write what it found."""
     import numpy as np
 
@@ -206,7 +217,8 @@ def _simulate_cycle(result: Path, folder: Path, problem: Path | None, **settings
     for plan, leg in zip(plans, document["legs"], strict=True):
         plan.duration = leg["arrival"] - leg["start"]
     rests = np.array([leg["dwell"] for leg in document["legs"]])
-    found = simulate_motions(cycle, commands, plans, rests, **settings)
+    servo = _at_rate_of(cycle.first, servo)
+    found = simulate_motions(cycle, commands, plans, rests, servo=servo, **settings)
     with output_folder(folder, "simulate", of="solve") as stage:
         written = write_cycle_simulation(found, stage)
     print_simulated_cycle(cycle, found)

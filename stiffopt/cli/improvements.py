@@ -77,7 +77,7 @@ def improve(
     else:
         settings, arm = None, load_robot(str(robot), changes=changes)
     read = read_timed_motion(motion, arm, rate)
-    given = GivenMotion(read.time, read.position, read.velocity)
+    given = GivenMotion(read.time, read.position, read.velocity, read.acceleration)
     maybe = (COMMAND_FILE, TRAJECTORY_FILE)
     with output_folder(folder, "improve", maybe=maybe) as stage:
         found = improve_motion(arm, given, retime=retime, settings=settings)

@@ -159,7 +159,8 @@ class CommandSearch:
         if servo is None:
             self._worst = problem.uncertainty.worst_servo(problem.servo)
         self._led = led or problem.led_servo
-        self._ahead = (servo or self._led).dead_time
+        # Whatever loop follows them.
+        self._ahead = self._led.dead_time
         self._many = UncertainArms(arm, self._plan, self._servo, self._worst, self._ahead)
         self._loads: WeakKeyDictionary[JointMotion, np.ndarray] = WeakKeyDictionary()
         self._nominal = Departure.none(arm.robot.n)

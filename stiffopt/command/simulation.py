@@ -184,14 +184,15 @@ def simulate_motions(
 ) -> Simulation:
     """Simulate motions of a problem, the optimised one first, with a settling band [m].
 
-    `servo` defaults to the problem's. Raises `NotSimulatedError`.
+    `servo` defaults to the problem's, whose known dead time all motions are sent ahead. Raises
+    `NotSimulatedError`.
     """
     terms = problem.objectives
     part = terms[0].kind.deflection_part if len(terms) == 1 else ""
-    found, servo = [], servo or problem.servo
+    found, servo, ahead = [], servo or problem.servo, problem.led_servo.dead_time
     for each in motions:
         command, plan = each.followed, each.planned_path
-        simulated = simulate(arm, command, servo=servo, ahead=servo.dead_time, band=band, plan=plan)
+        simulated = simulate(arm, command, servo=servo, ahead=ahead, band=band, plan=plan)
         minimised = None
         if part:
             same = simulated if servo.follows_exactly else simulate(arm, command)

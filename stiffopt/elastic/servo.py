@@ -89,7 +89,7 @@ _LEAD_DECAY_CONSTANTS = 14.0
 # Lead [rad] and its rate [rad/s] at which a command ends.
 MAX_LEAD_AT_END = (1e-8, 5e-7)
 _COMMAND_STRIDE = 4  # steps between the breaks of a leading command
-_STEPS_AT_ONCE = 8192  # of the servo's response
+_STEPS_AT_ONCE = 8192  # of the servo's response and its inverse; whole strides
 
 
 @dataclass(frozen=True)
@@ -251,29 +251,36 @@ class Servo:
         decay = _LEAD_DECAY_CONSTANTS * max(forward / gain, 1.0 / inner) + delay
         count = int(np.ceil((motors.duration + decay) / (_COMMAND_STRIDE * SAMPLE_INTERVAL)))
         times = np.linspace(0.0, motors.duration + decay, _COMMAND_STRIDE * count + 1)
-        plan, late = _hold_at_ends(motors, times, 4), _hold_at_ends(motors, times - delay, 2)
-        force, rate = (
-            (1.0 - torque) * plan[2 + k]
-            + inner * (1.0 - forward) * plan[1 + k]
-            + inner * gain * (late[k] - plan[k])
-            for k in range(2)
-        )
         matrix = np.array([[0.0, 1.0], [-inner * gain / torque, -inner * forward / torque]])
         step_state, first, second = _linear_hold(matrix, times[1])
-        state = np.zeros((len(times), 2, force.shape[1]))
-        driven = (first * force[:-1, None] + second * force[1:, None]) / torque
-        state[1:] = _recur_linearly(step_state, driven, state[0])
-        lead = np.stack([state[:, 0], state[:, 1], np.zeros_like(force), np.zeros_like(force)])
-        lead[2] = (force - inner * forward * lead[1] - inner * gain * lead[0]) / torque
-        lead[3] = (rate - inner * forward * lead[2] - inner * gain * lead[1]) / torque
-        # Until the lead has decayed: a jump to the end would have any jerk.
-        large = np.abs(lead[:2]) > np.reshape(MAX_LEAD_AT_END, (2, 1, 1))
-        last = np.flatnonzero(large.any(axis=(0, 2)) | (times < motors.duration))[-1] + 1
-        last = min(_COMMAND_STRIDE * -(-last // _COMMAND_STRIDE), len(times) - 1)
-        at = slice(None, last + 1, _COMMAND_STRIDE)
+        state, places, last = np.zeros((1, 2, motors.joints)), [], 0
+        for begin in range(0, len(times) - 1, _STEPS_AT_ONCE):
+            own = times[begin : begin + _STEPS_AT_ONCE + 1]
+            plan, late = _hold_at_ends(motors, own, 4), _hold_at_ends(motors, own - delay, 2)
+            force, rate = (
+                (1.0 - torque) * plan[2 + k]
+                + inner * (1.0 - forward) * plan[1 + k]
+                + inner * gain * (late[k] - plan[k])
+                for k in range(2)
+            )
+            driven = (first * force[:-1, None] + second * force[1:, None]) / torque
+            state = np.concatenate([state[-1:], _recur_linearly(step_state, driven, state[-1])])
+            lead = np.stack([state[:, 0], state[:, 1], np.zeros_like(force), np.zeros_like(force)])
+            lead[2] = (force - inner * forward * lead[1] - inner * gain * lead[0]) / torque
+            lead[3] = (rate - inner * forward * lead[2] - inner * gain * lead[1]) / torque
+            # Until the lead has decayed: a jump to the end would have any jerk.
+            large = np.abs(lead[:2]) > np.reshape(MAX_LEAD_AT_END, (2, 1, 1))
+            late_rows = np.flatnonzero(large.any(axis=(0, 2)) | (own < motors.duration))
+            last = begin + int(late_rows[-1]) if late_rows.size else last
+            # The last row of a block is the first one of the next.
+            places.append((plan + lead)[:, bool(begin) * _COMMAND_STRIDE :: _COMMAND_STRIDE])
+        last = min(_COMMAND_STRIDE * -(-(last + 1) // _COMMAND_STRIDE), len(times) - 1)
         link = motors.link or motors
         held = link.held_for(float(times[last]) - link.duration)
-        return Trajectory.through(times[at], plan[:, at] + lead[:, at], held)
+        kept = slice(None, last // _COMMAND_STRIDE + 1)
+        return Trajectory.through(
+            times[::_COMMAND_STRIDE][kept], np.concatenate(places, axis=1)[:, kept], held
+        )
 
 
 def _set_points(command: MotorMotion, sent: np.ndarray) -> list[np.ndarray]:

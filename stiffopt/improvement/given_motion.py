@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from math import factorial
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline, CubicSpline
+from scipy.interpolate import BPoly, CubicHermiteSpline, CubicSpline, PPoly
 
 from stiffopt.elastic.smooth_motion import smooth_motion
 from stiffopt.errors import ProblemError
@@ -31,9 +33,9 @@ _MAX_END_SHARE = 0.2
 _LEAST_SPEED_SHARE = 0.02
 # Shortest rest within a motion at which it is divided [s].
 _MIN_DWELL = 0.1
-# Jumps of the acceleration between rows over its changes from row to row, below which velocities
-# are the derivatives of the positions: a few hundredths if so, 1 and more of measured ones.
-_MAX_JUMP_SHARE = 0.3
+# Change of a value from row to row less that by the mean of its rates, over that by the change of
+# its rates, below which the rates are its derivatives: up to 0.03 if so, 0.3 and more if measured.
+_MAX_RATE_ERROR = 0.1
 # Joint deviation of the path from the smoothed motion [rad] or [m]: 10 um at 1 m.
 _PATH_TOLERANCE = 1e-5
 # Least number of instants at which arc length is integrated.
@@ -43,18 +45,27 @@ _MIN_ARC_SAMPLES = 4001
 class GivenMotion:
     """Motion through given rows, as a controller interpolates it, in rest before and after.
 
-    `time` (K,): from 0 [s]. `position` (K, n). `velocity` (K, n): cubic between rows with
-    velocities; else, and of samples, a cubic spline.
+    `time` (K,): from 0 [s]. `position`, `velocity` and `acceleration` (K, n): of degree 5 between
+    rows with accelerations, cubic between rows with velocities; else, and of samples, a cubic
+    spline.
     """
 
     def __init__(
-        self, time: np.ndarray, position: np.ndarray, velocity: np.ndarray | None = None
+        self,
+        time: np.ndarray,
+        position: np.ndarray,
+        velocity: np.ndarray | None = None,
+        acceleration: np.ndarray | None = None,
     ) -> None:
         self.times = np.asarray(time, dtype=float)
         exact = velocity is not None and are_derivatives(velocity, self.times, position)
         self._has_noise = self.is_sampled and not exact
+        self._spline: Callable[..., np.ndarray]
+        if velocity is not None and acceleration is not None:
+            rows = np.stack([position, velocity, acceleration], axis=1)
+            self._spline = PPoly.from_bernstein_basis(BPoly.from_derivatives(self.times, rows))
         # Of cubics between samples the acceleration jumps, in planned ones hardly, but in no time.
-        if velocity is None or self.is_sampled:
+        elif velocity is None or self.is_sampled:
             self._spline = CubicSpline(self.times, position, bc_type="clamped")
         else:
             self._spline = CubicHermiteSpline(self.times, position, velocity)
@@ -111,22 +122,28 @@ class GivenMotion:
     def _rms_residual(self, motion: JointMotion) -> float:
         return float(np.sqrt(np.mean((motion(self.times) - self(self.times)) ** 2)))
 
+    @cached_property
+    def plan(self) -> Trajectory:
+        """Given motion where it is planned as samples with their rates, else the smoothed one."""
+        if self._has_noise or not self.is_sampled:
+            return self.smoothed
+        rows = [self._spline(self.times[:-1], k) / factorial(k - 2) for k in range(2, 6)]
+        start, rest = self._spline(0.0), self._spline(0.0, 1)
+        return Trajectory.from_acceleration(self.times, np.stack(rows, axis=1), start, rest)
+
     @property
     def without_noise(self) -> JointMotion:
         """Given motion without the noise of samples, which planned ones with velocities lack."""
         return self.smoothed if self._has_noise else self
 
 
-def are_derivatives(velocity: np.ndarray, time: np.ndarray, position: np.ndarray) -> bool:
-    """Return whether velocities (K, n) are exact derivatives of positions (K, n).
-
-    The acceleration of the cubics between rows is then nearly continuous.
-    """
-    joined = CubicHermiteSpline(time, position, velocity)
-    begin = joined(time[:-1], 2)
-    change = joined(time[:-1], 3) * np.diff(time)[:, None]
-    jump = begin[1:] - (begin + change)[:-1]
-    return bool(np.linalg.norm(jump) <= _MAX_JUMP_SHARE * np.linalg.norm(change))
+def are_derivatives(rate: np.ndarray, time: np.ndarray, value: np.ndarray) -> bool:
+    """Return whether rates (K, n) are exact derivatives of values (K, n)."""
+    step = np.diff(time)[:, None]
+    missed = np.diff(value, axis=0) - 0.5 * step * (rate[1:] + rate[:-1])
+    return bool(
+        np.linalg.norm(missed) <= _MAX_RATE_ERROR * np.linalg.norm(step * np.diff(rate, axis=0))
+    )
 
 
 @dataclass(frozen=True, eq=False)

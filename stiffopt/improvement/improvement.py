@@ -150,9 +150,9 @@ def improve(
     tell("given motion")
     before = _assess_motion(problem, given.without_noise)
     margins: dict[str, float] = {}
-    plan, changed, compensation = given.smoothed, False, None
+    plan, changed, compensation = given.plan, False, None
     if retime or _violations(assess(problem, plan)):
-        plan, changed = _retimed(problem, given.smoothed, margins, retime), True
+        plan, changed = _retimed(problem, given.plan, margins, retime), True
     for _ in range(_MAX_BACK_OFFS):
         problem = problem_of_motion(robot, plan, problem)
         tell("command of the motors")
@@ -166,7 +166,7 @@ def improve(
                 over = min(each.value, _MAX_BACK_OFF)
                 left = (1.0 - margins.get(each.limit, 0.0)) / (1.0 + over)
                 margins[each.limit] = 1.0 - left * (1.0 - _BACK_OFF_EXTRA)
-        plan, changed = _retimed(problem, given.smoothed, margins, retime), True
+        plan, changed = _retimed(problem, given.plan, margins, retime), True
     improved = _assess_motion(problem, plan, simulated=False)
     return Improvement(
         problem=problem,

@@ -26,10 +26,11 @@ CURRENT_WORDS = ("current", "currents", "strom", "amps", "i")
 # Words that other signals of a joint share.
 _VAGUE_WORDS = ("axis", "joint", "a", "j", "state")
 _AMPERE_UNITS = ("a", "ma", "arms")
+_ACCELERATION_WORDS = ("acceleration", "accelerations", "accel", "acc", "qdd", "ddq")
 # With shares of a torque that models or observers compute; names of MuJoCo and libfranka.
 _OTHER_SIGNAL_WORDS = (
-    "temperature", "temp", "temperatur", "temperatures", "voltage", "voltages", "acceleration",
-    "accel", "acc", "qdd", "mode", "status", "error", "err", "ext", "external", "gravity",
+    *_ACCELERATION_WORDS, "temperature", "temp", "temperatur", "temperatures", "voltage",
+    "voltages", "mode", "status", "error", "err", "ext", "external", "gravity",
     "coriolis", "bias", "passive", "constraint", "applied", "contact",
 )  # fmt: skip
 # Words that make a kind together.
@@ -82,6 +83,13 @@ def command_columns(names: Sequence[str], joints: Sequence[str]) -> list[tuple[s
         if families := _column_families(candidates, joints):
             return families
     return []
+
+
+def acceleration_columns(names: Sequence[str], joints: Sequence[str]) -> tuple[str, ...]:
+    """Return the columns of accelerations, one a joint; none unless all joints have one."""
+    fitting = [name for name in names if set(split_words(name)) & set(_ACCELERATION_WORDS)]
+    found = _column_families(fitting, joints)
+    return found[0] if found and all(found[0]) else ()
 
 
 def split_words(name: str) -> list[str]:

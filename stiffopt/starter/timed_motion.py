@@ -15,7 +15,7 @@ from stiffopt.recording.readers.read import is_messages, read_tables
 from stiffopt.recording.run import counted
 from stiffopt.recording.signals import may_be_set_point
 from stiffopt.robot.robot import Robot
-from stiffopt.starter.column_names import columns_of_kind, stated_unit
+from stiffopt.starter.column_names import acceleration_columns, columns_of_kind, stated_unit
 from stiffopt.starter.guessing import (
     MIN_ROWS,
     SECONDS_PER_UNIT,
@@ -37,6 +37,7 @@ class TimedMotion:
     time: np.ndarray  # (K,) from 0, strictly increasing [s]
     position: np.ndarray  # (K, n) [rad], [m] of prismatic joints
     velocity: np.ndarray | None  # (K, n) of planned points; None where the file has none
+    acceleration: np.ndarray | None  # (K, n) as the velocity
     reasons: tuple[str, ...]  # how columns and units were chosen
 
 
@@ -61,24 +62,29 @@ def read_timed_motion(path: Path, robot: Robot, rate: float | None = None) -> Ti
     names = _position_columns(path, table, clock, robot)
     values = np.column_stack([table[name] for name in names])
     time = table[clock] * SECONDS_PER_UNIT[unit]
-    velocity = _velocities(table, names, robot)
+    velocity, acceleration = _rates(table, names, robot)
     # Loggers write a row twice; another position at the same instant is a fault.
     row = np.column_stack([time, values])
     new = np.append(True, (row[1:] != row[:-1]).any(axis=1))
     _check_rows(path, time, values, names, new)
-    time, values, velocity = time[new], values[new], None if velocity is None else velocity[new]
+    time, values = time[new], values[new]
     factor, told = _angle_factor(path, names, values, robot)
-    position = values * np.where(robot.prismatic, 1.0, factor)
+    factors = np.where(robot.prismatic, 1.0, factor)
+    position = values * factors
     if velocity is not None:
-        velocity = velocity * np.where(robot.prismatic, 1.0, factor)
+        velocity = velocity[new] * factors
         # Points of a joint trajectory may be too far apart to tell.
         is_planned = names[0] == f"position[{robot.joint_names[0]}]"
         if not is_planned and not are_derivatives(velocity, time, position):
             velocity = None
+    if acceleration is not None:
+        acceleration = acceleration[new] * factors
+        if velocity is None or not are_derivatives(acceleration, time, velocity):
+            acceleration = None
     reasons: tuple[str, ...] = (why, f"position: {', '.join(names)}; {told}")
     if not new.all():
         reasons += (f"{counted(int(np.sum(~new)), 'row')} that repeat the row before: left out",)
-    return _checked_motion(path, robot, time, position, velocity, reasons)
+    return _checked_motion(path, robot, time, (position, velocity, acceleration), reasons)
 
 
 def _read_table(path: Path, robot: Robot) -> Table:
@@ -157,27 +163,35 @@ def _angle_factor(
     return _RADIANS_PER_UNIT[unit], why
 
 
-def _velocities(
+def _rates(
     table: Mapping[str, np.ndarray], positions: Sequence[str], robot: Robot
-) -> np.ndarray | None:
-    """Return the velocities of set points if those are the positions, else measured ones."""
+) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Return velocities and accelerations of set points if those are the positions, else measured.
+
+    Accelerations without velocities are not looked for.
+    """
     planned = may_be_set_point(positions[0])
     names = [name for name in table if may_be_set_point(name) == planned]
     found = columns_of_kind(names, "velocity", robot.joint_names)
     if not found or not all(found[0]):
-        return None
-    return np.column_stack([table[name] for name in found[0]])
+        return None, None
+    velocity = np.column_stack([table[name] for name in found[0]])
+    twice = acceleration_columns(names, robot.joint_names)
+    return velocity, np.column_stack([table[name] for name in twice]) if twice else None
 
 
 def _checked_motion(
     path: Path,
     robot: Robot,
     time: np.ndarray,
-    position: np.ndarray,
-    velocity: np.ndarray | None,
+    rows: tuple[np.ndarray, np.ndarray | None, np.ndarray | None],
     reasons: tuple[str, ...],
 ) -> TimedMotion:
-    """Return the motion from its first to its last movement, checked for jumps."""
+    """Return the motion from its first to its last movement, checked for jumps.
+
+    `rows`: positions, velocities and accelerations (K, n).
+    """
+    position = rows[0]
     steps = np.abs(np.diff(position, axis=0))
     ratio = steps / np.diff(time)[:, None] / robot.velocity_max
     # Speed of a joint between two rows over its limit from which the file is wrong: a jump.
@@ -205,9 +219,11 @@ def _checked_motion(
     rest = time[moving[0]] - time[0], time[-1] - time[kept][-1]
     if max(rest) > 0.0:
         reasons += (f"rest of {rest[0]:.3g} s before and {rest[1]:.3g} s after it: left out",)
+    velocity, acceleration = (None if each is None else each[kept] for each in rows[1:])
     return TimedMotion(
         time=time[kept] - time[moving[0]],
         position=position[kept],
-        velocity=None if velocity is None else velocity[kept],
+        velocity=velocity,
+        acceleration=acceleration,
         reasons=reasons,
     )

@@ -92,8 +92,15 @@ def test_known_lag_and_dead_time_are_led_by_the_command(servo):
 def test_response_in_blocks_is_that_of_one(numbers, monkeypatch):
     command = MotorMotion.of(smooth())
     whole = Servo(*numbers).follow(command, 0.5, ahead=1e-3)
+    wholly_led = Servo(*numbers).lead(smooth())
     monkeypatch.setattr(servo_module, "_STEPS_AT_ONCE", 7)
     parts = Servo(*numbers).follow(command, 0.5, ahead=1e-3)
+    monkeypatch.setattr(servo_module, "_STEPS_AT_ONCE", 32)
+    led = Servo(*numbers).lead(smooth())
+    assert led.duration == wholly_led.duration
+    for order in range(4):
+        found, expected = (each(led.times, order) for each in (led, wholly_led))
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
     for order in (0, 1):
         found, expected = (each(whole.time, order) for each in (parts, whole))
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)

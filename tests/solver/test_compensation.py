@@ -20,9 +20,10 @@ from stiffopt.command.compensation import (
     judge_existing_command,
     rival_commands,
 )
-from stiffopt.command.simulation import PlannedMotion, elastic_arm
+from stiffopt.command.simulation import PlannedMotion, elastic_arm, simulate_motions
 from stiffopt.drivetrain.bearing import OutputBearing
-from stiffopt.elastic.servo import MAX_LEAD_AT_END
+from stiffopt.elastic.servo import MAX_LEAD_AT_END, Servo
+from stiffopt.elastic.simulate import simulate
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import RobotError
 from stiffopt.problem.motor_model import MotorLaw
@@ -222,6 +223,29 @@ def test_a_made_command_is_sent_as_early_whatever_uncertainty_it_is_judged_by(tm
         before, anew = (getattr(each.optimised.compensated, phase) for each in (same, other))
         assert anew.nominal == pytest.approx(before.nominal, rel=1e-9)
     assert other.optimised.compensated.flight.worst > same.optimised.compensated.flight.worst
+
+
+def test_motions_and_commands_are_sent_as_early_whatever_loop_follows_them(tmp_path):
+    """By the dead time of the problem's servo, as those of a cycle are."""
+    problem = load(tmp_path, extra="[servo]\nbandwidth = 20.0\ndelay = '2 ms'")
+    problem = replace(problem, uncertainty=Uncertainty(draws=50))
+    motion, later = planned(problem, 0.8), Servo(20.0, 1.0, 4e-3)
+    arm = elastic_arm(problem, motion.position[0])
+    (found,) = simulate_motions(problem, arm, [motion], servo=later).motions
+    alone = simulate(arm, motion.followed, servo=later, ahead=2e-3, plan=motion.planned_path)
+    np.testing.assert_allclose(found.simulated.position, alone.position, rtol=0, atol=1e-12)
+    (own,) = commands_on_arms(problem, arm, [motion])
+    made = ExistingCommand(own.motors, own.spacing, own.share, own.servo_share)
+    known, unknown = (
+        judge_existing_command(problem, arm, [motion], made, servo=each).optimised
+        for each in (problem.servo, later)
+    )
+    tool_speed = np.linalg.norm(np.diff(arm.tool(motion.position), axis=0), axis=1) / np.diff(
+        motion.time
+    )
+    # Sent by the loop's own dead time it would be 2 ms early.
+    early = unknown.compensated.flight.nominal - known.compensated.flight.nominal
+    assert early < 0.05 * 2e-3 * tool_speed.max()
 
 
 def test_rival_is_slowed_before_its_command_is_judged_on_drawn_arms(tmp_path, monkeypatch):

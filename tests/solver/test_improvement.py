@@ -95,9 +95,13 @@ def test_planned_samples_that_start_with_full_jerk_are_not_charged_with_a_smooth
     planned = GivenMotion(time, position, velocity)
     assert np.abs(planned.without_noise(grid, 3)).max() < 1.1 * 300.0
     assert np.abs(planned.smoothed(grid, 3)).max() > 1.5 * 300.0
+    acceleration = plan(time, 2)[:, None] * [1.0, -0.5]
+    exact = GivenMotion(time, position, velocity, acceleration).plan
+    assert np.abs(exact(grid, 3)).max() < 1.001 * 300.0
+    np.testing.assert_allclose(exact(grid)[:, 0], plan(grid), rtol=0, atol=1e-9)
     measured = velocity + np.random.default_rng(2).normal(0.0, 1e-2, velocity.shape)
     logged = GivenMotion(time, position, measured)
-    assert logged.without_noise is logged.smoothed
+    assert logged.without_noise is logged.plan is logged.smoothed
 
 
 @pytest.mark.slow

@@ -147,11 +147,14 @@ def test_velocities_of_a_table_are_taken_where_they_are_those_of_its_positions(a
     header = "t," + ",".join([*(f"q{j}" for j in range(1, 7)), *(f"qd{j}" for j in range(1, 7))])
     positions, velocities = START + shape[:, None] * travel, rate[:, None] * travel
     noise = np.random.default_rng(3).normal(0.0, 5e-3, velocities.shape)
-    for name, rates, taken in (
-        ("planned", velocities, True),
-        ("measured", velocities + noise, False),
-        ("other", np.degrees(velocities), False),
+    twice = (60 * time - 180 * time**2 + 120 * time**3)[:, None] * travel
+    header += "," + ",".join(f"qdd{j}" for j in range(1, 7))
+    for name, rates, accelerations, taken in (
+        ("planned", velocities, twice, (True, True)),
+        ("measured", velocities + noise, twice, (False, False)),
+        ("other", np.degrees(velocities), np.degrees(twice), (False, False)),
+        ("filtered", velocities, 0.8 * twice, (True, False)),
     ):
-        path = write_table(tmp_path / f"{name}.csv", header, time, positions, rates)
+        path = write_table(tmp_path / f"{name}.csv", header, time, positions, rates, accelerations)
         read = read_timed_motion(path, arm)
-        assert (read.velocity is not None) == taken, name
+        assert (read.velocity is not None, read.acceleration is not None) == taken, name
