@@ -162,12 +162,12 @@ def _reported_p_value(
 def decide_verdict(
     findings: tuple[Finding, ...],
     unexplained: Unexplained | None,
-    channels: Sequence[ChannelVerdict] = (),
+    channels: Sequence[ChannelVerdict],
 ) -> Verdict:
     """Return the verdict on the findings and on the residual that they leave.
 
-    Findings that are no more than possible leave the residual unexplained. A finding in one channel
-    does not answer for another in which none acts.
+    Findings that are no more than possible leave what nominal values within tolerance do not
+    explain. A finding in one channel does not answer for another in which none acts.
     """
     sure = any(finding.certainty != "possible" for finding in findings)
     hidden = any(each.verdict == "outside" and not each.acted_on for each in channels)
@@ -177,7 +177,8 @@ def decide_verdict(
     ):
         found = [each for each in findings if each.certainty != "possible"]
         return "law_found" if any(each.effect.family == LAW_FAMILY for each in found) else "named"
-    return "outside_catalogue" if findings or unexplained is not None else "nothing_missing"
+    missing = unexplained is not None or any(each.verdict != "nothing" for each in channels)
+    return "outside_catalogue" if missing else "nothing_missing"
 
 
 def describe_next_experiment(

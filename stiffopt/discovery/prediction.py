@@ -91,6 +91,7 @@ class Predictor:
         One at a time, since predictions of a long run need much memory.
         """
         stamps, time = self.run.stamps, self.nominal.time
+        recorded = self.run.recorded_stamps
         # Drive torque and motor minus link angle (K, n).
         channels: list[tuple[np.ndarray, np.ndarray]] = []
         for extensions in several:
@@ -105,7 +106,7 @@ class Predictor:
         while channels:
             drive, deflection = channels.pop(0)
             yield Prediction(
-                stamps=stamps,
+                stamps=stamps if recorded is None else recorded,
                 torque=interpolate_linear(time, drive, stamps),
                 link_position=self._position - interpolate_linear(time, deflection, stamps),
             )

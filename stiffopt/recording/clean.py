@@ -16,6 +16,7 @@ from stiffopt.recording.clock import (
     holds_rest_poses,
     read_clock,
     read_pose_rows,
+    without_jitter,
 )
 from stiffopt.recording.run import Fault, RecordedRun, Role, counted
 from stiffopt.recording.signals import KINDS, Kind, Signals
@@ -74,6 +75,8 @@ def clean_run(
             at_rest=True,
         )
     clock = read_clock(columns[signals.time], path, signals.time)
+    recorded = clock.stamps
+    clock = without_jitter(clock, np.column_stack([columns[name] for name in signals.position]))
     rows, stale = _remove_repeated_rows(columns, signals, clock)
     time = clock.stamps[rows]
     faults = [*clock.faults, *stale]
@@ -105,6 +108,7 @@ def clean_run(
     assert torque is not None
     return build_run(
         stamps=clock.stamps,
+        recorded_stamps=recorded,
         time=time,
         position=position,
         velocity=_none_if_empty(arrays["velocity"]),

@@ -70,7 +70,7 @@ class RecordedRun:
     session_time: float | None  # time since the robot was switched on [s]
     # (n,) temperature of the housings at the start of the run [degC].
     temperature: np.ndarray | None
-    stamps: np.ndarray  # (R,) every time stamp of the file [s]; predictions use these
+    stamps: np.ndarray  # (R,) instant of every row of the file [s]; predictions use these
     time: np.ndarray  # (K,) stamps of the usable samples, strictly increasing [s]
     position: np.ndarray  # (K, n) motor encoder through the ratio [rad]
     # (K, n) [rad/s], [rad]; None if no joint has that signal.
@@ -79,6 +79,8 @@ class RecordedRun:
     torque: np.ndarray  # (K, n) drive torque at the output side [N m]
     faults: tuple[Fault, ...]
     at_rest: bool = False  # each sample is a pose at rest, and time its number
+    # (R,) stamps of the file [s]; None where they are the instants.
+    recorded_stamps: np.ndarray | None = None
     # (K, n) commanded position, held until the next [rad]; None if no joint has one.
     command: np.ndarray | None = None
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +12,8 @@ from own_machines import GANTRY, SCARA, Log
 from test_sanity_gate import doubted
 
 from stiffopt.discovery.diagnose import diagnose
-from stiffopt.discovery.sanity.gate import _is_odd
+from stiffopt.discovery.sanity.gate import _is_odd, find_odd_runs
+from stiffopt.discovery.sanity.interpretations import Samples
 from stiffopt.report.diagnosis.sections import fault_lines
 from stiffopt.report.diagnosis.words import (
     headline,
@@ -128,3 +131,23 @@ def test_run_with_another_payload_is_doubted(tmp_path: Path) -> None:
     assert diagnosis.verdict == "outside_catalogue"
     assert all(each.certainty == "possible" for each in diagnosis.findings)
     assert "In run_2 the residual of the nominal model" in unexplained_sentence(diagnosis)
+
+
+@pytest.mark.parametrize("reverses", [True, False])
+def test_a_joint_that_moves_in_one_direction_alone_makes_no_run_odd(reverses: bool) -> None:
+    """Its torque varies by noise only: a large share of that is a small residual."""
+    rng, direction = np.random.default_rng(3), np.repeat([-1.0, 1.0], 10)[:, None]
+
+    def searched(friction: np.ndarray, share: float) -> tuple[Any, Any]:
+        torque = 2.5 * friction + rng.normal(0.0, 0.1, friction.shape)
+        speed = 0.1 * friction
+        samples = Samples(0.0 * speed, speed, 0.0 * speed, torque, ())
+        strict, motion = np.array([share]), SimpleNamespace(velocity=speed)
+        own = SimpleNamespace(strict=strict, samples=samples, motion=motion)
+        own.robot = SimpleNamespace(recordings=SimpleNamespace(signals=SimpleNamespace()))
+        own.robot.recordings.signals.commanded = False
+        return SimpleNamespace(name="run"), own
+
+    last = searched(direction if reverses else np.abs(direction), 0.33)
+    odd = find_odd_runs([searched(direction, 0.002), searched(direction, 0.001), last])
+    assert [each.search for each in odd] == ([last[1]] if reverses else [])

@@ -1,11 +1,14 @@
 """Every channel is judged by itself: a finding at one joint does not answer for another."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from stiffopt.discovery.conclusions import decide_verdict
 from stiffopt.discovery.diagnose import diagnose
+from stiffopt.discovery.judging.unexplained import ChannelVerdict
 from stiffopt.discovery.store import answer_document
 from stiffopt.report.diagnosis.page import write_diagnosis_report
 from stiffopt.report.diagnosis.sections import outside_lines
@@ -44,3 +47,14 @@ def test_findings_that_explain_all_leave_no_channel_open(tmp_path):
     verdicts = {each.channel: each.verdict for each in found.channel_verdicts}
     assert verdicts == {"torque_1": "nothing", "torque_2": "nothing", "torque_3": "named"}
     assert found.verdict == "named"
+
+
+@pytest.mark.parametrize(
+    ("outcome", "verdict"), [("nothing", "nothing_missing"), ("named", "outside_catalogue")]
+)
+def test_a_possible_finding_leaves_open_what_nominal_values_do_not_explain(outcome, verdict):
+    possible = SimpleNamespace(certainty="possible")
+    channel = ChannelVerdict(
+        channel="torque_1", verdict=outcome, before=1.0, after=1.0, acted_on=True
+    )
+    assert decide_verdict((possible,), None, (channel,)) == verdict

@@ -409,3 +409,23 @@ def test_missing_positions_are_reported_without_warnings(columns: Columns) -> No
     run = cleaned(columns)
     assert len(run.time) == 2470
     assert "no sample is a number" in run.faults[1].detail
+
+
+@pytest.mark.parametrize("evenly", [True, False])
+def test_stamps_that_jitter_are_told_from_samples_that_do(evenly: bool) -> None:
+    """Motion is smooth over the instants at which it was sampled, whatever a logger wrote."""
+    even, kept = 0.004 * np.arange(2000), np.ones(2000, dtype=bool)
+    kept[[500, 1201]] = False
+    kept[1500:1550] = False
+    stamps = even + 0.0006 * np.random.default_rng(5).uniform(-1.0, 1.0, len(even))
+    columns = {name: own[kept] for name, own in stamped(even if evenly else stamps).items()}
+    columns["t"] = stamps[kept]
+    run = cleaned(columns)
+    np.testing.assert_array_equal(run.recorded_stamps, stamps[kept])
+    if evenly:
+        (fault,) = (each for each in run.faults if each.kind == "jitter")
+        assert "even stamps" in fault.detail
+        assert np.std(run.time - even[kept]) < 0.2 * np.std(stamps - even)
+        np.testing.assert_array_equal(run.time, run.stamps)
+    else:
+        np.testing.assert_array_equal(run.time, stamps[kept])

@@ -21,6 +21,7 @@ from stiffopt.discovery.sanity.sensor_doubts import (
     doubt_repeated_torques,
     doubt_second_sensors,
 )
+from stiffopt.discovery.settings import MIN_MOVING_SPEED
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
 from stiffopt.recording.signals import is_set_point, may_be_set_point
@@ -351,17 +352,20 @@ def find_odd_runs(searches: Sequence[SingleRun]) -> list[OddRun]:
     """Find runs in which the nominal model fails while it holds in all others.
 
     Each run has separate friction, so that a cold arm is not odd. Of two runs the one that fits the
-    nominal model is trusted.
+    nominal model is trusted. A run whose residual is no larger than that of another fits as well,
+    however little its torque varies: a joint that moves in one direction alone leaves noise.
     """
     if len(searches) < 2:
         return []
     shares = np.array([search.strict for _, search in searches])
+    squares = shares * np.array([_moving_variances(search) for _, search in searches])
     found = []
     for k, (run, search) in enumerate(searches):
         rest = np.delete(shares, k, axis=0)
         known = np.isfinite(rest).any(axis=0)
         others = np.where(known, np.nanmax(np.where(np.isfinite(rest), rest, -1.0), axis=0), np.nan)
-        odd = _is_odd(shares[k], others)
+        larger = squares[k] > np.nan_to_num(np.delete(squares, k, axis=0)).max(axis=0)
+        odd = _is_odd(shares[k], others) & larger
         if odd.any():
             joints = tuple(int(j) for j in np.flatnonzero(odd))
             beside = [other.samples for _, other in searches if other is not search]
@@ -373,6 +377,14 @@ def find_odd_runs(searches: Sequence[SingleRun]) -> list[OddRun]:
             )
             found.append(OddRun(run, search, joints, shares[k], others, outside_range))
     return found
+
+
+def _moving_variances(search: Explanations) -> np.ndarray:
+    """Return the variance (n,) of each torque while its joint moves, 0 where it does not."""
+    moving = np.abs(search.motion.velocity) >= MIN_MOVING_SPEED
+    known = moving & np.isfinite(search.samples.torque)
+    pairs = zip(search.samples.torque.T, known.T, strict=True)
+    return np.array([own[rows].var() if rows.any() else 0.0 for own, rows in pairs])
 
 
 def _is_effect_of_all_runs(together: Explanations, odd: OddRun) -> bool:

@@ -81,6 +81,14 @@ class RigidStage:
         """True if any body is not held at the nominal model."""
         return any(width > BODY_WIDTHS[1] for width in self.widths)
 
+    def adopting(self, comparison: Comparison) -> RigidStage:
+        """Return the stage with the freedom of bodies that another model has."""
+        bodies = comparison.bodies
+        if bodies is None:
+            return replace(self, widths=())
+        widths = np.max(bodies / body_units(comparison.robot), axis=1)
+        return replace(self, widths=tuple(widths.tolist()))
+
     def bodies(self, comparison: Comparison) -> np.ndarray | None:
         """Return prior standard deviations of all inertial parameters (n, 10); None if held."""
         return _parameter_deviations(comparison, self.widths) if self.widths else None

@@ -278,8 +278,8 @@ class _Search:
     def _adopt_best_model(self) -> None:
         """Adopt a plainer model where it predicts stretches left out better than the effects."""
         calibrated = [each for each in self.effects if each.calibrated]
-        best = None if self.rigid is None else self.rigid.nearest
-        single = None if best is None else best.located
+        assert self.rigid is not None
+        single = None if self.rigid.nearest is None else self.rigid.nearest.located
         self.contenders = hold_tournament(self.current, calibrated, single, self.effects)
         winner = self.contenders[0]
         if winner.name == CATALOGUE_MODEL:
@@ -290,6 +290,7 @@ class _Search:
             # It stays a finding: of a free body nobody is told.
             bodies, effects = None, [*calibrated, *found]
         self.start = self.start.with_bodies(bodies)
+        self.rigid = self.rigid.adopting(self.start)
         self._fit(effects)
         ranked = rank_effects(self.current, self.effects, self.catalogue, self.tell, self.ranked)
         self._set_ranked((self.current, ranked))
