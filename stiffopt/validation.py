@@ -186,7 +186,9 @@ def _key_annotations(section: Any) -> dict[str, Any]:
     if not isinstance(section, type):
         return {}
     if issubclass(section, BaseModel):
-        return {name: field.annotation for name, field in section.model_fields.items()}
+        return {
+            field.alias or name: field.annotation for name, field in section.model_fields.items()
+        }
     return typing.get_type_hints(section) if dataclasses.is_dataclass(section) else {}
 
 

@@ -71,7 +71,7 @@ PROBLEMS = {
     ),
     "unknown section": (
         {"extra": "[paylod]\nmass = 1"},
-        ["paylod", "Did you mean 'payload'?"],
+        ["paylod", "Did you mean 'payload'?", "robot, schema, servo,"],
     ),
     "unknown key of a target": (
         {"start": "{ joint = [0, 0] }"},

@@ -176,6 +176,12 @@ def test_explain_names_the_range():
     assert any("[m], plausible 1e-05 to 0.5" in line for line in explain_key("clamp_length"))
 
 
+def test_explain_names_the_type_of_an_element():
+    lines = list(explain_key("prepressure"))
+    assert 'joint.element.prepressure (robot, type = "key")' in lines
+    assert 'joint.element.prepressure (robot, type = "gear_pair")' in lines
+
+
 ARM = """<robot name="r"><link name="base"/><link name="arm"><inertial><mass value="2"/>
 <inertia ixx="{ixx}" ixy="{ixy}" ixz="0" iyy="{iyy}" iyz="0" izz="{izz}"/></inertial></link>
 <joint name="turn" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>

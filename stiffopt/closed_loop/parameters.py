@@ -39,7 +39,7 @@ class Parameters:
     joints: tuple[str, ...]  # (n,) in the order of the robot
     # (p,) by parameter, then by joint; then of the bodies, body by body; of the physics; the delay.
     values: np.ndarray
-    lower_amplitudes: np.ndarray  # (m,) bounds of the values of the physics
+    amplitude_bounds: np.ndarray  # (m, 2) least and greatest values of the physics
 
     @property
     def n(self) -> int:
@@ -51,14 +51,15 @@ class Parameters:
         """Name and joint of every parameter; "" for all joints together."""
         own = [(name, joint) for name in JOINT_PARAMETERS for joint in self.joints]
         bodies = [(name, joint) for joint in self.joints for name in BODY_PARAMETERS]
-        return (*own, *bodies, *[(AMPLITUDES, "")] * len(self.lower_amplitudes), (DELAY, ""))
+        return (*own, *bodies, *[(AMPLITUDES, "")] * len(self.amplitude_bounds), (DELAY, ""))
 
     @property
-    def lower(self) -> np.ndarray:
-        """Lower bounds (p,)."""
-        found = [0.0 if name in _BOUNDED_PARAMETERS else -np.inf for name, _ in self.names]
-        found[self.amplitudes] = self.lower_amplitudes
-        return np.array(found)
+    def bounds(self) -> np.ndarray:
+        """Least and greatest values (p, 2)."""
+        least = [0.0 if name in _BOUNDED_PARAMETERS else -np.inf for name, _ in self.names]
+        found = np.column_stack([least, np.full(len(least), np.inf)])
+        found[self.amplitudes] = self.amplitude_bounds
+        return found
 
     def place(self, name: str) -> slice:
         """Return the places of a joint parameter."""
@@ -74,7 +75,7 @@ class Parameters:
     @property
     def amplitudes(self) -> slice:
         """Places of the values of the physics."""
-        return slice(self.bodies.stop, self.bodies.stop + len(self.lower_amplitudes))
+        return slice(self.bodies.stop, self.bodies.stop + len(self.amplitude_bounds))
 
     def body_places(self, name: str) -> slice:
         """Return the places (n,) of a body parameter, one a joint."""
@@ -102,9 +103,9 @@ class Parameters:
 
 
 def zero_parameters(
-    joints: tuple[str, ...], lower_amplitudes: np.ndarray | None = None
+    joints: tuple[str, ...], amplitude_bounds: np.ndarray | None = None
 ) -> Parameters:
     """Return parameters that are all zero; of a physics with bounds of its amplitudes."""
-    lower = np.zeros(0) if lower_amplitudes is None else lower_amplitudes
-    count = (len(JOINT_PARAMETERS) + len(BODY_PARAMETERS)) * len(joints) + len(lower) + 1
-    return Parameters(joints, np.zeros(count), lower)
+    bounds = np.zeros((0, 2)) if amplitude_bounds is None else amplitude_bounds
+    count = (len(JOINT_PARAMETERS) + len(BODY_PARAMETERS)) * len(joints) + len(bounds) + 1
+    return Parameters(joints, np.zeros(count), bounds)

@@ -45,7 +45,7 @@ class Amplitudes:
     symbols: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
     values: np.ndarray = field(default_factory=lambda: np.zeros(0))  # to begin with
     deviations: np.ndarray = field(default_factory=lambda: np.zeros(0))  # before the fit
-    lower: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    bounds: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))  # (m, 2)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -165,14 +165,14 @@ def score_amplitudes(
     cause.
     """
     own = loop.physics.amplitudes
-    more = len(own.values) - len(fitted.parameters.lower_amplitudes)
+    more = len(own.values) - len(fitted.parameters.amplitude_bounds)
 
     def extended(values: np.ndarray, added: np.ndarray) -> np.ndarray:
         return np.concatenate([values[:-1], added, values[-1:]])
 
     def with_none(known: Parameters) -> Parameters:
         values = extended(known.values, np.zeros(more))
-        return replace(known, values=values, lower_amplitudes=own.lower)
+        return replace(known, values=values, amplitude_bounds=own.bounds)
 
     deviations = extended(fitted.expected_deviations, own.deviations[len(own.values) - more :])
     fit = _Fit(loop, _begin_runs(runs), with_none(fitted.expected), deviations)
@@ -290,7 +290,8 @@ class _Fit:
             moved = -inverse @ right
             gain = 0.5 * float(-moved @ right)
             amplitudes = moved * self._size[new[group]]
-            if (amplitudes < parameters.lower_amplitudes[-more:][group]).any():
+            least, greatest = parameters.amplitude_bounds[-more:][group].T
+            if (amplitudes < least).any() or (amplitudes > greatest).any():
                 found.append(None)
                 continue
             found.append(
@@ -446,13 +447,14 @@ class _Fit:
     ) -> Parameters:
         """Return the parameters after one bounded step."""
         factor = np.linalg.cholesky(hessian + damping * np.diag(np.diag(hessian)))
-        lower = (parameters.lower - parameters.values)[self.places] / self._size
+        bounds = parameters.bounds
+        left = (bounds - parameters.values[:, None])[self.places] / self._size[:, None]
         found = lsq_linear(
             factor.T,
             -np.linalg.solve(factor, gradient),
-            (np.minimum(lower, -1e-12), np.full(len(lower), np.inf)),
+            (np.minimum(left[:, 0], -1e-12), np.maximum(left[:, 1], 1e-12)),
             method="bvls",
         )
         values = parameters.values.copy()
         values[self.places] += self._size * found.x
-        return replace(parameters, values=np.maximum(values, parameters.lower))
+        return replace(parameters, values=np.clip(values, *bounds.T))

@@ -14,12 +14,14 @@ from stiffopt.contact.surface import LOWEST_PRESSURE, SurfacePair
 from stiffopt.contact.surrogate import ContactLaw, LawName, contact_law
 from stiffopt.declaration import (
     DETAIL,
+    NOT_NEGATIVE,
     PART,
     POSITIVE,
     Angle,
     Bounds,
     Doc,
     Length,
+    Pressure,
     Ratio,
     WidthStiffness,
 )
@@ -34,10 +36,9 @@ class GearPair(ContactConnection):
     """Spur gears, referred to the shaft of the first one.
 
     Each of the `contact_ratio` tooth pairs in mesh carries an equal share of the normal force T/r_b
-    on a Hertz strip of area A_H; its rough surfaces give k_n(p) A_H [r_b^2 + kappa (r sin alpha)^2]
-    with p the mean pressure on the strip. Tooth bending acts in series. Rough-contact stiffness
-    vanishes at zero torque (no prepressure), so the smoothed wind-up near zero depends on the
-    smoothing width. Backlash is not included.
+    on a Hertz strip of area A_H, beside the force that presses the flanks without torque; its rough
+    surfaces give k_n(p) A_H [r_b^2 + kappa (r sin alpha)^2] with p the mean pressure on the strip.
+    Tooth bending acts in series. Backlash is not included.
     """
 
     kind: ClassVar[str] = "gear_pair"
@@ -46,6 +47,14 @@ class GearPair(ContactConnection):
     teeth_driven: Annotated[int, POSITIVE, Doc("Teeth of the second gear.")]
     face_width: Annotated[Length, PART, Doc("Width of the teeth in mesh.")]
     surface: Annotated[SurfacePair, Doc("Pair of surfaces of the flanks.")]
+    prepressure: Annotated[
+        Pressure,
+        NOT_NEGATIVE,
+        Doc(
+            "Mean pressure p0 of the flanks without torque, as by the drag of what they drive. At "
+            "0 the exact compliance is infinite at zero torque."
+        ),
+    ] = LOWEST_PRESSURE
     pressure_angle: Annotated[
         Angle, Bounds(above=0.0, below=math.pi / 4), Doc("Pressure angle alpha.")
     ] = math.pi / 9
@@ -95,21 +104,25 @@ class GearPair(ContactConnection):
     def pressure(self, torque: Quantity) -> Quantity:
         """Return the mean pressure on the strip of one tooth pair [Pa]."""
         force = np.absolute(torque) / (self.base_radius * self.contact_ratio)
-        return mean_pressure(
-            force / self.face_width, self.flank_curvature_radius, self.surface.contact_modulus
+        line, radius = force / self.face_width, self.flank_curvature_radius
+        # The square of the pressure is proportional to the force.
+        return np.sqrt(
+            mean_pressure(line, radius, self.surface.contact_modulus) ** 2 + self.prepressure**2
         )
 
     def loading_windup(self, torque: Quantity, preload: Quantity) -> Quantity:
         """Return the wind-up of flanks and teeth [rad]."""
-        # p grows with sqrt(T) and so does the strip: dT/(k_n A_H) = 2 F/T dp/k_n, F/T constant.
-        approach = self.law.approach(0.0, self.pressure(torque))
+        # p grows with the root of the force and so does the strip: dT/(k_n A_H) = 2 dT/dF dp/k_n.
+        approach = self.law.approach(self.prepressure, self.pressure(torque))
         contact = 2 * self.base_radius / self._lever_square * approach
         return contact + self._bending_compliance * torque
 
     def loading_compliance(self, torque: Quantity, preload: Quantity) -> Quantity:
         """Return the compliance of flanks and teeth [rad/(N m)]."""
         pressure = self.pressure(torque)
-        area = torque / (self.base_radius * self.contact_ratio) / pressure
+        area = self.face_width * strip_width(
+            pressure, self.flank_curvature_radius, self.surface.contact_modulus
+        )
         mesh = self.contact_ratio * self.law.stiffness(pressure) * area * self._lever_square
         return 1 / mesh + self._bending_compliance
 
@@ -122,3 +135,8 @@ def mean_pressure(
     F' [N/m], relative radius of curvature R [m], E* [Pa]: Johnson, Contact Mechanics (1985), 4.2.
     """
     return np.sqrt(math.pi * contact_modulus * force_per_length / (16 * radius))
+
+
+def strip_width(pressure: Quantity, radius: Quantity, contact_modulus: Quantity) -> Quantity:
+    """Width of the strip of a smooth line contact with a mean pressure [m], 16 R p/(pi E*)."""
+    return 16 * radius * pressure / (math.pi * contact_modulus)

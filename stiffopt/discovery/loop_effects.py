@@ -51,8 +51,8 @@ LOOP_VALUES = {
 # Deviation of a drive's limit before a fit, over the limit: what asks for more is seen at once.
 _LIMIT_DEVIATION = 0.2
 _SIGNAL_NAMES = tuple(each.name for each in fields(LoopSignals))
-# Name, symbol, value, deviation and lower bound.
-_Unknown = tuple[tuple[Any, int], ca.SX, float, float, float]
+# Name, symbol, value, deviation, least and greatest value.
+_Unknown = tuple[tuple[Any, int], ca.SX, float, float, float, float]
 
 
 def loop_parameter(entry: Effect) -> tuple[str, float] | None:
@@ -139,7 +139,7 @@ class _Instant:
             value = each.effect.parameters(each.amplitudes, each.shapes, constants)["limit"]
             self.limits[place] = ca.SX.sym("limit")
             deviation = _LIMIT_DEVIATION * value
-            self.unknown.append(((key, 0), self.limits[place], value, deviation, 0.0))
+            self.unknown.append(((key, 0), self.limits[place], value, deviation, 0.0, np.inf))
             return
         amplitudes, s = ca.SX.sym("amplitude", len(each.amplitudes)), self.symbols
         shapes = self._unknown_shapes(each) if with_shapes else {}
@@ -188,12 +188,12 @@ class _Instant:
         located, key = each.located, each.located.key
         sizes, bounds = located.sizes(self.constants), located.bounds(self.constants)
         for k, value in enumerate(each.amplitudes):
-            size, lower = float(sizes[k]), float(bounds[k, 0] * sizes[k])
-            yield (key, k), amplitudes[k], value, max(size, abs(value)), lower
+            size, (least, greatest) = float(sizes[k]), sizes[k] * bounds[k]
+            yield (key, k), amplitudes[k], value, max(size, abs(value)), least, greatest
         for k, shape in shapes.items():
             spread = 0.5 * float(np.ptp(located.starts(self.constants)[k]))
-            number, lower = len(each.amplitudes) + k, each.effect.shapes[k].lower
-            yield (key, number), shape, each.shapes[k], spread, lower
+            number, own = len(each.amplitudes) + k, each.effect.shapes[k]
+            yield (key, number), shape, each.shapes[k], spread, own.lower, own.upper
 
     def _add_torque(self, place: int, torque: ca.SX) -> None:
         """Add a torque; one that bends with the load takes the actuator's torque for it.
@@ -230,8 +230,8 @@ class _Instant:
             (found,) = ca.substitute([self.displacement], [s.position], [position])
             return found
 
-        names, symbols, *numbers = zip(*self.unknown, strict=True) if self.unknown else [()] * 5
-        begun, deviations, lower = (np.array(own, dtype=float) for own in numbers)
+        names, symbols, *numbers = zip(*self.unknown, strict=True) if self.unknown else [()] * 6
+        begun, deviations, least, greatest = (np.array(own, dtype=float) for own in numbers)
         return LoopPhysics(
             limits=self.limits,
             amplitudes=Amplitudes(
@@ -239,7 +239,7 @@ class _Instant:
                 symbols=ca.vertcat(ca.SX(0, 1), *symbols),
                 values=begun,
                 deviations=deviations,
-                lower=np.minimum(lower, begun),
+                bounds=np.column_stack([np.minimum(least, begun), np.maximum(greatest, begun)]),
             ),
             torque=added if _is_given(self.torque) else None,
             displacement=displaced if _is_given(self.displacement) else None,

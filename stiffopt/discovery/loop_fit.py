@@ -92,7 +92,7 @@ def nominal_parameters(
 ) -> Parameters:
     """Return friction, rotor inertia, delay and further physics as parameters of a closed loop."""
     amplitudes = (physics or LoopPhysics()).amplitudes
-    found = zero_parameters(robot.joint_names, amplitudes.lower)
+    found = zero_parameters(robot.joint_names, amplitudes.bounds)
     values = found.values
     values[found.amplitudes] = amplitudes.values
     for key, name in DRIVE_PARAMETERS.items():
@@ -122,7 +122,7 @@ def expect_parameters(
     position = np.vstack([run.position for run in runs])
     stroke = np.maximum(np.nanmax(position, axis=0) - np.nanmin(position, axis=0), 1e-6)
     inertia = _joint_inertias(robot, loop.middle)
-    found = zero_parameters(robot.joint_names, prior.lower_amplitudes)
+    found = zero_parameters(robot.joint_names, prior.amplitude_bounds)
     size = found.values
     size[found.amplitudes] = loop.physics.amplitudes.deviations
     for name, value in {

@@ -122,7 +122,7 @@ def fit_positions(
         for name in DRIVE_PARAMETERS.values():
             place = begun.place(name)
             begun.values[place] = np.where(unscaled, estimated.of(name), begun.of(name))
-    begun.values[:] = np.maximum(begun.values, begun.lower)
+    begun.values[:] = np.clip(begun.values, *begun.bounds.T)
     found = fit_loop(recordings, runs, begun, say, tree=robot.tree, physics=physics)
     if found is None:
         return None
@@ -281,20 +281,21 @@ def read_model(recordings: RecordingSet, model: ExtendedModel) -> ClosedLoopMode
     law = ActuatorLaw(delay=section.delay, **lists)
     inside = law.reordered(back)
     known = recordings.with_actuator(law)
-    none = zero_parameters(recordings.robot.joint_names, physics.amplitudes.lower)
+    none = zero_parameters(recordings.robot.joint_names, physics.amplitudes.bounds)
     fitted, spread = (
         _read_parameters(getattr(section, key), f"closed_loop.{key}", none, back)
         for key in ("values", "deviations")
     )
     wrong = ~np.isfinite(fitted.values)
     # The delay of all joints together may lie before one that a joint has of its own.
-    wrong[:-1] |= (fitted.values < fitted.lower)[:-1]
+    least, greatest = fitted.bounds.T
+    wrong[:-1] |= ((fitted.values < least) | (fitted.values > greatest))[:-1]
     if wrong.any():
         name, _ = fitted.names[int(np.argmax(wrong))]
-        value, least = fitted.values[wrong][0], fitted.lower[wrong][0]
+        value, low, high = (own[wrong][0] for own in (fitted.values, least, greatest))
         raise InputError(
-            f"closed_loop.values.{name} has {value:.4g}: finite numbers from {least:g} on are"
-            " allowed. Diagnose the recordings again."
+            f"closed_loop.values.{name} has {value:.4g}: finite numbers from {low:g} to {high:g}"
+            " are allowed. Diagnose the recordings again."
         )
     return ClosedLoopModel(
         nominal_loop=CommandedArm(recordings.robot.tree, inside, middle),
@@ -311,7 +312,7 @@ def _read_parameters(
     """Return the parameters of a table in the joint order of the robot; `none`: all zero."""
     found = replace(none, values=none.values.copy())
     sizes = {**dict.fromkeys((*JOINT_PARAMETERS, *BODY_PARAMETERS), none.n), DELAY: 1}
-    sizes[AMPLITUDES] = len(none.lower_amplitudes)
+    sizes[AMPLITUDES] = len(none.amplitude_bounds)
     for name in {**sizes, **table}:
         if name not in table or len(table[name]) != sizes.get(name):
             given = f"has {len(table[name])} numbers" if name in table else "is missing"

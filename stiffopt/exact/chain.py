@@ -129,7 +129,7 @@ def torque_shares(
     # At zero torque the split is by the tangent stiffnesses there.
     stiffness = [1.0 / stage_compliance(s, np.zeros(1), preloads) for s in stages]
     at_rest = np.array([float(k[0]) for k in stiffness])
-    shares = [np.full_like(size, k / at_rest.sum()) for k in at_rest]
+    shares = [np.full_like(size, part) for part in _split(at_rest)]
     loaded = size > 0.0
     if not loaded.any():
         return shares
@@ -139,7 +139,7 @@ def torque_shares(
     # at least its part, and nothing slips before all would.
     slip = np.array([stage_slip_torque(s, preloads) for s in stages])
     can_slip = bool(np.isfinite(slip).all())
-    split = slip / slip.sum() if can_slip else np.full(len(stages), 1.0 / len(stages))
+    split = _split(slip if can_slip else np.zeros(len(stages)))
     alone = np.min([stage_windup(s, whole, preloads) for s in stages], axis=0)
     together = np.max(
         [stage_windup(s, f * whole, preloads) for s, f in zip(stages, split, strict=True)], axis=0
@@ -169,6 +169,11 @@ def torque_shares(
     for share, part in zip(shares, carried, strict=True):
         share[loaded] = part / sum(carried)
     return shares
+
+
+def _split(weights: np.ndarray) -> np.ndarray:
+    """Return shares in proportion to weights; equal ones without any, as of open contacts."""
+    return weights / weights.sum() if weights.any() else np.full(len(weights), 1.0 / len(weights))
 
 
 def _torque_at_windup(

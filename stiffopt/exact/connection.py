@@ -173,8 +173,9 @@ def _gear_pair(element: Element, load: np.ndarray, _: float | None) -> np.ndarra
     sine, cosine = np.sin(element.pressure_angle), np.cos(element.pressure_angle)
     base, arm = first * cosine, first * sine
     curvature = first * second * sine / (first + second)
-    force = load / (base * pairs)
-    strip = 2.0 * np.sqrt(4.0 * force / width * curvature / (np.pi * surface.contact_modulus))
+    modulus = np.pi * surface.contact_modulus
+    force = load / (base * pairs) + 16.0 * curvature * width / modulus * element.prepressure**2
+    strip = 2.0 * np.sqrt(4.0 * force / width * curvature / modulus)
     area = strip * width
     some = area > 0.0
     pressure = np.where(some, force / np.where(some, area, 1.0), 0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import Counter
 from collections.abc import Mapping
@@ -12,7 +13,7 @@ import numpy as np
 from stiffopt.drivetrain import catalogue
 from stiffopt.errors import ProblemError
 from stiffopt.fastening.tightening import Tightening
-from stiffopt.preload.catalogue_designs import CatalogueDesign, catalogue_designs, way_cost
+from stiffopt.preload.catalogue_designs import CatalogueDesign, catalogue_designs
 from stiffopt.preload.catalogue_programme import ChoiceProgramme, choice_programme
 from stiffopt.preload.catalogue_search import (
     CombinationResult,
@@ -37,7 +38,7 @@ from stiffopt.preload.optimise import (
     optimise_preloads,
     with_worst_instants,
 )
-from stiffopt.preload.problem import Choice, PreloadProblem
+from stiffopt.preload.problem import PreloadProblem
 from stiffopt.preload.solution import PreloadSolution, evaluate_design
 from stiffopt.result.status import SolveStatus
 from stiffopt.robot.robot import Robot
@@ -89,40 +90,40 @@ def choose_design(
     if choose is None:
         raise ProblemError("No catalogue to choose from. Add [choose] with sizes or counts.")
     problem = replace(problem, individual=False)
+    methods, coatings = choose.methods or ("",), choose.coatings or ("",)
     found = []
-    for way, cost in ways_to_tighten(problem.tightening, choose):
+    for (i, method), (k, coating) in itertools.product(enumerate(methods), enumerate(coatings)):
+        way = _tightened(problem.tightening, method, coating)
         own = _choose_for_tightening(replace(problem, tightening=way), progress)
-        found.append((way, replace(own, cost=own.cost + cost)))
-    if len(found) == 1:
-        return found[0][1]
-    return _best_tightening_choice(problem, found)
-
-
-def _best_tightening_choice(
-    problem: PreloadProblem, found: list[tuple[Tightening, CatalogueChoice]]
-) -> CatalogueChoice:
-    """Return the best choice over the tightening methods, with the optimum of each."""
+        if choose.cost is not None:
+            own = replace(own, cost=own.cost + choose.cost.method * i + choose.cost.coating * k)
+        found.append((TighteningWay.of(way, coating, own), own))
+    ways = tuple(way for way, _ in found)
+    able = [each for each in found if each[1].status.usable]
+    if len(found) == 1 or not able:
+        return replace(found[-1][1], ways=ways if len(ways) > 1 else ())
     sign = -1.0 if problem.objective == "joint_stiffness" else 1.0
-    able = [(way, choice) for way, choice in found if choice.status.usable]
-    ways = tuple(
-        TighteningWay(
-            method=way.method,
-            friction=way.thread_friction,
-            friction_highest=way.friction_highest,
-            status=choice.status,
-            objective=choice.objective,
-            cost=choice.cost,
-        )
-        for way, choice in found
+    done, best = min(
+        able, key=lambda each: (each[1].cost if choose.cost else 0.0, sign * each[1].objective)
     )
-    if not able:
-        return replace(found[-1][1], ways=ways)
-    priced = problem.choose is not None and problem.choose.cost is not None
-    way, best = min(
-        able, key=lambda each: (each[1].cost if priced else 0.0, sign * each[1].objective)
-    )
-    text = f"Tightened by {way.method.replace('_', ' ')} at friction {way.thread_friction:g}. "
+    bolts = f", bolts {done.coating}" if done.coating else ""
+    text = f"Tightened by {done.method.replace('_', ' ')}{bolts} at friction {done.friction:g}. "
     return replace(best, ways=ways, message=text + best.message)
+
+
+def _tightened(tightening: Tightening, method: str, coating: str) -> Tightening:
+    """Return the tightening of a study with another method and coating; "" keeps its own."""
+    if method:
+        tightening = replace(tightening, method=method, scatter=None)  # type: ignore[arg-type]
+    if not coating:
+        return tightening
+    data = catalogue.coating(coating)
+    return replace(
+        tightening,
+        thread_friction=data.least,
+        head_friction=data.least,
+        friction_highest=data.largest,
+    )
 
 
 def _choose_for_tightening(
@@ -322,32 +323,22 @@ class TighteningWay:
     """Optimum for one method and coating; lowest and highest friction [-], cost in steps."""
 
     method: str
+    coating: str  # "" without a choice of coatings
     friction: float
     friction_highest: float | None
     status: SolveStatus
     objective: float
     cost: float = float("nan")
 
-
-def ways_to_tighten(tightening: Tightening, choose: Choice) -> list[tuple[Tightening, float]]:
-    """Return every combination of method and coating of the study with its cost in steps."""
-    methods = [
-        replace(tightening, method=method, scatter=None)  # type: ignore[arg-type]
-        for method in choose.methods
-    ] or [tightening]
-    coatings = [catalogue.coating(name) for name in choose.coatings]
-    if not coatings:
-        return [(method, way_cost(choose, i, 0)) for i, method in enumerate(methods)]
-    return [
-        (
-            replace(
-                method,
-                thread_friction=coating.least,
-                head_friction=coating.least,
-                friction_highest=coating.largest,
-            ),
-            way_cost(choose, i, k),
+    @classmethod
+    def of(cls, way: Tightening, coating: str, choice: CatalogueChoice) -> TighteningWay:
+        """Return the optimum of a study that is tightened in this way."""
+        return cls(
+            method=way.method,
+            coating=coating,
+            friction=way.thread_friction,
+            friction_highest=way.friction_highest,
+            status=choice.status,
+            objective=choice.objective,
+            cost=choice.cost,
         )
-        for i, method in enumerate(methods)
-        for k, coating in enumerate(coatings)
-    ]

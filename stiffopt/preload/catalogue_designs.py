@@ -29,16 +29,10 @@ from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.problem import Choice, FreeElement, PreloadProblem
 
 SLIP, LEAST, EMBEDDING = "slip safety", "least preload", "embedding loss"
-_REMEDY_BY_LIMIT = {
+# Remedies of the limits that are no row of VDI 2230 and no limit of the fastener.
+_CONNECTION_REMEDIES = {
     SLIP: "more friction, more or larger bolts, a larger circle, or less scatter",
     LEAST: "a smaller require.least_preload, or a smaller bolt",
-    "slip under the whole load": "more friction, more or larger bolts, or a larger circle",
-    "one-sided opening": "more or larger bolts, or a larger circle",
-    "working stress": "a larger bolt, a higher grade or less load",
-    "head pressure in service": "a harder part, a hard washer, or a larger bolt",
-    "alternating stress": "a larger bolt, more bolts, or threads rolled after heat treatment",
-    "bolt shear": "more or larger bolts, or a larger circle",
-    "hole bearing": "a thicker or harder part, or more bolts",
     EMBEDDING: "a larger clamp length, a larger torque, or smoother faces",
 }
 
@@ -61,6 +55,7 @@ class CatalogueDesign:
     limits: tuple[PreloadLimit, ...]
     # Of every limit of this connection, by name; above 1 if exceeded.
     utilisations: Mapping[str, float]
+    remedies: Mapping[str, str]  # by name of the limit: change of the design that relaxes it
     cost: float = 0.0  # in steps (`Choice.cost`)
     circle: float | None = None  # bolt circle diameter [m], if the study varies it
 
@@ -110,11 +105,6 @@ class CatalogueDesign:
             (float(lim.utilisation(self.preload)) for lim in self.limits if lim.depends_on_preload),
             default=0.0,
         )
-
-    def remedy(self, name: str) -> str:
-        """Return the change of the design that relaxes a limit."""
-        own = {limit.name: limit.remedy for limit in self.limits}
-        return own.get(name) or _REMEDY_BY_LIMIT[name]
 
 
 def catalogue_designs(
@@ -181,6 +171,8 @@ def _designs_by_torque(
         slip_safety(problem.requirements.slip_safety, cases, element.joint),
     )
     lever = workshop_torque(fastened, 1.0, tightening).nominal
+    remedies = _CONNECTION_REMEDIES | {limit.name: limit.remedy for limit in limits}
+    allowed = {"bolt utilisation": problem.requirements.bolt_utilisation}
     ends = [limit.capacity for limit in limits if limit.depends_on_preload]
     floor = problem.requirements.least_preload * min(ends)
     given = problem.choose.torques if problem.choose and fastened.kind == "bolted_flange" else ()
@@ -195,14 +187,14 @@ def _designs_by_torque(
         preload = float(torque) / lever
         least = preload / alpha - loss
         utilisations = {
-            limit.name: float(limit.utilisation(preload)) / _allowed_utilisation(problem, limit)
+            limit.name: float(limit.utilisation(preload)) / allowed.get(limit.name, 1.0)
             for limit in limits
         }
         utilisations[EMBEDDING] = loss * alpha / preload
         utilisations[SLIP] = _slip_utilisation(problem, element, stage, least, cases)
         utilisations[LEAST] = floor / preload
-        rows = vdi_rows(steps, preload) if steps is not None else ()
-        utilisations |= {row.kind: row.utilisation for row in rows if row.binding}
+        rows = [row for row in vdi_rows(steps, preload) if row.binding] if steps else []
+        utilisations |= {row.kind: row.utilisation for row in rows}
         yield CatalogueDesign(
             key=element.key,
             joint=element.joint,
@@ -215,6 +207,7 @@ def _designs_by_torque(
             stage=replace(stage, element=fastened.with_preload(preload)),
             limits=limits,
             utilisations=utilisations,
+            remedies=remedies | {row.kind: row.remedy for row in rows},
             cost=cost,
             circle=circle,
         )
@@ -227,11 +220,6 @@ def _size_and_grade(fastened: object) -> tuple[str, str]:
     assert isinstance(fastened, ClampingPins)
     assert fastened.screw is not None  # an element with torques has a screw
     return fastened.screw.size, ""
-
-
-def _allowed_utilisation(problem: PreloadProblem, limit: PreloadLimit) -> float:
-    bolt = limit.name == "bolt utilisation"
-    return problem.requirements.bolt_utilisation if bolt else 1.0
 
 
 def _slip_utilisation(
@@ -272,13 +260,6 @@ def design_cost(choose: Choice, stage: Stage, present: Stage) -> float:
     one += cost.washer * bolt.washer + cost.nut * bolt.nut
     moved = flange.circle_diameter != before.circle_diameter
     return flange.bolt_count * one + cost.circle * moved
-
-
-def way_cost(choose: Choice, method: int, coating: int) -> float:
-    """Return the cost of a tightening method and a coating by their list positions."""
-    if choose.cost is None:
-        return 0.0
-    return choose.cost.method * method + choose.cost.coating * coating
 
 
 def _position_in(among: Sequence[object], item: object) -> int:

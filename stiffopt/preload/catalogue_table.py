@@ -38,86 +38,67 @@ def best_torques(
     `designs`: feasible or not. `programme`: of the feasible designs; None if an element has none.
     `picks`: chosen design of each element among its feasible ones; None without a choice.
     """
-    rows = []
+    found = []
     for index, own in enumerate(designs):
         kept = [d for d in own if d.feasible]
+        chosen = None if picks is None else kept[picks[index]]
         for bolts in dict.fromkeys(d.bolts for d in own):
             kind = [d for d in own if d.bolts == bolts]
-            if programme is None or picks is None:
-                rows.append(_limit_row(kind))
-                continue
-            swaps = [
-                (_SwappedDesign(model, programme, picks, index, kept.index(d)), d)
-                for d in kind
-                if d.feasible
-            ]
-            rows.append(_study_row(kind, swaps, kept[picks[index]]))
-    return tuple(rows)
+            best, objective, stopper = _nearest_design(kind), float("nan"), None
+            if programme is not None and picks is not None and any(d.feasible for d in kind):
+                swaps = [
+                    (*_swap_design(model, programme, picks, index, kept.index(d)), d)
+                    for d in kind
+                    if d.feasible
+                ]
+                _, objective, stopper, best = _best_swap(swaps, chosen)
+            found.append(
+                TableRow(
+                    design=best,
+                    objective=objective,
+                    stopper=best.stopper if stopper is None else stopper,
+                    utilisation=max(best.utilisations.values()),
+                    torques=len(kind),
+                    chosen=best is chosen,
+                )
+            )
+    return tuple(found)
 
 
-class _SwappedDesign:
-    """Chosen combination with the design of one element replaced."""
-
-    def __init__(
-        self,
-        model: PreloadModel,
-        programme: ChoiceProgramme,
-        picks: tuple[int, ...],
-        index: int,
-        position: int,
-    ) -> None:
-        swapped = (*picks[:index], position, *picks[index + 1 :])
-        amounts = programme.amounts(swapped)
-        over = np.where(amounts > programme.ends, amounts / programme.cap, 0.0)
-        self.stopper = programme.names[int(np.argmax(over))] if over.any() else ""
-        peaked = amounts * programme.weight
-        if model.problem.objective == "total_preload":
-            total = sum(c[i] for c, i in zip(programme.cost, swapped, strict=True))
-            self.value = self.level = float(total)
-        elif model.problem.objective == "joint_stiffness":
-            own = [joint == model.elements[index].joint for joint in programme.joints]
-            self.level = float(peaked[own].max())
-            self.value = float((1.0 / amounts[programme.weight > 0.0]).min())
-        else:
-            self.value = self.level = float(peaked.max())
+# Level to minimise, objective of the study, row exceeded most or "", design.
+_Swap = tuple[float, float, str, CatalogueDesign]
 
 
-def _study_row(
-    kind: Sequence[CatalogueDesign],
-    swaps: Sequence[tuple[_SwappedDesign, CatalogueDesign]],
-    chosen: CatalogueDesign,
-) -> TableRow:
-    able = [(swap, d) for swap, d in swaps if not swap.stopper]
-    if not able and not swaps:
-        return _limit_row(kind)
-    # If none is feasible, the stiffest is nearest to the requirements.
-    swap, design = (
-        min(able, key=lambda each: each[0].level)
-        if able
-        else max(swaps, key=lambda each: each[1].preload)
-    )
-    if any(d is chosen for _, d in able):
-        swap, design = next(each for each in able if each[1] is chosen)
-    return TableRow(
-        design=design,
-        objective=swap.value,
-        stopper=swap.stopper,
-        utilisation=max(design.utilisations.values()),
-        torques=len(kind),
-        chosen=design is chosen,
-    )
+def _best_swap(swaps: Sequence[_Swap], chosen: CatalogueDesign | None) -> _Swap:
+    """Return the chosen design, else the best feasible, else the stiffest: nearest to the rows."""
+    able = [swap for swap in swaps if not swap[2]]
+    if not able:
+        return max(swaps, key=lambda swap: swap[3].preload)
+    best = min(able, key=lambda swap: swap[0])
+    return next((swap for swap in able if swap[3] is chosen), best)
 
 
-def _limit_row(kind: Sequence[CatalogueDesign]) -> TableRow:
-    nearest = _nearest_design(kind)
-    return TableRow(
-        design=nearest,
-        objective=float("nan"),
-        stopper=nearest.stopper,
-        utilisation=max(nearest.utilisations.values()),
-        torques=len(kind),
-        chosen=False,
-    )
+def _swap_design(
+    model: PreloadModel,
+    programme: ChoiceProgramme,
+    picks: tuple[int, ...],
+    index: int,
+    position: int,
+) -> tuple[float, float, str]:
+    """Return level, objective and exceeded row of the choice with one element's design replaced."""
+    swapped = (*picks[:index], position, *picks[index + 1 :])
+    amounts = programme.amounts(swapped)
+    over = np.where(amounts > programme.ends, amounts / programme.cap, 0.0)
+    stopper = programme.names[int(np.argmax(over))] if over.any() else ""
+    peaked = amounts * programme.weight
+    if model.problem.objective == "total_preload":
+        total = float(sum(c[i] for c, i in zip(programme.cost, swapped, strict=True)))
+        return total, total, stopper
+    if model.problem.objective == "joint_stiffness":
+        own = [joint == model.elements[index].joint for joint in programme.joints]
+        least = float((1.0 / amounts[programme.weight > 0.0]).min())
+        return float(peaked[own].max()), least, stopper
+    return float(peaked.max()), float(peaked.max()), stopper
 
 
 def _nearest_design(designs: Sequence[CatalogueDesign]) -> CatalogueDesign:
@@ -146,7 +127,7 @@ def element_stoppers(model: PreloadModel, designs: Designs) -> tuple[Stopper, ..
                 required=safety if slips else 1.0,
                 unit="",
                 against=f"the nearest of {len(own)} catalogue designs is {nearest.label}",
-                remedy=f"{nearest.remedy(name)}, or more sizes, grades or counts in [choose]",
+                remedy=f"{nearest.remedies[name]}, or more sizes, grades or counts in [choose]",
             )
         )
     return tuple(found)

@@ -242,7 +242,7 @@ def _describe_front(points: Sequence[ParetoPoint]) -> str:
     gain, more = last.level / first.level - 1.0, last.total_preload / first.total_preload - 1.0
     text = (
         f"From the least to the most preload, {100 * more:.0f} % more in all, {quantity} rises by "
-        f"{100 * gain:.1f} %"
+        f"{100 * gain:.3g} %"
     )
     # Relative stiffness gain along the front below which it is called flat.
     if gain < 0.05:

@@ -58,6 +58,11 @@ class PreloadSolution:
     notes: tuple[str, ...] = field(default_factory=tuple)
 
     @property
+    def largest_deflection(self) -> float:
+        """Largest deflection of the tool [m]; infinite in slip, nan without a pose."""
+        return _largest_posed(self.deflection)
+
+    @property
     def active(self) -> tuple[str, ...]:
         """Names of the active rows."""
         return tuple(row.name for row in self.rows if row.active)
@@ -109,7 +114,7 @@ def evaluate_design(
             "total_preload": total,
             "bolt_utilisation": largest_utilisation(model, preloads),
             "joint_stiffness": float(stiffness.min()),
-            "tool_deflection": _largest_deflection(deflection),
+            "tool_deflection": _largest_posed(deflection),
         }[model.problem.objective],
         total_preload=total,
         kkt_residual=kkt_residual,
@@ -143,8 +148,8 @@ def _deflection_sizes(model: PreloadModel, preloads: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.norm(model.exact_deflection(preloads), axis=1))
 
 
-def _largest_deflection(deflection: np.ndarray) -> float:
-    posed = deflection[np.isfinite(deflection)]
+def _largest_posed(deflection: np.ndarray) -> float:
+    posed = deflection[~np.isnan(deflection)]
     return float(posed.max()) if posed.size else float("nan")
 
 

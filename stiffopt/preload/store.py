@@ -184,7 +184,7 @@ def _choice_entry(choice: CatalogueChoice) -> dict[str, Any]:
 
 
 def _design_entry(design: CatalogueDesign) -> dict[str, Any]:
-    left_out = ("stage", "limits")
+    left_out = ("stage", "limits", "remedies")
     return {key: value for key, value in vars(design).items() if key not in left_out}
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
+from operator import attrgetter
 
 import numpy as np
 
@@ -116,6 +118,10 @@ def preload_study(
         )
 
 
+# Name, SI unit and evaluation of a value.
+_ValueRow = tuple[str, str, Callable[[PreloadStudy], float]]
+
+
 def value_units(
     problem: PreloadProblem, *, front: bool = True, motion: bool = False
 ) -> dict[str, str]:
@@ -124,43 +130,7 @@ def value_units(
     `front` and `motion`: the study has a Pareto front, and a motion. Returns dict of name to unit:
     names include element keys, with _ for the dot: preload_joint_2_flexspline_flange.
     """
-    units = {
-        "objective": OBJECTIVES[problem.objective],
-        "total_preload": "N",
-        "bolt_utilisation": "",
-        "slip_safety": "",
-        "kkt_residual": "",
-    }
-    jacobians = [load.jacobian for load in problem.load_cases]
-    jacobians += [load.jacobian for load in problem.histories]
-    if any(jacobian is not None for jacobian in jacobians):
-        units["tool_deflection"] = "m"
-    for joint in problem.joints:
-        units[f"stiffness_joint_{joint}"] = "N m/rad"
-    for element in problem.elements:
-        name = _value_name(element)
-        units |= {
-            f"preload_{name}": "N",
-            f"least_preload_{name}": "N",
-            f"tightening_torque_{name}": "N m",
-            f"slip_safety_{name}": "",
-            f"first_slip_fraction_{name}": "",
-            f"slip_fraction_{name}": "",
-        }
-        if problem.individual:
-            units |= {f"preload_{name}_{i}": "N" for i in range(1, element.count + 1)}
-    if front:
-        units |= {"knee_total_preload": "N", "knee_level": ""}
-    if problem.choose is not None:
-        units["catalogue_objective"] = OBJECTIVES[problem.objective]
-    if motion:
-        units |= {
-            "deflection_start": "m",
-            "deflection_separate": "m",
-            "deflection_joint": "m",
-            "gain_joint_study": "",
-        }
-    return units
+    return {name: unit for name, unit, _ in _value_rows(problem, front=front, motion=motion)}
 
 
 def named_values(study: PreloadStudy) -> dict[str, tuple[float, str]]:
@@ -168,60 +138,77 @@ def named_values(study: PreloadStudy) -> dict[str, tuple[float, str]]:
 
     Returns dict of name to (value in SI, unit): names as in `value_units`; nan for missing values.
     """
-    problem, solution = study.problem, study.solution
+    rows = _value_rows(study.problem, front=True, motion=study.motion is not None)
+    return {name: (float(value(study)), unit) for name, unit, value in rows}
+
+
+def _value_rows(problem: PreloadProblem, *, front: bool, motion: bool) -> Iterator[_ValueRow]:
+    """Yield name, SI unit and evaluation of every value of a study."""
+    yield "objective", OBJECTIVES[problem.objective], lambda s: s.solution.objective
+    yield "total_preload", "N", lambda s: s.solution.total_preload
+    yield "bolt_utilisation", "", _largest_utilisation
+    yield "slip_safety", "", _least_slip_safety
+    yield "kkt_residual", "", lambda s: s.solution.kkt_residual
+    jacobians = [load.jacobian for load in problem.load_cases]
+    jacobians += [load.jacobian for load in problem.histories]
+    if any(jacobian is not None for jacobian in jacobians):
+        yield "tool_deflection", "m", lambda s: s.solution.largest_deflection
+    for row, joint in enumerate(problem.joints):
+        yield (
+            f"stiffness_joint_{joint}",
+            "N m/rad",
+            partial(lambda row, s: s.solution.stiffness[row].min(), row),
+        )
+    for element in problem.elements:
+        yield from _element_rows(element, individual=problem.individual)
+    if front:
+        yield "knee_total_preload", "N", partial(_at_knee, "total_preload")
+        yield "knee_level", "", partial(_at_knee, "level")
+    if problem.choose is not None:
+        unit = OBJECTIVES[problem.objective]
+        yield "catalogue_objective", unit, lambda s: s.choice.objective if s.choice else np.nan
+    if motion:
+        for part in ("start", "separate", "joint"):
+            yield f"deflection_{part}", "m", attrgetter(f"motion.{part}")
+        yield "gain_joint_study", "", attrgetter("motion.gain")
+
+
+def _element_rows(element: FreeElement, *, individual: bool) -> Iterator[_ValueRow]:
+    key, name = element.key, element.key.replace(".", "_")
+
+    def torque(study: PreloadStudy) -> float:
+        found = study.solution.tightening[key]
+        return np.nan if found is None else found.nominal
+
+    yield f"preload_{name}", "N", lambda s: s.solution.preloads[key]
+    yield f"least_preload_{name}", "N", lambda s: element.least(s.solution.preloads[key])
+    yield f"tightening_torque_{name}", "N m", torque
+    yield f"slip_safety_{name}", "", partial(_least_slip_safety, key=key)
+    yield f"first_slip_fraction_{name}", "", lambda s: s.loosening.first_slip_fraction[key]
+    yield f"slip_fraction_{name}", "", lambda s: s.loosening.slip_fraction[key]
+    for i in range(element.count if individual else 0):
+        each = partial(lambda i, s: s.solution.individual[key][i], i)
+        yield f"preload_{name}_{i + 1}", "N", each
+
+
+def _largest_utilisation(study: PreloadStudy) -> float:
+    """Return the largest utilisation of any limit that depends on the preload [-]."""
     bounded = {
         (e.key, limit.name)
-        for e in problem.elements
+        for e in study.problem.elements
         for limit in e.limits
         if limit.depends_on_preload
     }
-    values = {
-        "objective": solution.objective,
-        "total_preload": solution.total_preload,
-        "bolt_utilisation": max(r.value for r in solution.rows if (r.element, r.kind) in bounded),
-        "kkt_residual": solution.kkt_residual,
-        "slip_safety": min(r.value for r in solution.rows if r.kind == "slip safety"),
-        "tool_deflection": float(np.max(solution.deflection, initial=0.0, where=posed))
-        if (posed := np.isfinite(solution.deflection)).any()
-        else np.nan,
-    }
-    for joint, row in zip(problem.joints, solution.stiffness, strict=True):
-        values[f"stiffness_joint_{joint}"] = float(row.min())
-    for element in problem.elements:
-        values |= _element_values(study, element)
-    if study.front is not None:
-        knee = study.front.points[study.front.knee]
-        values |= {"knee_total_preload": knee.total_preload, "knee_level": knee.level}
-    if study.choice is not None:
-        values["catalogue_objective"] = study.choice.objective
-    if study.motion is not None:
-        values |= {
-            "deflection_start": study.motion.start,
-            "deflection_separate": study.motion.separate,
-            "deflection_joint": study.motion.joint,
-            "gain_joint_study": study.motion.gain,
-        }
-    units = value_units(problem, motion=study.motion is not None)
-    return {name: (values.get(name, np.nan), unit) for name, unit in units.items()}
+    return max(r.value for r in study.solution.rows if (r.element, r.kind) in bounded)
 
 
-def _value_name(element: FreeElement) -> str:
-    return element.key.replace(".", "_")
+def _least_slip_safety(study: PreloadStudy, key: str | None = None) -> float:
+    """Return the least slip safety of an element, or of all [-]."""
+    own = (r for r in study.solution.rows if r.kind == "slip safety")
+    return min(r.value for r in own if key in (None, r.element))
 
 
-def _element_values(study: PreloadStudy, element: FreeElement) -> dict[str, float]:
-    solution, key, name = study.solution, element.key, _value_name(element)
-    torque = solution.tightening[key]
-    own = [r.value for r in solution.rows if r.kind == "slip safety" and r.element == key]
-    least = element.least(solution.preloads[key])
-    values = {
-        f"preload_{name}": solution.preloads[key],
-        f"least_preload_{name}": float(least),
-        f"tightening_torque_{name}": np.nan if torque is None else torque.nominal,
-        f"slip_safety_{name}": min(own),
-        f"first_slip_fraction_{name}": study.loosening.first_slip_fraction[key],
-        f"slip_fraction_{name}": study.loosening.slip_fraction[key],
-    }
-    for number, preload in enumerate(solution.individual.get(key, ()), start=1):
-        values[f"preload_{name}_{number}"] = preload
-    return values
+def _at_knee(quantity: str, study: PreloadStudy) -> float:
+    """Return a quantity of the front's knee; nan without a front."""
+    front = study.front
+    return np.nan if front is None else getattr(front.points[front.knee], quantity)

@@ -64,6 +64,8 @@ class ObjectiveKind(ABC):
     # True if it depends on the error of uncertain arms, which the certificate then propagates.
     of_uncertain_arms = False
     of_drives = False  # True if it depends on the drive torque, and so on dry friction
+    # True if its integrand has a kink at zero, whose smoothing width the stages narrow.
+    has_kink = False
     shaped = False  # True if the motion is averaged over a period of the lowest elastic mode
     # True if `terms` gives a robust value that selects among motions of about equal value.
     chosen_for_robustness = False

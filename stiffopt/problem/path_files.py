@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import scipy
@@ -23,7 +23,13 @@ from stiffopt.problem.path_force import (
     path_force,
     with_limited_deflection,
 )
-from stiffopt.problem.schema import PathForceSection, PathSection, PathTableSection, SegmentSection
+from stiffopt.problem.schema import (
+    PathForceSection,
+    PathSection,
+    PathSpeedUnit,
+    PathTableSection,
+    SegmentSection,
+)
 from stiffopt.problem.tool_path import (
     ToolPath,
     ToolSegment,
@@ -41,16 +47,11 @@ from stiffopt.robot.frames import (
 )
 from stiffopt.robot.joint_load import supporting_joints
 from stiffopt.robot.robot import Robot
+from stiffopt.units import convert
 
 _FORCE_COLUMNS = ("fx", "fy", "fz")
-_PLACE_COLUMNS, _ANGLE_COLUMNS, _QUATERNION_COLUMNS = (
-    ("x", "y", "z"),
-    ("rx", "ry", "rz"),
-    ("qx", "qy", "qz", "qw"),
-)
-_METRES_PER_UNIT = {"m": 1.0, "mm": 1e-3}
-_RADIANS_PER_UNIT = {"rad": 1.0, "deg": np.pi / 180.0}
-_SPEED_UNITS = {"m/s": 1.0, "mm/s": 1e-3, "mm/min": 1e-3 / 60.0, "cm/min": 1e-2 / 60.0}
+_PLACE_COLUMNS, _QUATERNION_COLUMNS = ("x", "y", "z"), ("qx", "qy", "qz", "qw")
+_ANGLE_COLUMNS = (("rx", "ry", "rz"), ("roll", "pitch", "yaw"))
 # Speed of a tool from which on a table's is in another unit [m/s]: no arm is that fast.
 _IMPLAUSIBLE_SPEED = 10.0
 
@@ -231,33 +232,40 @@ def _table_path(
     table: PathTableSection, section: PathSection, problem: Path, frame: Frame
 ) -> ForcedPath:
     file = problem.parent / table.file
+    groups = (*_ANGLE_COLUMNS, _QUATERNION_COLUMNS, _FORCE_COLUMNS)
     read = read_table(
         file,
         _PLACE_COLUMNS,
-        (*_ANGLE_COLUMNS, *_QUATERNION_COLUMNS, *_FORCE_COLUMNS, "speed", "stop"),
+        (*(name for group in groups for name in group), "speed", "stop"),
         ("label",),
     )
-    for columns, unit, units in (
-        (_PLACE_COLUMNS, table.length, _METRES_PER_UNIT),
-        (_ANGLE_COLUMNS, table.angle, _RADIANS_PER_UNIT),
+    for group in groups:
+        lacking = [name for name in group if name not in read]
+        if 0 < len(lacking) < len(group):
+            raise InputFileError(
+                file, "", f"lacks the columns {', '.join(lacking)}: {', '.join(group)} belong "
+                "together. Add them, or rename those that are there."
+            )  # fmt: skip
+    for columns, kind, unit in (
+        (_PLACE_COLUMNS, "length", table.length),
+        (sum(_ANGLE_COLUMNS, ()), "angle", table.angle),
     ):
-        _check_unit(file, {name: read[name] for name in columns if name in read}, unit, units)
+        _check_unit(file, {name: read[name] for name in columns if name in read}, kind, unit)
     turn, origin = frame
     count = len(read["x"])
-    places = _METRES_PER_UNIT[table.length] * np.stack(
-        [read[name] for name in _PLACE_COLUMNS], axis=1
-    )
+    metres = convert(1.0, table.length, "m")
+    places = metres * np.stack([read[name] for name in _PLACE_COLUMNS], axis=1)
     points = origin + places @ turn.T
     rotations = turn @ _table_rotations(table, read, file, count)
     speeds = np.full(count, np.inf)
     if "speed" in read:
         speed_unit = table.speed or f"{table.length}/s"
-        speeds = _SPEED_UNITS[speed_unit] * np.array(read["speed"])
+        speeds = convert(1.0, speed_unit, "m/s") * np.array(read["speed"])
         for row in np.flatnonzero(~((speeds > 0.0) & (speeds < _IMPLAUSIBLE_SPEED))):
             raise InputFileError(
                 file, f"row {row + 1}, speed", f"{read['speed'][row]:g} {speed_unit} must be above "
                 f"0 and below {_IMPLAUSIBLE_SPEED:g} m/s. Give its unit as path.table.speed: "
-                f"{', '.join(_SPEED_UNITS)}."
+                f"{', '.join(get_args(PathSpeedUnit))}."
             )  # fmt: skip
     if section.speed is not None:
         speeds = np.minimum(speeds, section.speed)
@@ -295,20 +303,18 @@ def _table_path(
     return path, forces[1:], path.segment_ends, names[1:]
 
 
-def _check_unit(
-    file: Path, columns: dict[str, list[Any]], unit: str, units: dict[str, float]
-) -> None:
+def _check_unit(file: Path, columns: dict[str, list[Any]], kind: str, unit: str) -> None:
     """Raise `InputFileError` for places or angles that are plausible in another of the units."""
-    kind = "length" if units is _METRES_PER_UNIT else "angle"
-    most = DIMENSIONS[kind].plausible[1]
+    dimension = DIMENSIONS[kind]
+    most = dimension.plausible[1]
+    smaller = {"length": "mm", "angle": "deg"}[kind]
     for name, values in columns.items():
-        size = np.abs(values)
-        for row in np.flatnonzero(units[unit] * size > most):
-            meant = min(units, key=lambda each: units[each])
+        size = convert(1.0, unit, dimension.unit) * np.abs(values)
+        for row in np.flatnonzero(size > most):
             raise InputFileError(
                 file, f"row {row + 1}, {name}", f"{values[row]:g} {unit} is beyond {most:g} "
-                f"{DIMENSIONS[kind].unit}. Give the unit as path.table.{kind}"
-                + (f', such as "{meant}".' if unit != meant else ", or correct the row.")
+                f"{dimension.unit}. Give the unit as path.table.{kind}"
+                + (f', such as "{smaller}".' if unit != smaller else ", or correct the row.")
             )  # fmt: skip
 
 
@@ -325,9 +331,9 @@ def _table_rotations(
                 "rotation is 1. Columns are qw, qx, qy, qz."
             )  # fmt: skip
         return np.asarray(scipy.spatial.transform.Rotation.from_quat(turns).as_matrix())
-    if all(name in read for name in _ANGLE_COLUMNS):
-        angles = np.stack([read[name] for name in _ANGLE_COLUMNS], axis=1)
-        angles = _RADIANS_PER_UNIT[table.angle] * angles
+    named = next((group for group in _ANGLE_COLUMNS if group[0] in read), None)
+    if named is not None:
+        angles = convert(1.0, table.angle, "rad") * np.stack([read[name] for name in named], axis=1)
         return np.asarray(scipy.spatial.transform.Rotation.from_euler("xyz", angles).as_matrix())
     if table.rpy is None:
         raise InputFileError(

@@ -262,21 +262,21 @@ class SegmentSection(Section):
         return self
 
 
+PathSpeedUnit = Literal["m/s", "mm/s", "mm/min", "cm/min"]
+
+
 class PathTableSection(Section):
     """Poses of a tool path in a CSV file, in place of start and segments.
 
-    Columns x, y, z; optionally rx, ry, rz (roll, pitch, yaw) or qw, qx, qy, qz; speed on the way to
-    the pose; stop (1: the tool rests there); label, which messages name. Others are not read.
+    Columns x, y, z; optionally rx, ry, rz (or roll, pitch, yaw) or qw, qx, qy, qz; speed on the way
+    to the pose; stop (1: the tool rests there); label, which messages name. Others are not read.
     Cells are separated by commas, or by semicolons or tabs with commas in decimals.
     """
 
     file: Annotated[str, Doc("CSV file beside this file.")]
     length: Annotated[Literal["m", "mm"], Doc("Unit of x, y and z.")] = "m"
     angle: Annotated[Literal["rad", "deg"], Doc("Unit of rx, ry and rz.")] = "rad"
-    speed: Annotated[
-        Literal["m/s", "mm/s", "mm/min", "cm/min"] | None,
-        Doc("Unit of speed; default that of the length in a second."),
-    ] = None
+    speed: Annotated[PathSpeedUnit | None, Doc("Unit of speed; default: length per second.")] = None
     rpy: Annotated[
         RollPitchYaw | None, Doc("Orientation of the tool, where the file has none.")
     ] = None

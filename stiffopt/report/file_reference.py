@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from typing import Any
 
@@ -141,6 +141,7 @@ class FileKey:
     plausible: str
     default: str
     sentence: str
+    owner: str = ""  # such as `type = "key"`, of a section with several types
 
 
 def file_keys(kind: str) -> Iterator[FileKey]:
@@ -152,7 +153,8 @@ def file_keys(kind: str) -> Iterator[FileKey]:
         for cells in _key_rows(section, definitions):
             key, *rest = cells
             for place in inside:
-                yield FileKey(f"{place}.{key.strip('`')}".lstrip("."), *rest)
+                named = f"{place}.{key.strip('`')}".lstrip(".")
+                yield replace(FileKey(named, *rest), owner=_type_entry(section))
 
 
 def _format_sections(schema: dict[str, Any]) -> Iterator[str]:
@@ -160,11 +162,17 @@ def _format_sections(schema: dict[str, Any]) -> Iterator[str]:
     definitions = schema.get("$defs", {})
     for used, section in _section_places(schema):
         if used:
-            kind = section["properties"].get("type", {}).get("const")
-            tag = f', `type = "{kind}"`' if kind else ""
+            kind = _type_entry(section)
+            tag = f", `{kind}`" if kind else ""
             yield f"### {', '.join(f'`{place}`' for place in used)}{tag}"
         yield _section_sentence(section)
         yield _key_table(section, definitions)
+
+
+def _type_entry(section: dict[str, Any]) -> str:
+    """Return the entry that chooses a section among those at its place; "" without any."""
+    kind = section["properties"].get("type", {}).get("const")
+    return f'type = "{kind}"' if kind else ""
 
 
 def _section_places(schema: dict[str, Any]) -> Iterator[tuple[list[str], dict[str, Any]]]:
@@ -321,7 +329,9 @@ def explain_key(key: str) -> Iterator[str]:
     told: dict[tuple[str, str, str, str, str], list[str]] = {}
     for kind, each in found:
         about = (each.value, each.unit, each.plausible, each.default, each.sentence)
-        told.setdefault(about, []).append(f"{each.place} ({kind})")
+        told.setdefault(about, []).append(
+            f"{each.place} ({', '.join(filter(None, (kind, each.owner)))})"
+        )
     for number, (about, places) in enumerate(told.items()):
         if number:
             yield ""

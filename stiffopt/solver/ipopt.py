@@ -36,6 +36,9 @@ _WARM_PUSH_OPTIONS = (
     "warm_start_slack_bound_frac", "warm_start_mult_bound_push",
 )  # fmt: skip
 WARM_BARRIER = 1e-6  # initial barrier parameter of a warm start
+# Least barrier parameter over the tolerance: that at which IPOPT's monotone strategy ends. Left
+# free, the adaptive one falls to 1e-11 far from the optimum, and rounding selects the next steps.
+_MIN_BARRIER_SHARE = 1.0 / 11.0
 # Largest step of a stationary iterate, over the tolerance.
 _STATIONARY_STEP_FACTOR = 10.0
 
@@ -66,7 +69,7 @@ class IpoptOptions:
         """Return the options by IPOPT's names."""
         named = {"linear_solver": self.linear_solver}
         return {
-            "tol": self.tol,
+            **_tolerance_options(self.tol),
             "acceptable_tol": self.acceptable_tol,
             "max_iter": self.max_iterations,
             **(ipopt_options(native.library()) if self.linear_solver == "auto" else named),
@@ -181,7 +184,7 @@ class IpoptSolver:
             "lbg": nlp.lower_g,
             "ubg": nlp.upper_g,
         }
-        further: dict[str, Any] = {} if tolerance is None else {"tol": tolerance}
+        further: dict[str, Any] = {} if tolerance is None else _tolerance_options(tolerance)
         if warm is not None:
             further |= {"mu_strategy": barrier, "warm_start_init_point": "yes", "mu_init": mu_init}
             further |= dict.fromkeys(_WARM_PUSH_OPTIONS, push)
@@ -308,6 +311,10 @@ class IpoptSolver:
             if bad.size:
                 return f"no finite slope of row: {self.nlp.rows.entry(int(bad.min()))}"
         return ""
+
+
+def _tolerance_options(tolerance: float) -> dict[str, float]:
+    return {"tol": tolerance, "mu_min": _MIN_BARRIER_SHARE * tolerance}
 
 
 def _translate_status(word: str) -> str:

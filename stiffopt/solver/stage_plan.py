@@ -24,9 +24,11 @@ _COARSE_PHASE_INTERVALS, _MIDDLE_PHASE_INTERVALS = 6, 10
 # Phases from which on a coarse mesh or a correction replaces work on a fine mesh, and intervals a
 # phase of a smooth problem's coarse mesh: an iteration of 31 phases takes a fifth there.
 MANY_PHASES, _COARSE_START_PHASE_INTERVALS = 8, 5
-# Factors on the smoothing width of dry friction before the last stage: from a wide one, most joints
-# reverse where the exact law is best, in a third of the iterations.
+# Factors on the smoothing width of dry friction, and on that of an objective's kink at zero, before
+# the last stage: from a wide one, most joints reverse where the exact law is best, in a third of
+# the iterations.
 _FRICTION_WIDENINGS = (16.0, 4.0)
+_KINK_WIDENINGS = (64.0, *_FRICTION_WIDENINGS)
 # And those with many phases on the fine mesh. Second derivatives are exact in the last stage only:
 # they have negative curvature wherever a joint is about to reverse, and the inertia correction for
 # one of a hundred phases shortens the steps of all. Tolerance of the stages before, over the number
@@ -81,7 +83,9 @@ def plan_stages(
     if len(widths) == 1:
         # Smooth problems converge directly from the guess; a coarse mesh would only cost time.
         start = min(_COARSE_START_PHASE_INTERVALS * phases, intervals)
-        widenings = _FRICTION_WIDENINGS if problem.charges_dry_friction else ()
+        kinked = any(objective.kind.has_kink for objective in problem.objectives)
+        widenings: tuple[float, ...] = _FRICTION_WIDENINGS if problem.charges_dry_friction else ()
+        widenings = _KINK_WIDENINGS if kinked else widenings
         exact = SolveStage(intervals, Smoothing(1.0))
         if phases < MANY_PHASES or start == intervals:
             wide = (replace(exact, smoothing=Smoothing(1.0, friction=each)) for each in widenings)

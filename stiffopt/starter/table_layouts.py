@@ -59,7 +59,8 @@ def join_signal_files(tables: Mapping[Path, Table], robot: Robot) -> dict[Path, 
             return dict(tables)
         raise InputFileError(
             other, "", f"has {lengths[other]} rows, {first.name} {lengths[first]}: files of one"
-            " signal each are a run if they have equally many. Resample them at the same times."
+            " signal each are a run if they have equally many. Cut off the rows that one has more,"
+            " or interpolate its signal at the times of the others."
         )  # fmt: skip
     return {first.parent / f"{first.parent.name}.npz": joined}
 

@@ -190,16 +190,16 @@ def test_friction_by_load_goes_with_the_torque_past_the_rotor(
 def test_amplitudes_of_physics_are_fitted_as_parameters_are(loop: CommandedArm) -> None:
     """Viscous friction as a finding has the value and the deviation of the parameter."""
     unknown = ca.SX.sym("Fv")
-    sizes = {"deviations": np.array([0.5]), "lower": np.array([0.0])}
+    sizes = {"deviations": np.array([0.5]), "bounds": np.array([[0.0, np.inf]])}
     amplitudes = Amplitudes(names=(("Fv", 0),), symbols=unknown, values=np.zeros(1), **sizes)
     physics = LoopPhysics(torque=lambda own: unknown * own.velocity, amplitudes=amplitudes)
     damped = CommandedArm(loop.tree, loop.law, np.zeros(1), physics)
     values, spreads = [], []
-    for own, lower in ((loop, np.zeros(0)), (damped, amplitudes.lower)):
-        prior = zero_parameters(("servo",), lower)
-        prior.values[:] = np.insert(true_parameters().values, -1, lower)
+    for own, bounds in ((loop, np.zeros((0, 2))), (damped, amplitudes.bounds)):
+        prior = zero_parameters(("servo",), bounds)
+        prior.values[:] = np.insert(true_parameters().values, -1, np.zeros(len(bounds)))
         prior.values[prior.place("viscous")] = 0.0
-        place = prior.amplitudes if len(lower) else prior.place("viscous")
+        place = prior.amplitudes if len(bounds) else prior.place("viscous")
         deviations = np.zeros_like(prior.values)
         deviations[place] = 0.5
         found = polish(own, [recorded(7, 4.0)], prior, deviations)
@@ -208,6 +208,29 @@ def test_amplitudes_of_physics_are_fitted_as_parameters_are(loop: CommandedArm) 
     np.testing.assert_allclose(values, VISCOUS, rtol=0.05)
     np.testing.assert_allclose(*values, rtol=1e-3)
     np.testing.assert_allclose(*spreads, rtol=1e-2)
+
+
+def test_amplitudes_of_physics_stay_within_their_bounds(loop: CommandedArm) -> None:
+    """A best value beyond either bound ends at it, in a fit, and is none of a further effect."""
+    unknown = ca.SX.sym("Fv")
+    for low, high in ((0.0, 0.5 * VISCOUS), (2.0 * VISCOUS, 4.0 * VISCOUS)):
+        amplitudes = Amplitudes(
+            names=(("Fv", 0),),
+            symbols=unknown,
+            values=np.array([low]),
+            deviations=np.array([0.5]),
+            bounds=np.array([[low, high]]),
+        )
+        physics = LoopPhysics(torque=lambda own: unknown * own.velocity, amplitudes=amplitudes)
+        own = CommandedArm(loop.tree, loop.law, np.zeros(1), physics)
+        prior = zero_parameters(("servo",), amplitudes.bounds)
+        prior.values[:] = np.insert(true_parameters().values, -1, low)
+        prior.values[prior.place("viscous")] = 0.0
+        deviations = np.zeros_like(prior.values)
+        deviations[prior.amplitudes] = 0.5
+        found = polish(own, [recorded(7, 4.0)], prior, deviations)
+        value = found.parameters.values[prior.amplitudes][0]
+        np.testing.assert_allclose(value, high if high < VISCOUS else low, rtol=1e-9)
 
 
 def settle(loop: CommandedArm, command: float) -> float:
@@ -237,11 +260,11 @@ def test_a_limit_is_fitted_from_where_it_never_acts_or_lets_the_joint_drift(
         symbols=limit,
         values=np.array([begun * LIMIT]),
         deviations=np.array([0.2 * LIMIT]),
-        lower=np.zeros(1),
+        bounds=np.array([[0.0, np.inf]]),
     )
     physics = LoopPhysics(limits={0: limit}, amplitudes=amplitudes)
     own = CommandedArm(loop.tree, loop.law, np.zeros(1), physics)
-    prior = zero_parameters(("servo",), amplitudes.lower)
+    prior = zero_parameters(("servo",), amplitudes.bounds)
     prior.values[:] = np.insert(true_parameters().values, -1, begun * LIMIT)
     deviations = np.zeros_like(prior.values)
     deviations[prior.amplitudes] = amplitudes.deviations

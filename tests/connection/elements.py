@@ -130,6 +130,8 @@ ELEMENTS: dict[str, Connection] = {
     "pins": pins(),
     "pins_opposed": pins(both_sides=False, half_space=False, shear="load"),
     "gears": gears(),
+    "gears_tight": gears(prepressure=30e6),
+    "gears_loose": gears(prepressure=0.0),
     "belt": belt(),
     "belt_step_down": belt(teeth_driven=56, wrap=math.radians(165), wrap_driven=3.4, preload=80.0),
     "reducer": reducer(),

@@ -247,7 +247,7 @@ def test_belt_step_down_counts_the_second_pulley_by_its_ratio() -> None:
 
 
 def test_gear_pair_by_hand() -> None:
-    element = gears(contact_ratio=1.0)
+    element = gears(contact_ratio=1.0, prepressure=0.0)
     angle = math.radians(20)
     base, arm = 20e-3 * math.cos(angle), 20e-3 * math.sin(angle)
     curvature = 20e-3 * 40e-3 * math.sin(angle) / 60e-3

@@ -159,7 +159,12 @@ def test_derivative_by_preload(name: str) -> None:
 # Allowed: error of the contact fit (1.5 %, its requirement), and for the rounded corners of a
 # reducer the published 2.1 %. Without prepressure the exact compliance is infinite at zero, so the
 # wind-up is compared from a torque on; there the rough gear flanks are below the fit's range.
-LOOSE = {"key_loose": 0.1, "key_loose_parallel": 0.1, "key_loose_power_law": 0.1, "gears": 0.1}
+LOOSE = {
+    "key_loose": 0.1,
+    "key_loose_parallel": 0.1,
+    "key_loose_power_law": 0.1,
+    "gears_loose": 0.1,
+}
 
 
 @every

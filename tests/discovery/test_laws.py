@@ -8,6 +8,7 @@ import pytest
 from typed_laws import typed_torque
 
 from stiffopt.discovery import catalogue
+from stiffopt.discovery.catalogue.drift import friction_drift
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, LocatedEffect
 from stiffopt.discovery.extended.model import load_extended
 from stiffopt.discovery.extended.store import _describe_table, _format_effect, _format_table
@@ -85,11 +86,32 @@ def test_slopes_by_shapes_agree_with_differences(name: str) -> None:
             assert error <= 1e-5 * np.abs(expected).max() + 1e-9
 
 
-@pytest.mark.parametrize(("kind", "form"), EVERY)
-def test_the_text_of_the_page_alone_gives_the_torque(kind: str, form: str) -> None:
-    signals = sample_signals(count=300)
-    law = law_with(kind, form)
-    amplitudes = [1.37, -0.61, 0.4, 0.2][: law.amplitude_count]
+def products(count: int) -> list[Law]:
+    """Laws of up to three factors, one of them a sum of two forms of a signal."""
+    draw = np.random.default_rng(39)
+    laws: list[Law] = []
+    for _ in range(count):
+        factors: list[Factor] = []
+        for number in range(draw.integers(1, 4)):
+            kind = str(draw.choice(list(SOURCE_KINDS)))
+            own = SOURCE_KINDS[kind]
+            joint = 4 if own.of_own_joint else int(draw.integers(6))
+            source = LawSource(kind, joint if own.per_joint else None)
+            one, other = draw.choice(forms_of(kind)), draw.choice(["constant", *own.forms])
+            factor = next(Factor(source, str(one)).starts(EXTENT))
+            if number == 0:
+                factor = next(factor.plus(str(other), EXTENT))
+            if number == 0 or len(factor.own.formulas) == 1:
+                factors.append(factor)
+        place = ("drive_torque", "link_torque", "deflection")[draw.integers(3)]
+        laws.append(Law(4, place, tuple(factors)))
+    return laws
+
+
+@pytest.mark.parametrize("law", [*(law_with(*own) for own in EVERY), *products(100)])
+def test_the_text_of_the_page_alone_gives_the_torque(law: Law) -> None:
+    signals = sample_signals(count=200)
+    amplitudes = np.linspace(1.37, -0.61, law.amplitude_count).tolist()
     numbers = law_numbers(law, (*amplitudes, *law.shapes))
     typed = typed_torque(law.equation, numbers, law_definitions(law), signals)
     columns = law.columns(signals)
@@ -171,7 +193,7 @@ def test_hidden_masses_follow_the_start_before_a_recording_that_begins_in_motion
         np.testing.assert_allclose(found, past, atol=1e-9 * np.abs(past).max())
     (code,) = law.formulas(code=True)
     space = {name: getattr(operators, name) for name in operators.OPERATOR_NAMES}
-    space |= {"signals": of_joint, "f": 2.0, "z": 0.1}
+    space |= {"signals": of_joint, "f": 2.0, "zeta": 0.1}
     np.testing.assert_array_equal(eval(code, space), found)
 
 
@@ -422,6 +444,28 @@ def test_both_frequencies_of_a_sum_of_waves_are_told_and_searched() -> None:
     # The weaker one is as ambiguous between the recordings as the stronger.
     other = [law.law.frequencies[0] for law in found.near if len(law.law.frequencies) == 2]
     assert any(1e-3 < abs(own - 1.3) < 3e-3 for own in other)
+
+
+@pytest.mark.parametrize(
+    ("effect", "named"),
+    [(friction_drift(("a", "b", "c", "d")), 900.0), (catalogue.effect("cable_spring"), 100.0)],
+)
+def test_values_of_single_runs_explain_nothing_where_a_law_would_take_their_place(
+    monkeypatch, effect, named
+) -> None:
+    """Runs left out hold no value of their own: a law of the temperature predicts them."""
+    located = LocatedEffect(effect=effect, joint=0, shapes=(0.5,))
+    comparison = SimpleNamespace(bodies=None, robot=SimpleNamespace(n=1))
+    asked = []
+    monkeypatch.setattr(
+        find,
+        "OpenChannel",
+        lambda _, effects, number: SimpleNamespace(square=100.0 if effects else 900.0),
+    )
+    monkeypatch.setattr(find, "may_beat", lambda channel, left, findings: asked.append(left))
+    state = find._State(comparison, [Selected(located, 100.0, 14.0, 1.0, (), 0)], ())
+    state.search(0, is_open=False)
+    assert asked == [named]
 
 
 def test_shapes_are_fitted_to_their_true_values() -> None:

@@ -79,9 +79,14 @@ def test_power_of_waves_is_that_of_a_fit_of_each():
         assert own == pytest.approx(np.sum(residual**2) - np.sum(left**2), rel=1e-9)
 
 
-def test_equally_good_models_keep_their_order_whatever_the_rounding(training, monkeypatch):
+@pytest.mark.parametrize("excess", [[2e-13, 0.0], [0.03, -0.02], [0.03, 0.02]])
+def test_models_that_predict_equally_well_keep_their_order(training, monkeypatch, excess):
+    """That of the catalogue gives way to what is better by more than a standard error."""
     calibrated = LocatedEffect(effect=effect("viscous"), joint=0, calibrated=True)
-    residuals = iter([1.0 + 1e-13, 1.0, 1.0 - 1e-13])
-    monkeypatch.setattr(tournament, "_residual_left_out", lambda *_: next(residuals))
+    plain = np.full(2, 0.5)
+    squares = iter([plain + excess, plain, plain + 1e-15])
+    monkeypatch.setattr(tournament, "_squares_left_out", lambda *_: next(squares))
     found = tournament.hold_tournament(training.comparison(), [calibrated], None, [FRICTION])
-    assert found[0].name == tournament.CATALOGUE_MODEL
+    names = ["effects of the catalogue", "friction lines", "base parameters"]
+    clear = excess[-1] > 0.0
+    assert [each.name for each in found] == (names[1:] + names[:1] if clear else names)

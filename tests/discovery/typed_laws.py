@@ -57,14 +57,14 @@ def _operators(
             y.append(p * y[-1] + (1.0 - p) * now)
         return np.array(y[1 + len(past) :])
 
-    def second_order(x, f, z, over):
+    def second_order(x, f, zeta, over):
         o = math.tan(math.pi * f * dt)
         start, past = begin(x)
         x, y = [start, start, *past, *x], [start, start]
         for k in range(2, len(x)):
             right = (o**2 + over * o) * x[k] + 2 * o**2 * x[k - 1] + (o**2 - over * o) * x[k - 2]
-            own = 2 * (o**2 - 1) * y[k - 1] + (1 - 2 * z * o + o**2) * y[k - 2]
-            y.append((right - own) / (1 + 2 * z * o + o**2))
+            own = 2 * (o**2 - 1) * y[k - 1] + (1 - 2 * zeta * o + o**2) * y[k - 2]
+            y.append((right - own) / (1 + 2 * zeta * o + o**2))
         return np.array(y[2 + len(past) :])
 
     def stop(x, r):
@@ -75,8 +75,8 @@ def _operators(
 
     return {
         "lag": lag,
-        "sprung": lambda x, f, z: second_order(x, f, z, 2 * z),
-        "mode": lambda x, f, z: second_order(x, f, z, 0.0),
+        "sprung": lambda x, f, zeta: second_order(x, f, zeta, 2 * zeta),
+        "mode": lambda x, f, zeta: second_order(x, f, zeta, 0.0),
         "stop": stop,
     }
 
@@ -103,7 +103,8 @@ def typed_torque(equation: str, numbers: Sequence[str], meanings: Sequence[str],
     for line in numbers:
         name, value = re.match(r"(\w+) = (\S+)", line).groups()
         space[name] = float(value)
-    for line in meanings:
+    # The direction of a motion first: its symbol contains that of the speed.
+    for line in sorted(meanings, key=lambda line: not line.startswith("sg(")):
         symbol, _, words = line.partition(" is the ")
         if re.fullmatch(r"\w+|sg\(\w+\)", symbol):
             name = f"signal{len(space)}"

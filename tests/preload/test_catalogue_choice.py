@@ -340,6 +340,7 @@ def test_tightening_method_is_chosen_with_the_bolts():
         ("angle", 0.08, 0.16),
         ("angle", 0.08, 0.12),
     ]
+    assert [way.coating for way in found.ways] == ["oiled", "MoS2", "oiled", "MoS2"]
     alone = []
     for way in found.ways:
         tightening = Tightening(
@@ -358,7 +359,7 @@ def test_tightening_method_is_chosen_with_the_bolts():
     assert found.objective == pytest.approx(np.nanmin(alone))
     assert found.problem.tightening.method == "angle"
     assert found.problem.tightening.friction_highest == 0.12
-    assert "Tightened by angle" in found.message
+    assert "Tightened by angle, bolts MoS2" in found.message
     labels = {row.design.bolts for row in found.table}
     assert labels == {"9 x M5 12.9", "9 x M5 12.9 with washers"}
     with pytest.raises(ProblemError, match="Did you mean 'angle'"):

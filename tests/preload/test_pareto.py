@@ -109,7 +109,7 @@ def test_the_knee_is_farthest_from_the_chord(both):
 def test_a_nearly_flat_front_is_said_to_be_flat(both):
     gain = both.points[-1].level / both.points[0].level - 1.0
     assert gain < 0.05
-    assert f"rises by {100 * gain:.1f} %" in both.note
+    assert f"rises by {100 * gain:.3g} %" in both.note
     more = both.points[-1].total_preload / both.points[0].total_preload - 1.0
     assert f", {100 * more:.0f} % more in all," in both.note
     assert "flat" in both.note
@@ -120,7 +120,7 @@ def test_where_the_flanges_yield_most_the_front_is_not_called_flat():
     front = pareto_front(study(LOAD, joints=(2,), robot=robot), (LOAD,), points=3)
     gain = front.points[-1].level / front.points[0].level - 1.0
     assert gain > 0.05
-    assert f"rises by {100 * gain:.1f} %" in front.note
+    assert f"rises by {100 * gain:.3g} %" in front.note
     assert "flat" not in front.note
 
 

@@ -307,6 +307,14 @@ def test_preload_below_embedding_loss_has_no_slip_torque():
     assert not rows["least preload, flexspline_flange"].satisfied
 
 
+@pytest.mark.filterwarnings("error")
+def test_sectors_below_the_embedding_loss_all_slip():
+    model = PreloadModel(study(case(j2=60.0), free=("flexspline_flange",), individual=True))
+    loose = np.full(9, 100.0)
+    assert model.exact_compliance(loose, 2, np.array([60.0, 0.0])).tolist() == [np.inf, np.inf]
+    assert model.exact_windup(loose, 2, np.array([60.0]))[0] == np.inf
+
+
 def test_reference_torque_does_not_count_in_the_deflection():
     gravity = np.array([0.0, 30.0, 0.0, 0.0, 0.0, 0.0])
     loaded = case("move", JACOBIAN, reference=gravity, j2=60.0)

@@ -13,7 +13,7 @@ from small_studies import write_study
 from stiffopt.errors import InputError
 from stiffopt.fastening.tightening import Tightening
 from stiffopt.preload.catalogue_choice import choose_design
-from stiffopt.preload.catalogue_designs import catalogue_designs, design_cost, way_cost
+from stiffopt.preload.catalogue_designs import catalogue_designs, design_cost
 from stiffopt.preload.files import load_study
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.problem import Choice, StepCost
@@ -70,9 +70,6 @@ def test_two_flanges_are_cheapest_together():
 
 
 def test_methods_and_coatings_cost_by_their_places():
-    assert way_cost(MENU, 0, 0) == 0.0
-    assert way_cost(MENU, 1, 2) == pytest.approx(2.0 + 2 * 1.0)
-    assert way_cost(replace(MENU, cost=None), 1, 2) == 0.0
     # A dear method is taken only where the others hold nothing; both coatings begin at 0.08.
     menu = Choice(methods=("torque_wrench", "angle"), coatings=("MoS2", "oiled"), cost=COST)
     wanted = study(
@@ -85,6 +82,8 @@ def test_methods_and_coatings_cost_by_their_places():
     costs = {(w.method, w.friction_highest): w.cost for w in found.ways if w.status.usable}
     assert costs[("angle", 0.12)] == pytest.approx(9 * 1.0 + 2.0)
     assert costs[("angle", 0.16)] == pytest.approx(9 * 1.0 + 2.0 + 1.0)
+    free = choose_design(replace(wanted, choose=replace(menu, cost=None)))
+    assert {w.cost for w in free.ways if w.status.usable} == {0.0}
     assert found.cost == min(costs.values())
     light = choose_design(replace(wanted, load_cases=(case(j2=20.0),)))
     assert light.problem.tightening.method == "torque_wrench"

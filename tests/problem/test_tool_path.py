@@ -318,6 +318,19 @@ def test_faults_of_a_table_are_told_with_their_row(tmp_path, row, words):
         write_table(tmp_path, rows)
 
 
+def test_orientations_of_a_table_may_be_called_roll_pitch_and_yaw(tmp_path):
+    rows = [f"{x},0,0,180,0,{-90 + x / 2},0.1,a" for x in range(0, 33, 8)]
+    points = [
+        write_table(tmp_path, rows, f"x,y,z,{names},speed,label").path.points
+        for names in ("rx,ry,rz", "roll,pitch,yaw")
+    ]
+    np.testing.assert_array_equal(*points)
+    with pytest.raises(
+        InputError, match=r"lacks the columns yaw: roll, pitch, yaw belong together"
+    ):
+        write_table(tmp_path, rows, "x,y,z,roll,pitch,angle,speed,label")
+
+
 def test_table_in_other_units_than_stated_is_refused(tmp_path):
     rows = [f"{x},0,0,180,0,-90,0.1,a" for x in range(0, 33, 8)]
     (tmp_path / "points.csv").write_text("x,y,z,rx,ry,rz,speed,label\n" + "\n".join(rows) + "\n")

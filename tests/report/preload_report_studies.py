@@ -13,7 +13,7 @@ from stiffopt.preload.study import preload_study
 from stiffopt.result.status import SolveStatus
 from stiffopt.robot.files import load_robot
 
-__all__ = ["cannot", "flange", "run", "several", "stiff", "with_motion"]
+__all__ = ["cannot", "case", "flange", "run", "several", "stiff", "with_motion"]
 
 ROBOT = load_robot("er3a_c60")
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Annotation
-from preload_report_studies import cannot, flange, several, stiff
+from preload_report_studies import cannot, case, flange, run, several, stiff
 
 from stiffopt.preload.model import PreloadModel
 from stiffopt.report.common.robot import joint_units
@@ -75,6 +75,16 @@ def test_dots_lie_on_the_curve_at_both_ends_of_the_scatter():
     assert dots.get_xdata() == pytest.approx([view.least / 1e3, view.largest / 1e3])
     on_curve = np.interp(dots.get_xdata(), curve.get_xdata(), curve.get_ydata())
     assert dots.get_ydata() == pytest.approx(on_curve)
+
+
+def test_every_load_case_drawn_is_within_the_panel():
+    loads = (case("peak", 0, 0.9, 0, 0, 0, 0), case("light", 0, 0.03, 0, 0, 0, 0))
+    study = run(joints=(2,), free=("flexspline_flange",), load_cases=loads, front_points=0)
+    axes = curves_of(study).axes[0]
+    low, high = axes.get_ylim()
+    curves = [line for line in axes.lines if len(line.get_xdata()) > 2]
+    assert len(curves) == len(study.curves) == 2
+    assert all(low < line.get_ydata().max() < high for line in curves)
 
 
 def test_front_marks_its_knee():

@@ -96,6 +96,21 @@ def test_calculation_sheet_has_every_step_of_vdi_2230(flange_page):
         assert text in flange_page.text
 
 
+def test_a_joint_that_slips_outside_the_study_is_named(tmp_path):
+    torque = np.array([0.0, 4.0, 0.3, 0.0, 0.0, 0.0]) * flange().problem.robot.torque_max
+    held = LoadCase(name="held", torque=0.1 * torque, jacobian=np.eye(3, 6))
+    pushed = LoadCase(name="pushed", torque=torque, jacobian=np.eye(3, 6))
+    study = run(joints=(3,), load_cases=(held, pushed), front_points=0)
+    assert study.solution.status.usable
+    assert study.solution.largest_deflection == np.inf
+    page = page_of(study, tmp_path)
+    assert "joint 2 slips under pushed with the preloads of the robot file" in page.text
+    assert [row[-2] == "slips" for row in page.table("load case", "present preload")] == [
+        False,
+        True,
+    ]
+
+
 def test_joint_diagram_lines_meet_at_the_assembly_preload():
     study = flange()
     model = PreloadModel(study.problem, study.solution.cases)

@@ -77,6 +77,25 @@ def test_least_dynamic_deflection_of_a_swivel(tmp_path):
     assert solution.objective.value >= peak * (1 - 1e-6)
 
 
+def test_least_work_of_a_slow_swivel(tmp_path):
+    """Without friction and gravity the work is the kinetic energy of the shortest coasting."""
+    duration, acceleration = 4.0, 10.0
+    _, solution = solved(
+        tmp_path,
+        "swivel",
+        duration=f"{duration}",
+        motion='boundary_acceleration = "free"',
+        minimise='objective = "drive_work"',
+        limits=f"acceleration = [{acceleration}]",
+        method="intervals = 40",
+    )
+    speed = 0.5 * acceleration * (duration - np.sqrt(duration**2 - 4.0 / acceleration))
+    work = 0.5 * (2.0 * 0.2**2 + 1e-2) * speed**2
+    assert solution.status is SolveStatus.OPTIMAL
+    assert solution.objective.value == pytest.approx(work, rel=0.03)
+    assert solution.objective.value >= work * (1 - 1e-6)
+
+
 OBJECTIVES = {
     "dynamic peak": 'objective = "dynamic_deflection"',
     "dynamic rms": 'objective = "dynamic_deflection"\nmeasure = "rms"',

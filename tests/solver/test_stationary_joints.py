@@ -37,6 +37,8 @@ def creeping(tmp_path, monkeypatch):
 
 
 def test_creeping_joints_are_fixed(creeping, monkeypatch):
+    # On 20 intervals rounding decides which joints rest, and gains between 7 and 37 %.
+    creeping = replace(creeping, method=replace(creeping.method, intervals=40))
     found = solve(creeping, throw=False)
     monkeypatch.setattr(stationary_joints, "MANY_PHASES", 0)
     before = solve(creeping, throw=False)
@@ -55,9 +57,10 @@ def test_creeping_joints_are_fixed(creeping, monkeypatch):
 
 def test_smooth_friction_does_not_hide_torque(creeping, monkeypatch):
     # With a third of the weight beyond the friction, no joint gains by creeping: the optimiser's
-    # value is the certified one on the first mesh. At other ends (0.1 rad) rounding decides between
-    # this optimum and one that a mesh of 20 intervals shows 5 % too good.
+    # value is the certified one on the first mesh. On 20 or 40 intervals rounding decides between
+    # this optimum and one that such a mesh shows 5 or 2 % too good.
     monkeypatch.setattr(stationary_joints, "MANY_PHASES", 0)
+    creeping = replace(creeping, method=replace(creeping.method, intervals=80))
     heavy = replace(creeping, start=Target(joints=[0.3, 0.4]), end=Target(joints=[0.9, 0.14]))
     found = solve(heavy, throw=False)
     believed = found.solver.homotopy[-1]["objective"]

@@ -263,9 +263,12 @@ class _State:
             replaced = [each.located for each in own]
             others = [e for e in self.effects if e not in replaced]
             apart = OpenChannel(self.comparison, others, number)
-            if may_beat(apart, beside.square, own):
+            # Values of single runs explain nothing in runs left out, as a law has to.
+            known = [e for e in self.effects if e in others or not e.is_run_specific]
+            named = OpenChannel(self.comparison, known, number).square
+            if may_beat(apart, named, own):
                 outcome = search_channel(apart)
-                if outcome.best is not None and beats(apart, outcome.best, beside.square, own):
+                if outcome.best is not None and beats(apart, outcome.best, named, own):
                     self.effects, self._dropped = others, replaced
                     return outcome
             if not is_open:

@@ -42,31 +42,37 @@ def lag(x: Quantity, T: Quantity, dt: float, before: np.ndarray | None = None) -
 
 
 def sprung(
-    x: Quantity, f: Quantity, z: Quantity, dt: float, before: np.ndarray | None = None
+    x: Quantity, f: Quantity, zeta: Quantity, dt: float, before: np.ndarray | None = None
 ) -> Quantity:
     """Return the acceleration of a mass on a spring and damper whose base accelerates by x.
 
-    With w = 2 pi f the transfer function is (2 z w s + w^2) / (s^2 + 2 z w s + w^2), here by the
-    bilinear transform with exact frequency [unit of x].
+    With w = 2 pi f the transfer function is (2 zeta w s + w^2) / (s^2 + 2 zeta w s + w^2), here by
+    the bilinear transform with exact frequency [unit of x].
     """
-    return _filter_by_mode(x, f, z, dt, before, by_damper=True)
+    return _filter_by_mode(x, f, zeta, dt, before, by_damper=True)
 
 
 def mode(
-    x: Quantity, f: Quantity, z: Quantity, dt: float, before: np.ndarray | None = None
+    x: Quantity, f: Quantity, zeta: Quantity, dt: float, before: np.ndarray | None = None
 ) -> Quantity:
     """Return the mode y of a hidden mass that x pushes against a spring and a damper.
 
-    As `sprung`, with the transfer function w^2 / (s^2 + 2 z w s + w^2) [unit of x].
+    As `sprung`, with the transfer function w^2 / (s^2 + 2 zeta w s + w^2) [unit of x].
     """
-    return _filter_by_mode(x, f, z, dt, before, by_damper=False)
+    return _filter_by_mode(x, f, zeta, dt, before, by_damper=False)
 
 
 def _filter_by_mode(
-    x: Quantity, f: Quantity, z: Quantity, dt: float, before: np.ndarray | None, *, by_damper: bool
+    x: Quantity,
+    f: Quantity,
+    zeta: Quantity,
+    dt: float,
+    before: np.ndarray | None,
+    *,
+    by_damper: bool,
 ) -> Quantity:
     over = np.tan(np.pi * f * dt)  # half step of the angular frequency, prewarped
-    damped, square = 2.0 * z * over, over * over
+    damped, square = 2.0 * zeta * over, over * over
     through = damped if by_damper else 0.0 * damped
     b0, b1, b2 = through + square, 2.0 * square, square - through
     a0, a1, a2 = 1.0 + damped + square, 2.0 * square - 2.0, 1.0 - damped + square

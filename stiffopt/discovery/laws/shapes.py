@@ -140,7 +140,7 @@ ORDER_SHAPE = FormShape("k", "per signal", _orders, _order_bounds)
 FREQUENCY_SHAPE = FormShape("f", "Hz", lambda r: r.peaks, _frequency_bounds)
 MODE_SHAPES = (
     FormShape("f", "Hz", lambda r: _mode_frequencies(*_mode_bounds(r)), _mode_bounds),
-    fixed("z", "", (0.03, 0.2), 0.002, 1.5),
+    fixed("zeta", "", (0.03, 0.2), 0.002, 1.5),
 )
 LAG_SHAPE = fixed("T", "s", (0.05, 0.2, 1.0), 0.01, 10.0)
 PLAY_SHAPE = width("r", 0.01, 0.05, least=1e-3, most=0.5)

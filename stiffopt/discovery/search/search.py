@@ -28,7 +28,12 @@ from stiffopt.discovery.search.rivals import (
     rank_effects,
     unranked,
 )
-from stiffopt.discovery.search.tournament import CATALOGUE_MODEL, Contender, hold_tournament
+from stiffopt.discovery.search.tournament import (
+    CATALOGUE_MODEL,
+    SINGLE_BODY,
+    Contender,
+    hold_tournament,
+)
 from stiffopt.discovery.thresholds import (
     LINEARISATION_DEVIATIONS,
     LINEARISATION_TOLERANCE,
@@ -279,8 +284,13 @@ class _Search:
         winner = self.contenders[0]
         if winner.name == CATALOGUE_MODEL:
             return
-        self.start = self.start.with_bodies(winner.comparison.bodies)
-        self._fit(list(winner.effects))
+        bodies, effects = winner.comparison.bodies, list(winner.effects)
+        found = [e for e in self.effects if single is not None and e.same_place(single)]
+        if winner.name == SINGLE_BODY and found:
+            # It stays a finding: of a free body nobody is told.
+            bodies, effects = None, [*calibrated, *found]
+        self.start = self.start.with_bodies(bodies)
+        self._fit(effects)
         ranked = rank_effects(self.current, self.effects, self.catalogue, self.tell, self.ranked)
         self._set_ranked((self.current, ranked))
 

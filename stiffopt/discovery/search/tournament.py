@@ -3,8 +3,8 @@
 Before effects are claimed, the model with them competes with three plainer ones that see the same
 samples: friction lines (nominal masses, friction and offset of every joint), the best single body
 beside those, and base parameters (all inertial parameters free beside those). Every model is
-fitted without a stretch, with consistent bodies as in an answer, and predicts it; the answer never
-predicts worse than the best of them.
+fitted without a stretch, with consistent bodies as in an answer, and predicts it; the answer does
+not predict worse than the best of them by more than the standard error of the difference.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from stiffopt.discovery.search.rigid_model import (
     with_own_noise,
     with_single_body,
 )
+from stiffopt.discovery.search.uncertainty import number_stretches
 
 FRICTION_LINES, SINGLE_BODY, BASE_PARAMETERS, CATALOGUE_MODEL = (
     "friction lines",
@@ -43,7 +44,14 @@ class Contender:
     name: str
     comparison: Comparison  # with its prior of masses, and the stated noise
     effects: tuple[LocatedEffect, ...]
-    residual: float  # normalised residual of stretches left out, root mean square over the channels
+    # (b,) mean square over the channels of the normalised residual of stretches left out, by the
+    # share of each stretch.
+    squares: np.ndarray
+
+    @property
+    def residual(self) -> float:
+        """Normalised residual of stretches left out, root mean square over the channels."""
+        return float(np.sqrt(self.squares.sum()))
 
 
 def hold_tournament(
@@ -53,6 +61,9 @@ def hold_tournament(
     effects: Sequence[LocatedEffect],
 ) -> tuple[Contender, ...]:
     """Return the models with their residuals in stretches left out, the best first.
+
+    Models that predict no worse than the best one by more than a standard error come before all
+    others, and that of the catalogue first of them: it has gained its effects one by one.
 
     `comparison`: linearised about the effects, with the masses as free as found best. `calibrated`:
     values that every joint has and the nominal model does not state. `single`: the best single
@@ -74,31 +85,40 @@ def hold_tournament(
         elif single is not None:
             entries.append((SINGLE_BODY, held, (*calibrated, single)))
     found = [
-        Contender(name, model, own, _residual_left_out(model, own)) for name, model, own in entries
+        Contender(name, model, own, _squares_left_out(model, own)) for name, model, own in entries
     ]
-    # Models that predict equally well keep their order, whatever the rounding.
-    least = (1.0 + EQUAL_RESIDUALS) * min(each.residual for each in found)
-    return tuple(sorted(found, key=lambda each: max(each.residual, least)))
+    best = min(found, key=lambda each: each.residual)
+
+    def excess(each: Contender) -> float:
+        more = each.squares - best.squares
+        error = np.sqrt(len(more)) * more.std(ddof=1) if len(more) > 1 else 0.0
+        equal = more.sum() <= max(error, EQUAL_RESIDUALS * best.squares.sum())
+        return 0.0 if equal else float(more.sum())
+
+    return tuple(sorted(found, key=excess))
 
 
-def _residual_left_out(start: Comparison, effects: Sequence[LocatedEffect]) -> float:
-    """Return the normalised residual of stretches left out, over the stated noise.
+def _squares_left_out(start: Comparison, effects: Sequence[LocatedEffect]) -> np.ndarray:
+    """Return the squares (b,) of the residual of stretches left out, over the stated noise.
 
     With the noise beside the model's own fit: beside another's, a channel that only this one
     explains hardly counts, and its masses stay where their priors hold them.
     """
     model = with_own_noise(start, effects)
     left = predict_folds(model, effects).residual_within_bounds(model)
-    return float(np.sqrt(np.nanmean((model.channel_ratio(left) * model.inflation) ** 2)))
+    rows = model.rows.channel
+    share = (left * model.inflation[rows]) ** 2 / model.rows.counts[rows]
+    return np.bincount(number_stretches(model), share / np.count_nonzero(model.rows.counts))
 
 
 def describe_tournament(contenders: Sequence[Contender]) -> tuple[str, ...]:
     """Return a sentence on the models that competed; none without a competition."""
     if len(contenders) < 2:
         return ()
-    best, *others = contenders
+    first, *others = contenders
     rest = ", ".join(f"{each.name} {each.residual:.3g}" for each in others)
     return (
-        f"Stretches of the training runs left out are predicted best by {best.name}"
-        f" ({best.residual:.3g} times the noise; {rest}).",
+        f"Stretches of the training runs left out are predicted by {first.name} within"
+        f" {first.residual:.3g} times the noise, which no other model betters by more than a"
+        f" standard error ({rest}).",
     )

@@ -12,14 +12,18 @@ from stiffopt.problem.stage_terms import STIFFNESS_SMOOTHING, ObjectiveTerms
 from stiffopt.result.duty import life_rating
 
 if TYPE_CHECKING:
-    from stiffopt.problem.stage_model import StageModel
-    from stiffopt.problem.trajectory import TrajectoryProblem
+    from collections.abc import Sequence
+
     from stiffopt.result.assessment import Assessment
     from stiffopt.robot.robot import Robot
     from stiffopt.symbolic import Quantity
 
-# Share of its largest or rated value below which a magnitude is smoothed at zero.
-_SMOOTH_SHARE = 2e-2
+# Share of its rated value below which a torque is smoothed at zero.
+_SMOOTH_TORQUE_SHARE = 2e-2
+# Share of the usual motion's mean below which a speed [rad/s] or power [W] is smoothed at zero: a
+# share of the rated value would cover slow motions. And names of those means among the scales.
+_SMOOTH_SHARE = 5e-3
+_MEAN_SPEED, _MEAN_POWER = "mean speed of the fastest joint", "mean power of a drive"
 
 
 class JointIntegral(ObjectiveKind):
@@ -28,7 +32,7 @@ class JointIntegral(ObjectiveKind):
     mean = False
 
     @abstractmethod
-    def integrand(self, problem: TrajectoryProblem, model: StageModel, joint: int) -> Quantity:
+    def integrand(self, given: TermInputs, joint: int) -> Quantity:
         """Integrand of a joint (1-based), symbolic."""
 
     @abstractmethod
@@ -38,7 +42,7 @@ class JointIntegral(ObjectiveKind):
     def terms(self, given: TermInputs) -> ObjectiveTerms:
         """Integral of the sum over the joints."""
         joints = given.objective.numbers(given.problem.joints)
-        total = sum(self.integrand(given.problem, given.model, joint) for joint in joints)
+        total = sum(self.integrand(given, joint) for joint in joints)
         if self.mean:
             return ObjectiveTerms(
                 value=lambda integrals, duration: integrals[0] / duration, integrands=(total,)
@@ -67,9 +71,10 @@ class TorqueSquared(JointIntegral):
     prefixed = False
     of_drives = True
 
-    def integrand(self, problem: TrajectoryProblem, model: StageModel, joint: int) -> Quantity:
+    def integrand(self, given: TermInputs, joint: int) -> Quantity:
         """Squared ratio of drive torque to largest torque."""
-        return model.squared_drive_torque[joint - 1] / problem.robot.torque_max[joint - 1] ** 2
+        largest = given.problem.robot.torque_max[joint - 1]
+        return given.model.squared_drive_torque[joint - 1] / largest**2
 
     def certified_integrand(self, robot: Robot, motion: Assessment) -> np.ndarray:
         """Squared ratio from the certificate's torques."""
@@ -85,9 +90,9 @@ class AccelerationSquared(JointIntegral):
     phrase = "time integral of the joints' squared accelerations"
     prefixed = False
 
-    def integrand(self, problem: TrajectoryProblem, model: StageModel, joint: int) -> Quantity:
+    def integrand(self, given: TermInputs, joint: int) -> Quantity:
         """Squared acceleration."""
-        return model.acceleration[joint - 1] ** 2
+        return given.model.acceleration[joint - 1] ** 2
 
     def certified_integrand(self, robot: Robot, motion: Assessment) -> np.ndarray:
         """Squared acceleration on the fine grid."""
@@ -104,9 +109,9 @@ class MeanCompliance(JointIntegral):
     smoothing = STIFFNESS_SMOOTHING
     mean = True
 
-    def integrand(self, problem: TrajectoryProblem, model: StageModel, joint: int) -> Quantity:
+    def integrand(self, given: TermInputs, joint: int) -> Quantity:
         """Tangent compliance at the spring torque."""
-        return model.compliance(joint)
+        return given.model.compliance(joint)
 
     def certified_integrand(self, robot: Robot, motion: Assessment) -> np.ndarray:
         """Tangent compliance by the exact law."""
@@ -125,14 +130,20 @@ class ReducerLoad(JointIntegral):
     )
     phrase = "time at the reducers' rated torque and speed"
     prefixed = False
+    has_kink = True
 
-    def integrand(self, problem: TrajectoryProblem, model: StageModel, joint: int) -> Quantity:
+    def integrand(self, given: TermInputs, joint: int) -> Quantity:
         """Smooth at rest."""
-        rating = life_rating(problem.robot, joint - 1)
-        speed = model.link[1][joint - 1] / rating.speed
+        rating, model = life_rating(given.problem.robot, joint - 1), given.model
+        slow = _SMOOTH_SHARE * given.scales.of(_MEAN_SPEED) * model.friction[0]
         torque = model.torques.spring[joint - 1] / rating.torque
-        turning = np.sqrt(speed**2 + _SMOOTH_SHARE**2) - _SMOOTH_SHARE
-        return turning * (torque**2 + _SMOOTH_SHARE**2) ** (0.5 * rating.exponent)
+        turning = (np.sqrt(model.link[1][joint - 1] ** 2 + slow**2) - slow) / rating.speed
+        return turning * (torque**2 + _SMOOTH_TORQUE_SHARE**2) ** (0.5 * rating.exponent)
+
+    def scales(self, objective: Objective, motions: Sequence[Assessment]) -> dict[str, float]:
+        """Return the typical value, and the mean speed of the fastest joint."""
+        speed = float(np.abs(motions[0].velocity).mean(axis=0).max())
+        return super().scales(objective, motions) | {_MEAN_SPEED: speed}
 
     def certified_integrand(self, robot: Robot, motion: Assessment) -> np.ndarray:
         """Return the integrand of the certificate's spring torques."""
@@ -151,20 +162,24 @@ class DriveWork(JointIntegral):
     description = "Mechanical work that the drives of `joints` give, nothing regenerated."
     phrase = "work of the drives"
     of_drives = True
+    has_kink = True
 
-    def integrand(self, problem: TrajectoryProblem, model: StageModel, joint: int) -> Quantity:
+    def integrand(self, given: TermInputs, joint: int) -> Quantity:
         """Positive part of the power, smooth at zero."""
+        model = given.model
+        width = _SMOOTH_SHARE * given.scales.of(_MEAN_POWER) * model.friction[0]
         power = model.drive_torque[joint - 1] * model.velocity[joint - 1]
-        width = _SMOOTH_SHARE * self._largest_power(problem.robot)[joint - 1]
         return 0.5 * (power + np.sqrt(power**2 + width**2) - width)
+
+    def scales(self, objective: Objective, motions: Sequence[Assessment]) -> dict[str, float]:
+        """Return the typical value, and the mean power of a drive."""
+        joints = len(objective.numbers(motions[0].position.shape[1]))
+        work = self.certified_value(objective, motions[0])
+        return {self.name: work, _MEAN_POWER: work / joints / motions[0].duration}
 
     def certified_integrand(self, robot: Robot, motion: Assessment) -> np.ndarray:
         """Positive part of the certificate's power."""
         return np.asarray(np.maximum(motion.torque * motion.velocity, 0.0))
-
-    @staticmethod
-    def _largest_power(robot: Robot) -> np.ndarray:
-        return np.asarray(robot.torque_max * robot.velocity_max)
 
 
 OBJECTIVES.add(TorqueSquared())

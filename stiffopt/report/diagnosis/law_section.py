@@ -32,15 +32,15 @@ _OPERATOR_DEFINITIONS = {
     " over the sample period",
     "lag": "lag(x, T) is y with y_k = p * y_(k-1) + (1 - p) * x_k, p = exp(-dt / T):"
     " T dy/dt = x - y",
-    "sprung": "sprung(x, f, z) is the acceleration y of a mass on a spring and damper of frequency"
-    " f and damping ratio z whose base accelerates by x: with o = tan(pi * f * dt),"
-    " (1 + 2 * z * o + o**2) * y_k + 2 * (o**2 - 1) * y_(k-1) +"
-    " (1 - 2 * z * o + o**2) * y_(k-2) = (o**2 + 2 * z * o) * x_k + 2 * o**2 * x_(k-1) +"
-    " (o**2 - 2 * z * o) * x_(k-2)",
-    "mode": "mode(x, f, z) is the deflection y of a mass on a spring and damper of frequency f and"
-    " damping ratio z, over that under a constant x: with o = tan(pi * f * dt),"
-    " (1 + 2 * z * o + o**2) * y_k + 2 * (o**2 - 1) * y_(k-1) +"
-    " (1 - 2 * z * o + o**2) * y_(k-2) = o**2 * (x_k + 2 * x_(k-1) + x_(k-2))",
+    "sprung": "sprung(x, f, zeta) is the acceleration y of a mass on a spring and damper of"
+    " frequency f and damping ratio zeta whose base accelerates by x: with o = tan(pi * f * dt),"
+    " (1 + 2 * zeta * o + o**2) * y_k + 2 * (o**2 - 1) * y_(k-1) +"
+    " (1 - 2 * zeta * o + o**2) * y_(k-2) = (o**2 + 2 * zeta * o) * x_k + 2 * o**2 * x_(k-1) +"
+    " (o**2 - 2 * zeta * o) * x_(k-2)",
+    "mode": "mode(x, f, zeta) is the deflection y of a mass on a spring and damper of"
+    " frequency f and damping ratio zeta, over that under a constant x: with o = tan(pi * f * dt),"
+    " (1 + 2 * zeta * o + o**2) * y_k + 2 * (o**2 - 1) * y_(k-1) +"
+    " (1 - 2 * zeta * o + o**2) * y_(k-2) = o**2 * (x_k + 2 * x_(k-1) + x_(k-2))",
     "stop": "stop(x, r) follows x and slides where it would leave -r to r: it is x_k - y_k with"
     " y_0 = x_0 and y_k = min(max(y_(k-1), x_k - r), x_k + r)",
 }

@@ -144,7 +144,7 @@ def _draw_panel(axes: Axes, views: Sequence[PreloadView]) -> None:
         label="least and largest",
         zorder=4,
     )
-    bottom, top = _stiffness_range(main.stiffness, ends)
+    bottom, top = _stiffness_range([view.stiffness for view in views], ends)
     # Space above for labels of lower limits, below for the present preload.
     room = top - bottom
     axes.set_ylim(bottom - 0.2 * room, top + 0.5 * room)
@@ -182,16 +182,16 @@ def _nearest_bounds(bounds: Mapping[str, float]) -> list[float]:
     return [*floors, *([min(ceilings)] if ceilings else [])]
 
 
-def _stiffness_range(stiffness: np.ndarray, ends: np.ndarray) -> tuple[float, float]:
+def _stiffness_range(curves: Sequence[np.ndarray], ends: np.ndarray) -> tuple[float, float]:
     """Return the displayed range: without the drop at slip, at least 1 % of the stiffness."""
-    top = max(float(stiffness.max()), float(ends.max()))
+    tops = [float(curve.max()) for curve in curves]
+    top = max(*tops, float(ends.max()))
     if top <= 0.0:  # another connection of the joint slips, whatever this one's preload
         return 0.0, 1.0
-    held = stiffness[stiffness > 0.97 * top]
     # Both ends of the scatter are shown, except one that slips.
-    shown = ends[ends > 0.0]
-    bottom = min(float(held.min()), float(shown.min())) if held.size and shown.size else 0.0
-    return min(bottom, 0.99 * top), top
+    shown = [ends[ends > 0.0]]
+    shown += [curve[curve > 0.97 * most] for curve, most in zip(curves, tops, strict=True) if most]
+    return min(float(np.concatenate(shown).min()), 0.99 * top), top
 
 
 def _draw_bounds(axes: Axes, bounds: Mapping[str, float], binding: Collection[str]) -> None:

@@ -13,6 +13,7 @@ from stiffopt.connection import BoltedFlange, ClampingPins
 from stiffopt.drivetrain import catalogue
 from stiffopt.errors import is_factor
 from stiffopt.fastening.utilisation import UtilisationRow
+from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.pareto import ParetoFront
 from stiffopt.preload.problem import FreeElement, PreloadProblem
 from stiffopt.preload.sensitivity import WindupShare
@@ -296,7 +297,7 @@ def _is_slip_limited(solution: PreloadSolution) -> bool:
 def cautions(problem: PreloadProblem, solution: PreloadSolution) -> list[str]:
     """Return a sentence for each kind of warning that a usable design exceeds, the worst first.
 
-    A warning on the friction of stainless bolts is added where there are any.
+    Warnings on joints that slip outside the study and on the friction of stainless bolts are added.
     """
     if not solution.status.usable:
         return []
@@ -304,7 +305,29 @@ def cautions(problem: PreloadProblem, solution: PreloadSolution) -> list[str]:
     for row in sorted(solution.rows, key=lambda row: -row.utilisation):
         if not row.binding and row.utilisation > 1.0:
             over.setdefault(row.kind, []).append(row)
-    return [*(_warning_sentence(own) for own in over.values()), *_stainless_friction(problem)]
+    return [
+        *_slip_outside(problem, solution),
+        *(_warning_sentence(own) for own in over.values()),
+        *_stainless_friction(problem),
+    ]
+
+
+def _slip_outside(problem: PreloadProblem, solution: PreloadSolution) -> Iterator[str]:
+    """Yield a warning for joints that slip in a load case with a pose, at preloads as they are."""
+    slips = [
+        case.name
+        for case, d in zip(solution.cases, solution.deflection, strict=True)
+        if np.isinf(d)
+    ]
+    if slips:
+        model = PreloadModel(problem, solution.cases)
+        turned = {j: model.net_windups(solution.vector, j) for j in range(1, problem.robot.n + 1)}
+        joints = [f"joint {j}" for j, angles in turned.items() if not np.isfinite(angles).all()]
+        yield (
+            f"{listed(joints)} slips under {listed(slips)} with the preloads of the robot file, so "
+            "the tool is not held there. The study tightens other connections only: add these to "
+            "joints or free."
+        )
 
 
 def _stainless_friction(problem: PreloadProblem) -> Iterator[str]:
