@@ -270,7 +270,7 @@ def test_signal_files_of_one_run_with_unequal_rows_are_refused():
     }
     with pytest.raises(InputFileError, match=r"tau.csv: has 80 rows, q.csv 90") as error:
         join_signal_files(tables, robot)
-    assert "Resample" in str(error.value)
+    assert "Cut off the rows" in str(error.value)
     # Without torques they may be runs of their own.
     runs = {path.with_stem(f"x{k}"): table for k, (path, table) in enumerate(tables.items())}
     assert join_signal_files(runs, robot) == runs
