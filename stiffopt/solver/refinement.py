@@ -1,6 +1,6 @@
-"""Refinement of a motion that fails its certificate: joints at rest, back-off, finer meshes.
+"""Refinement of a motion that fails its certificate: finer mesh, joints at rest, back-off.
 
-A rigid plan (motors and links move alike) is solved with backed-off rows, then on finer meshes. A
+A rigid plan (motors and links move alike) is solved on finer meshes, then with backed-off limits. A
 motion planned for the links keeps its mesh.
 """
 
@@ -13,7 +13,7 @@ from stiffopt.solver.exact_rows import ExactRows, describe_excess, excess_by_lim
 from stiffopt.solver.exchange import OutcomeOracle, Proposal, exchange
 from stiffopt.solver.programme import Outcome
 from stiffopt.solver.solve_run import SolveRun
-from stiffopt.solver.stage_plan import SolveStage, finer_mesh
+from stiffopt.solver.stage_plan import MANY_PHASES, SolveStage, finer_mesh
 from stiffopt.solver.stages import run_stages
 from stiffopt.solver.stationary_joints import StationaryJoints
 from stiffopt.solver.verdict import MAX_OBJECTIVE_GAP
@@ -28,10 +28,11 @@ def refine(run: SolveRun, outcome: Outcome) -> Outcome:
     if run.problem.plans_links:
         return refine_within_mesh(run, outcome)
     outcome = exchange(run, StationaryJoints(run, outcome), outcome)
-    # A finer mesh takes as long as all solves before it, a correction a tenth of that.
-    outcome = exchange(run, ExactRows(run), outcome)
-    finer = exchange(run, MeshError(run), outcome)
-    return outcome if finer is outcome else exchange(run, ExactRows(run), finer)
+    if outcome.transcription.ocp.phases >= MANY_PHASES:
+        # A finer mesh takes as long as all solves before it, a correction a tenth of that.
+        outcome = exchange(run, ExactRows(run), outcome)
+    outcome = exchange(run, MeshError(run), outcome)
+    return exchange(run, ExactRows(run), outcome)
 
 
 class MeshError(OutcomeOracle):
