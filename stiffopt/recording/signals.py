@@ -259,8 +259,9 @@ def _unit_factor(entry: float | str, dimension: str, path: Path, where: str) -> 
         value = joint_to_si(f"1 {entry}", dimension) if isinstance(entry, str) else entry
     except UnitError as error:
         raise InputFileError(
-            path, where, f"{error} Where no unit fits, give the number that one of it is in SI."
-        ) from None
+            path, where, f"{error} Where no unit fits, give the number that one of it is in SI: of "
+            "an encoder's counts 2 pi over the counts of a turn of the joint."
+        ) from None  # fmt: skip
     if not value or not np.isfinite(value):
         raise InputFileError(path, where, f"got {entry}; a factor is finite and not 0.")
     return float(value)

@@ -32,7 +32,7 @@ class Slowing(OutcomeOracle):
         if last.assessment.feasible(CERTIFICATE_TOLERANCE) or not problem.rests_at_both_ends:
             return None
         room = problem.duration[1] / last.planned.duration - 1.0
-        if room <= 0.0 or last.raw.status == "infeasible":
+        if room <= _SLOWING_ACCURACY or last.raw.status == "infeasible":
             return None
         reason = describe_excess(excess_by_limit(last.assessment)) or "a limit is exceeded"
         return Proposal(reason, lambda: self._slow_down(last, min(room, _MAX_SLOWING)))
