@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from stiffopt.elastic.servo import Servo
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.recipe.stored_result import StoredResult
     from stiffopt.robot.robot import Robot
@@ -58,8 +57,8 @@ def simulate(
     out: Out | None = None,
     band: str = "0.05 mm",
     bandwidth: float | None = None,
-    feed_forward: float = 1.0,
-    delay: str = "0 s",
+    feed_forward: float | None = None,
+    delay: str | None = None,
     damping: float | None = None,
     model: Path | None = None,
     effects: Path | None = None,
@@ -83,13 +82,12 @@ def simulate(
     band
         Settling band: largest deviation of a settled tool.
     bandwidth
-        Bandwidth of a position loop [Hz] in place of that of the problem, at its rate of
-        set-points, which are sent ahead by the dead time that the problem's loop has; default: the
-        problem's loop.
+        Bandwidth of the position loop [Hz] in place of that of the problem. Set-points are sent
+        ahead by the dead time that the problem's loop has, whatever loop follows them.
     feed_forward
-        Velocity feedforward of the loop, 0 to 1.
+        Velocity feedforward of the loop, 0 to 1, in place of that of the problem.
     delay
-        Dead time of the loop.
+        Dead time of the loop in place of that of the problem.
     damping
         Damping ratio of each elastic joint on its own, in place of the robot file's damping.
     model
@@ -101,7 +99,6 @@ def simulate(
     from stiffopt.command.compensation import judge_existing_command
     from stiffopt.command.simulation import elastic_arm, simulate_motions
     from stiffopt.elastic.arm import rigid_arm_error
-    from stiffopt.elastic.servo import Servo
     from stiffopt.recipe.stored_result import read_result
     from stiffopt.report.solve.simulation import write_simulation_report
     from stiffopt.report.solve.terminal import print_compensation, print_simulation
@@ -115,27 +112,26 @@ def simulate(
         tuple(each for each in changes if not _UNCERTAINTY_ENTRY.match(each)), _SOLVED_MOTION_REASON
     )
     settled = to_si(number_or_text(band), "length", "--band")
-    late = to_si(number_or_text(delay), "time", "--delay")
+    late = None if delay is None else to_si(number_or_text(delay), "time", "--delay")
+    given = {"bandwidth": bandwidth, "feed_forward": feed_forward, "delay": late}
+    loop: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     if settled <= 0.0:
         raise InputError(f"--band {band}: must be above 0.")
-    if bandwidth is None and (late != 0.0 or feed_forward != 1.0):
-        raise InputError("--delay and --feed-forward need a position loop. Give its --bandwidth.")
     for each in changes:
-        if bandwidth is not None and _SERVO_ENTRY.search(each):
+        if loop and _SERVO_ENTRY.search(each):
             raise InputError(
-                f"--set {shortened(each)}: with --bandwidth all arms have the given loop, without "
-                "uncertainty of servos. Omit one of the two."
+                f"--set {shortened(each)}: with --bandwidth, --feed-forward or --delay all arms "
+                "have the given loop, without uncertainty of servos. Omit one of the two."
             )
-    servo = None if bandwidth is None else Servo(bandwidth, feed_forward, late)
     if (result / CYCLE_FILE).is_file():
         refuse_changes(changes, "a simulated cycle has the arm as modelled. Omit --set.")
         if model is not None:
             raise InputError("--model: a cycle is simulated on its own arm. Omit the option.")
         return _simulate_cycle(
-            result, out or result, problem, servo=servo, band=settled, damping=damping
+            result, out or result, problem, loop=loop, band=settled, damping=damping
         )
     stored = _stored_on_model(read_result(result, problem, changes, _with_model), model, effects)
-    servo = _at_rate_of(stored.problem, servo)
+    servo = replace(stored.problem.servo, **loop) if loop else None
     if changes and stored.command is None:
         raise InputError(
             f"--set {shortened(changes[0])}: uncertainties apply to a command, and {result} has no "
@@ -185,13 +181,8 @@ def _stored_on_model(
     return replace(stored, problem=_with_model(stored.problem, model, effects))
 
 
-def _at_rate_of(problem: TrajectoryProblem, servo: Servo | None) -> Servo | None:
-    """Return a given position loop with set-points at the rate of a problem's."""
-    return None if servo is None else replace(servo, rate=problem.servo.rate)
-
-
 def _simulate_cycle(
-    result: Path, folder: Path, problem: Path | None, *, servo: Servo | None, **settings: Any
+    result: Path, folder: Path, problem: Path | None, *, loop: dict[str, Any], **settings: Any
 ) -> int:
     """Simulate the commands of a solved cycle with other settings, and write what it found."""
     import numpy as np
@@ -217,7 +208,7 @@ def _simulate_cycle(
     for plan, leg in zip(plans, document["legs"], strict=True):
         plan.duration = leg["arrival"] - leg["start"]
     rests = np.array([leg["dwell"] for leg in document["legs"]])
-    servo = _at_rate_of(cycle.first, servo)
+    servo = replace(cycle.first.servo, **loop) if loop else None
     found = simulate_motions(cycle, commands, plans, rests, servo=servo, **settings)
     with output_folder(folder, "simulate", of="solve") as stage:
         written = write_cycle_simulation(found, stage)

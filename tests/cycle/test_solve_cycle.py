@@ -203,7 +203,7 @@ def test_a_stored_cycle_is_simulated_again_with_other_servos_and_damping(folder,
     same, damped, slow = (tmp_path / name for name in ("same", "damped", "slow"))
     assert run(["simulate", str(folder), "--out", str(same)]) == 0
     assert run(["simulate", str(folder), "--out", str(damped), "--damping", "0.2"]) == 0
-    assert run(["simulate", str(folder), "--out", str(slow), "--bandwidth", "5"]) == 0
+    assert run(["simulate", str(folder), "--out", str(slow), "--feed-forward", "0.8"]) == 0
     found, less, more = (
         json.loads((each / "simulation.json").read_text()) for each in (same, damped, slow)
     )

@@ -336,8 +336,14 @@ def test_damaged_values_of_a_simulation_are_refused(servo: RecordingSet) -> None
     np.testing.assert_array_equal(read(whole).fitted.of("coulomb"), whole["coulomb"])
     short = {name: own for name, own in whole.items() if name != "amplitudes"}
     for values, message in (
-        (whole | {"coulomb": (np.nan,)}, "coulomb has nan: finite numbers from 0 to inf are allowed"),
-        (whole | {"armature": (-0.1,)}, "armature has -0.1: finite numbers from 0 to inf are allowed"),
+        (
+            whole | {"coulomb": (np.nan,)},
+            "coulomb has nan: finite numbers from 0 to inf are allowed",
+        ),
+        (
+            whole | {"armature": (-0.1,)},
+            "armature has -0.1: finite numbers from 0 to inf are allowed",
+        ),
         (whole | {"zero": (np.inf,)}, "zero has inf: finite numbers from -inf to inf are allowed"),
         (whole | {"amplitudes": (0.3,)}, "amplitudes has 1 numbers, 0 needed"),
         (whole | {"dry": (0.1,)}, "dry has 1 numbers, no parameter has this name"),

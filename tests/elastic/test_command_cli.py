@@ -58,7 +58,8 @@ def test_servo_option_applies_to_every_arm(solved, capsys):
     _, exact = led(solved, out="exact")
     options = ("--bandwidth", "20", "--feed-forward", "0.9")
     document, lagging = led(solved, *options, out="lagging")
-    assert document["servo"] == "20 Hz with 90 % velocity feed-forward"
+    loop = "20 Hz with 90 % velocity and 90 % torque feed-forward, set-points at 250 Hz"
+    assert document["servo"] == loop
     assert lagging["in_flight"]["nominal"] > 5 * exact["in_flight"]["nominal"]
     assert min(lagging["in_flight"]["draws"]) > 5 * exact["in_flight"]["nominal"]
     assert "position loops of 20 Hz with 90 %" in capsys.readouterr().out

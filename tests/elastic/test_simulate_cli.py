@@ -95,7 +95,7 @@ def test_servo_lag_increases_the_deviation(solved, capsys):
     ("options", "what"),
     [
         (["--bandwidth", "20", "--delay", "20 ms"], "the servo is unstable"),
-        (["--delay", "1 ms"], "Give its --bandwidth"),
+        (["--feed-forward", "1.5"], "a share from 0 to 1, got 1.5"),
         (["--band", "1 kg"], "band"),
         (["--band", "0 mm"], "--band 0 mm: must be above 0"),
         (["--bandwidth", "-3"], "bandwidth must be above 0"),
