@@ -147,7 +147,7 @@ def stage_model(
         problem.process_force,
         smoothing=smoothing.stiffness,
         sides=sides,
-        friction=(smoothing.friction, smoothing.creeping, smoothing.convexity),
+        friction=(smoothing.kinks, smoothing.creeping, smoothing.convexity),
     )
 
 

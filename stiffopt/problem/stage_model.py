@@ -62,7 +62,7 @@ class StageModel:
     sides : array (n,)
         Sign of the spring torque of joints that can keep it; 0 for the others.
     friction : (SX or float, SX or float, SX or float)
-        `friction`, `creeping` and `convexity` of `Smoothing`.
+        `kinks`, `creeping` and `convexity` of `Smoothing`.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class StageModel:
         self.process_force = np.asarray(process_force, dtype=float)
         self.smoothing = smoothing
         self.sides = sides
-        self.friction = friction
+        self.kinks, self.creeping, self.convexity = friction
 
     @property
     def link(self) -> tuple[Quantity, Quantity, Quantity]:
@@ -185,17 +185,16 @@ class StageModel:
         Where friction and the rest of the torque have one sign, the square is concave in the
         velocity. `convexity` takes that curvature out of second derivatives; the value stays.
         """
-        widening, creeping, convexity = self.friction
         dry = ca.DM(self.robot.coulomb)
         width = ca.DM(dry_friction_width(self.robot.velocity_max))
-        place = self.velocity / width / widening
+        place = self.velocity / width / self.kinks
         share = ca.tanh(place)
         rest = self._drive_torque_without_dry_friction + self._added_drive_torque()
         # Zero, but of slope one: only second derivatives of its square differ from zero.
         slope = place - ca.floor(place / _SPEED_STEP) * _SPEED_STEP
         concave = 2.0 * dry * ca.fmax(rest * share, 0.0) * (1.0 - share**2)
-        bare = (rest + dry * share) ** 2 + (1.0 - creeping) * dry**2 * (1.0 - share**2)
-        return bare + convexity * concave * slope**2
+        bare = (rest + dry * share) ** 2 + (1.0 - self.creeping) * dry**2 * (1.0 - share**2)
+        return bare + self.convexity * concave * slope**2
 
     @property
     def _drive_torque_without_dry_friction(self) -> Quantity:

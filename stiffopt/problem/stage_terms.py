@@ -94,10 +94,9 @@ class Smoothing:
     # From 0, the objective alone, to 1, its robust value, with the motor back-off that uncertain
     # arms need; of a tool error the relative change of the ringing's weight.
     robust: Quantity = 0.0
-    # On the speed below which dry friction falls off, in the drive torque of objectives, and on the
-    # width of an objective's kink at zero: narrow from the start, it makes every reversal of a
-    # joint a choice of its own.
-    friction: Quantity = 1.0
+    # On the widths of objectives' kinks at zero, that of dry friction in the drive torque included:
+    # narrow from the start, they make every reversal of a joint a choice of its own.
+    kinks: Quantity = 1.0
     # From 0, dry friction is charged in full at any speed, to 1, only by the smooth law, which
     # favours joints at rest, and as much those that creep.
     creeping: Quantity = 0.0

@@ -105,9 +105,9 @@ def read_clock(stamps: np.ndarray, path: Path, column: str) -> Clock:
 
 def without_jitter(clock: Clock, positions: np.ndarray) -> Clock:
     """Return the clock with even stamps where positions (R, n) are smoother over these."""
-    stamps, own = clock.stamps[clock.rows], positions[clock.rows]
     if not any(fault.kind == "jitter" for fault in clock.faults):
         return clock
+    stamps, own = clock.stamps[clock.rows], positions[clock.rows]
     even = _even_stamps(stamps, clock.step)
     if not (np.diff(even) > 0.0).all():
         return clock

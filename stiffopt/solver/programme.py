@@ -199,8 +199,7 @@ def solve_stage(
     """Solve one stage; after a stall once more from the best point without multipliers.
 
     A stall, or an end of the iterations, at a feasible point whose objective is `enough` or less is
-    acceptable. Raises
-    `KeyboardInterrupt` after Ctrl-C during the solve.
+    acceptable. Raises `KeyboardInterrupt` after Ctrl-C during the solve.
     """
     report = _progress_reporter(
         run, f"{text}, {stage.intervals} intervals, smoothing {stage.smoothing.stiffness:g}"
@@ -219,8 +218,8 @@ def solve_stage(
             max_iterations=max_iterations or run.max_iterations,
         )
         feasible = raw.violation <= FEASIBLE_VIOLATION
-        stalled = raw.status in ("stalled", "iteration_limit")
-        if stalled and feasible and raw.objective <= enough:
+        ended = raw.status in ("stalled", "iteration_limit")
+        if ended and feasible and raw.objective <= enough:
             raw = replace(raw, status="acceptable")
         run.record(stage, raw)
         if raw.status == "interrupted":

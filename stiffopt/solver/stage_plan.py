@@ -85,17 +85,18 @@ def plan_stages(
         start = min(_COARSE_START_PHASE_INTERVALS * phases, intervals)
         kinked = any(objective.kind.has_kink for objective in problem.objectives)
         widenings: tuple[float, ...] = _FRICTION_WIDENINGS if problem.charges_dry_friction else ()
-        widenings = _KINK_WIDENINGS if kinked else widenings
+        if kinked:
+            widenings = _KINK_WIDENINGS
         exact = SolveStage(intervals, Smoothing(1.0))
         if phases < MANY_PHASES or start == intervals:
-            wide = (replace(exact, smoothing=Smoothing(1.0, friction=each)) for each in widenings)
+            wide = (replace(exact, smoothing=Smoothing(1.0, kinks=each)) for each in widenings)
             return (*wide, exact)
         if not widenings:
             return (replace(exact, intervals=start), replace(exact, new_mesh=True))
         convex = [
             SolveStage(
                 count,
-                Smoothing(1.0, friction=each, convexity=1.0),
+                Smoothing(1.0, kinks=each, convexity=1.0),
                 tolerance=_CONVEX_STAGE_TOLERANCE / phases,
             )
             for count, wide in ((start, widenings), (intervals, _FINE_FRICTION_WIDENINGS))

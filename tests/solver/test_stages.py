@@ -105,14 +105,14 @@ def test_smooth_problems_with_many_phases_start_on_a_coarse_mesh():
 def test_dry_friction_narrows_stage_by_stage():
     problem = load_problem(PROBLEMS / "er3a_pick_and_place_torque_squared.toml").problem
     stages = plan_stages(problem, 60)
-    assert [(each.intervals, each.smoothing.friction) for each in stages] == [
+    assert [(each.intervals, each.smoothing.kinks) for each in stages] == [
         (60, 16.0),
         (60, 4.0),
         (60, 1.0),
     ]
     many = replace(problem, vias=problem.vias[:1] * 9)
     *convex, last = plan_stages(many, 200)
-    assert [(each.intervals, each.smoothing.friction, each.new_mesh) for each in convex] == [
+    assert [(each.intervals, each.smoothing.kinks, each.new_mesh) for each in convex] == [
         (50, 16.0, False),
         (50, 4.0, False),
         (200, 2.0, True),

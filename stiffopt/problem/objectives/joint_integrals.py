@@ -135,7 +135,7 @@ class ReducerLoad(JointIntegral):
     def integrand(self, given: TermInputs, joint: int) -> Quantity:
         """Smooth at rest."""
         rating, model = life_rating(given.problem.robot, joint - 1), given.model
-        slow = _SMOOTH_SHARE * given.scales.of(_MEAN_SPEED) * model.friction[0]
+        slow = _SMOOTH_SHARE * given.scales.of(_MEAN_SPEED) * model.kinks
         torque = model.torques.spring[joint - 1] / rating.torque
         turning = (np.sqrt(model.link[1][joint - 1] ** 2 + slow**2) - slow) / rating.speed
         return turning * (torque**2 + _SMOOTH_TORQUE_SHARE**2) ** (0.5 * rating.exponent)
@@ -167,7 +167,7 @@ class DriveWork(JointIntegral):
     def integrand(self, given: TermInputs, joint: int) -> Quantity:
         """Positive part of the power, smooth at zero."""
         model = given.model
-        width = _SMOOTH_SHARE * given.scales.of(_MEAN_POWER) * model.friction[0]
+        width = _SMOOTH_SHARE * given.scales.of(_MEAN_POWER) * model.kinks
         power = model.drive_torque[joint - 1] * model.velocity[joint - 1]
         return 0.5 * (power + np.sqrt(power**2 + width**2) - width)
 

@@ -213,10 +213,9 @@ def stiffness_sentence(
     known = {joint: gain for joint, gain in gains.items() if not np.isnan(gain)}
     parts = []
     if slipping and compared:
-        verb = "slips" if len(slipping) == 1 else "slip"
         parts.append(
             "The present preload is insufficient: at the lower end of the tightening scatter "
-            f"{listed(slipping)} {verb}."
+            f"{_slip_phrase(slipping)}."
         )
     if known and compared:
         parts.append(_stiffness_change_sentence(known))
@@ -324,10 +323,14 @@ def _slip_outside(problem: PreloadProblem, solution: PreloadSolution) -> Iterato
         turned = {j: model.net_windups(solution.vector, j) for j in range(1, problem.robot.n + 1)}
         joints = [f"joint {j}" for j, angles in turned.items() if not np.isfinite(angles).all()]
         yield (
-            f"{listed(joints)} slips under {listed(slips)} with the preloads of the robot file, so "
+            f"{_slip_phrase(joints)} under {listed(slips)} with the preloads of the robot file, so "
             "the tool is not held there. The study tightens other connections only: add these to "
             "joints or free."
         )
+
+
+def _slip_phrase(joints: Sequence[str]) -> str:
+    return f"{listed(joints)} {'slips' if len(joints) == 1 else 'slip'}"
 
 
 def _stainless_friction(problem: PreloadProblem) -> Iterator[str]:
