@@ -93,8 +93,8 @@ class SolverRecord:
 
     `homotopy` are the programmes solved, in order; `exchanges` are the objections to the motions
     found, each with its step, its reason, the iterations of the solve, whether that motion was
-    accepted and how its last programme ended; `left_out` names the steps that the time limit ended or left out, empty where the
-    answer does not depend on the speed of the machine.
+    accepted and how its last programme ended; `left_out` names the steps that the time limit ended
+    or left out, empty where the answer does not depend on the speed of the machine.
     """
 
     iterations: int
