@@ -65,8 +65,9 @@ class GivenMotion:
         self._spline: Callable[..., np.ndarray]
         if velocity is not None and acceleration is not None:
             rows = np.stack([position, velocity, acceleration], axis=1)
-            judged = jerk_max is not None and self.is_sampled and not self._has_noise
-            limit = jerk_max if judged else np.full(rows.shape[2], np.inf)
+            limit = np.full(rows.shape[2], np.inf)
+            if jerk_max is not None and self.is_sampled and not self._has_noise:
+                limit = jerk_max
             self._spline = least_jerk_motion(self.times, rows, limit)
         # Of cubics between samples the acceleration jumps, in planned ones hardly, but in no time.
         elif velocity is None or self.is_sampled:
