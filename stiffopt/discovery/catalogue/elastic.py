@@ -1,7 +1,7 @@
 """Wind-up that depends on the side or the history of the load: backlash and hysteresis.
 
-Both depend on the nominal spring torque and need no measured torque. Presliding hysteresis after
-Dahl (1968), with his exponent.
+Both depend on the nominal spring torque and need no measured torque. Hysteresis is that of contacts
+that slide one after the other (Iwan 1966): a loop closes where it began, as of all dry contacts.
 """
 
 from __future__ import annotations
@@ -9,12 +9,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import boxcox, inv_boxcox
 
 from stiffopt.discovery.catalogue.common import (
     carried_share,
     dry_friction,
-    linear_recurrence,
     motor_inertia,
     shares_of_carried,
     viscous_friction,
@@ -23,8 +21,8 @@ from stiffopt.discovery.catalogue.common import (
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term, Values
 from stiffopt.discovery.signals import JointConstants, JointSignals, smooth_sign
 
-# Remainder to the limit that counts as reached.
-_MIN_REMAINDER = 1e-9
+# Sliders of a presliding friction: 100 differ by 1 % of its limit.
+_SLIDER_COUNT = 10
 # Smallest rounding of a flank over the rated torque.
 _MIN_ROUNDING = 5e-5
 # Backlash about which friction of a crossing motor is at least linearised [rad], and the typical
@@ -71,26 +69,20 @@ def hysteresis_term(signals: JointSignals, amplitudes: Values, shapes: Values) -
 
 
 def _presliding_friction(windup: np.ndarray, reach: float, exponent: float) -> np.ndarray:
-    """Return presliding friction over its limit: dy/dd = (1 - y sgn(dd))^i/range.
+    """Return friction over its limit (K,): sliders in parallel that yield one after the other.
 
-    Exact where the wind-up is linear between samples: the Box-Cox transform of the remainder to the
-    limit decreases in proportion to the travel in one direction.
+    All carry as much at their limits, which are spread over the reach by a power: 0 for one slider,
+    1 for an even spread, and more for many that slide at once.
     """
+    limits = reach * ((np.arange(_SLIDER_COUNT) + 0.5) / _SLIDER_COUNT) ** exponent
     travel = np.diff(windup, prepend=windup[:1])
-    if exponent == 1.0:
-        kept = np.exp(-np.abs(travel) / reach)
-        return linear_recurrence(kept, np.sign(travel) * (1.0 - kept))
-    moving, rest = np.flatnonzero(travel), 1.0 - exponent
+    moving = np.flatnonzero(travel)
     turns = np.flatnonzero(np.diff(np.sign(travel[moving]))) + 1
-    found, state = np.zeros_like(travel), 0.0
+    found, strain = np.zeros_like(windup), np.zeros(_SLIDER_COUNT)
     for stretch in np.split(moving, turns) if moving.size else ():
-        side = np.sign(travel[stretch[0]])
-        begun = boxcox(max(1.0 - state * side, _MIN_REMAINDER), rest)
-        fallen = begun - np.cumsum(np.abs(travel[stretch])) / reach
-        reached = 1.0 + rest * fallen <= 0.0
-        left = np.where(reached, 0.0, inv_boxcox(np.where(reached, 0.0, fallen), rest))
-        found[stretch] = side * (1.0 - left)
-        state = found[stretch[-1]]
+        # In one direction no slider takes back what it has slid.
+        strains = np.clip(strain + np.cumsum(travel[stretch])[:, None], -limits, limits)
+        found[stretch], strain = strains.mean(axis=1) / limits.mean(), strains[-1]
     last = np.maximum.accumulate(np.where(travel != 0.0, np.arange(len(travel)), 0))
     return np.asarray(found[last])
 
@@ -160,7 +152,7 @@ HYSTERESIS = Effect(
     name="hysteresis",
     family="elastic",
     scope="joint",
-    equation="d += -D'(s)*h*y, dy/dd = (1 - y*sgn(dd))^i/s",
+    equation="d += -D'(s)*h*y, y = mean of sliders that yield at wind-ups s*u^i, 0 < u < 1",
     signature="wind-up that differs between falling and rising load at equal torque, whatever"
     " the speed",
     phrase="hysteresis of the wind-up, {h}",
@@ -171,9 +163,8 @@ HYSTERESIS = Effect(
     amplitudes=(Amplitude("h", "N m", _loop_height, 0.0, 3.0),),
     shapes=(
         Shape("s", "rad", (1e-4, 3e-4, 1e-3), 2e-5, 5e-3),
-        # Rate at which the loop approaches its limit: recordings seldom show it, but h depends on
-        # it.
-        Shape("i", "", (1.0,), 0.3, 2.0, 1.0, reported=False),
+        # Spread of the sliders: recordings seldom show it, but h depends on it.
+        Shape("i", "", (1.0,), 0.0, 3.0, 1.0, reported=False),
     ),
     applies=winds_up,
     separate="Load and unload slowly, at two speeds and two amplitudes: creep shrinks when slow,"
