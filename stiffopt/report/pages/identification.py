@@ -90,7 +90,8 @@ def tilt_sentence(result: StaticStiffness) -> str:
     )
     return (
         f"supported, moment stiffness {named}; leave-one-out error with it "
-        f"{si(result.tilt[-1].left_out, 'm', 3)} in place of {si(result.errors.left_out, 'm', 3)}."
+        f"{si(result.errors.left_out, 'm', 3)} in place of "
+        f"{si(result.errors.rigid_bearings, 'm', 3)}. It is in the joint stiffness above."
     )
 
 
