@@ -23,6 +23,7 @@ from stiffopt.identification.static_rows import (
     MIN_LEVERAGE,
     Identifiable,
     StaticRows,
+    check_sag,
     identifiable,
     static_rows,
 )
@@ -76,15 +77,17 @@ def identify_stiffness(
     used, fitted = robust.columns, robust.whole
     torsion = columns[:, :, kept]
     plain = cross_validate(torsion, measured, robust=False)
-    rigid = cross_validate(torsion, measured) if tilt else robust
     drawn = bootstrap(used, measured, fitted, draws, seed)
+    joints = _joint_estimates(recorded, rows, can, (robust, *rivals), plain.whole, drawn)
+    check_sag(rows, recorded, np.array([1.0 / own.upper if own.upper else 0.0 for own in joints]))
+    rigid = cross_validate(torsion, measured) if tilt else robust
     norm = np.linalg.norm(fitted.residual, axis=1)
     # Rounding must not make outliers of data without error.
     outlying = max(OUTLIER_DEVIATIONS * fitted.scale, 1e-6 * rms(measured))
     return StaticStiffness(
         source=recorded,
         rows=rows,
-        joints=_joint_estimates(recorded, rows, can, (robust, *rivals), plain.whole, drawn),
+        joints=joints,
         errors=Errors(
             displacement=rms(measured),
             fit=rms(fitted.residual),

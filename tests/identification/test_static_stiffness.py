@@ -296,6 +296,25 @@ def test_wrong_static_files_are_refused(tmp_path, capsys, name, before, after, m
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        ({"displacement": 1e3}, "no small deflection at lever arms"),
+        ({"force": 1e-3}, "the weight of the links alone would turn it"),
+    ],
+)
+def test_units_that_no_arm_can_have_are_refused(tmp_path, changed, says):
+    arm = replace(THREE, masses=(80.0, 60.0, 40.0), stiffness=(9e4, 2e5, 1.5e5))
+    whole = measure(arm, 20, 3)
+    wrong = {name: factor * getattr(whole, name) for name, factor in changed.items()}
+    with pytest.raises(InputFileError, match=says):
+        identify(replace(whole, **wrong), tmp_path / "wrong")
+    ((key, factor),) = changed.items()
+    scaled = replace(whole, **wrong, extra={f"scale.{key}": str(1.0 / factor)})
+    found = identify(scaled, tmp_path / "scaled")
+    assert [joint.status for joint in found.joints] == ["identified"] * 3
+
+
 def test_folder_without_static_set_is_refused(tmp_path, capsys):
     assert run(["identify-stiffness", str(tmp_path)]) == 2
     assert "static.toml" in capsys.readouterr().err
