@@ -200,7 +200,7 @@ def _shares_of_kinds(
 def _split(weights: np.ndarray, count: np.ndarray) -> np.ndarray:
     """Return shares in proportion to weights; equal ones without any, as of open contacts."""
     own = weights if weights.any() else np.ones(len(weights))
-    return own / (count @ own)
+    return np.asarray(own / (count @ own))
 
 
 def _torque_at_windup(

@@ -123,13 +123,10 @@ def _joint_estimates(
     from scipy.stats import t
 
     fitted, poses = explanations[0].whole, len(explanations[0].folds)
-    alike, jackknife = (
-        np.array([own(each) for each in explanations])
-        for own in (
-            lambda each: np.sqrt(np.diag(model_covariance(each.columns, each.whole))),
-            lambda each: jackknife_deviation(each.values),
-        )
+    alike = np.array(
+        [np.sqrt(np.diag(model_covariance(each.columns, each.whole))) for each in explanations]
     )
+    jackknife = np.array([jackknife_deviation(each.values) for each in explanations])
     factor = float(t.ppf(0.5 + 0.5 * CONFIDENCE, poses - 1))
     # The interval contains that of every explanation which the poses do not tell from the first.
     apart = np.array([np.abs(each.whole.value - fitted.value) for each in explanations])

@@ -72,10 +72,10 @@ def load_static_set(path: str | os.PathLike[str], changes: Sequence[str] = ()) -
     poses = path_inside_set(path, "poses", document.poses)
     table = read_named_columns(poses, columns)
     for name in columns:
-        for row in np.flatnonzero(~np.isfinite(table[name])):
+        for place in np.flatnonzero(~np.isfinite(table[name])):
             raise InputFileError(
                 poses,
-                f"row {row + 1}, {name}",
+                f"row {place + 1}, {name}",
                 "needs a finite number. Complete or delete the row.",
             )
     order = joint_order(robot, document.joints)
