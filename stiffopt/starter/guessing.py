@@ -10,6 +10,7 @@ import numpy as np
 from stiffopt.errors import InputError
 from stiffopt.recording.clock import are_unordered
 from stiffopt.recording.signals import may_be_set_point
+from stiffopt.recording.stated_units import stated_unit
 from stiffopt.robot.robot import Robot
 from stiffopt.starter.column_names import (
     CURRENT_WORDS,
@@ -19,7 +20,6 @@ from stiffopt.starter.column_names import (
     command_columns,
     is_signal,
     split_words,
-    stated_unit,
 )
 from stiffopt.units import to_si
 
