@@ -24,18 +24,19 @@ from pathlib import Path
 import numpy as np
 
 from stiffopt.baseline.rivals import fair_rivals
+from stiffopt.command.command_search import CommandOnArms
 from stiffopt.command.compensation import rival_commands
 from stiffopt.command.simulated_solution import with_simulation
 from stiffopt.command.simulation import PlannedMotion, elastic_arm
 from stiffopt.cycle.solve_cycle import solve_cycle
-from stiffopt.errors import NoSolutionFound
 from stiffopt.problem.cycle import Cycle
 from stiffopt.problem.cycle_files import load_cycle
 from stiffopt.problem.limit import Limits
 from stiffopt.problem.objective import Objective
 from stiffopt.problem.resolve import resolve
-from stiffopt.result.compensation import CompensatedMotion
-from stiffopt.solver.solve import solve
+from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.compensation import Spreads
+from stiffopt.solver.solve import solve_with_state
 
 PROBLEMS = Path(__file__).resolve().parents[1] / "problems"
 FILES = ("er3a_cycle.toml", "ur10_cycle.toml")
@@ -78,9 +79,9 @@ def s_curve_time(cycle: Cycle) -> float:
 Errors = tuple[float, float]
 
 
-def _largest(found: Iterable[CompensatedMotion]) -> Errors:
+def _largest(found: Iterable[Spreads]) -> Errors:
     """Largest errors on the worst arm, in flight and after arrival [m]."""
-    led = [each.compensated for each in found]
+    led = list(found)
     return max(each.flight.worst for each in led), max(each.after.worst for each in led)
 
 
@@ -91,48 +92,56 @@ _SLOWING_STEP, _MAX_SLOWING = 1.05, 4.0
 _FLIGHT_MARGIN = 1.2
 
 
-def led_s_curves(
-    cycle: Cycle, allowed: Errors = (np.inf, np.inf)
-) -> tuple[list[float], list[CompensatedMotion]]:
-    """Durations [s] of S-curves whose motors lead, with a stop at every pose, and their errors.
-
-    Each move is as fast as limits and allowed errors permit; infinite where none is found.
-    """
-    lasted, found = [], []
+def led_s_curves(cycle: Cycle) -> list[tuple[TrajectoryProblem, CommandOnArms]]:
+    """Fastest S-curves whose motors lead within limits, with a stop at every pose."""
+    found = []
     for leg in cycle.legs:
         problem = leg.problem
         rivals = fair_rivals(problem, resolve(problem), problem.duration[0])
         rival, motion = next(each for each in rivals if each[0].name == "S-curve")
-        arm = elastic_arm(problem, motion.position[0])
         planned = PlannedMotion.of_rival(rival.smoothed, motion, True)
-        longest = _MAX_SLOWING * planned.duration
-        while True:
-            (own,) = rival_commands(problem, arm, [planned])
-            report = own.for_reports()
-            errors = _largest([report])
-            if all(a <= b for a, b in zip(errors, allowed, strict=True)):
-                break
-            if planned.duration >= longest:
-                errors = np.inf, np.inf
-                break
-            least = np.sqrt(errors[0] / allowed[0] / _FLIGHT_MARGIN)
-            slower = max(_SLOWING_STEP, float(least)) * planned.duration
-            planned = planned.slowed_to(problem, min(slower, longest))
-        kept = not own.excess and np.isfinite(errors[0])
-        lasted.append(float(own.motion.time[-1]) if kept else np.inf)
-        found.append(report)
-    return lasted, found
+        found.append((problem, _command(problem, planned)))
+    return found
+
+
+def _command(problem: TrajectoryProblem, planned: PlannedMotion) -> CommandOnArms:
+    (own,) = rival_commands(problem, elastic_arm(problem, planned.position[0]), [planned])
+    return own
+
+
+def slowed_within(problem: TrajectoryProblem, own: CommandOnArms, allowed: Errors) -> CommandOnArms:
+    """An S-curve as fast as its limits and the allowed errors permit, the slowest tried if none."""
+    longest = _MAX_SLOWING * own.motion.duration
+    while True:
+        errors = _largest([own.compensated])
+        within = all(a <= b for a, b in zip(errors, allowed, strict=True))
+        if within or own.motion.duration >= longest:
+            return own
+        least = np.sqrt(errors[0] / allowed[0] / _FLIGHT_MARGIN)
+        slower = max(_SLOWING_STEP, float(least)) * own.motion.duration
+        own = _command(problem, own.motion.slowed_to(problem, min(slower, longest)))
+
+
+def s_curve_row(curves: list[CommandOnArms], rest: float, allowed: Errors) -> tuple[float, Errors]:
+    """Time of all moves [s] and errors; infinite where a limit or an allowed error is exceeded."""
+    errors = _largest(each.compensated for each in curves)
+    kept = all(a <= b for a, b in zip(errors, allowed, strict=True))
+    if not kept or any(each.excess for each in curves):
+        return np.inf, errors
+    return sum(float(each.motion.time[-1]) for each in curves) + rest, errors
 
 
 def led_cycle(cycle: Cycle) -> tuple[float, Errors, str]:
     """Time [s] and errors of the fastest cycle whose motors lead, and its status."""
-    found = solve_cycle(cycle)
-    led = [leg.solution.compensation for leg in found.legs]
-    if len(led) < len(cycle.legs):
-        return np.inf, (np.inf, np.inf), f"{found.status} of leg {len(led)}"
-    if any(each is None or each.refusal for each in led):
-        return found.duration, (np.inf, np.inf), f"{found.status}, without a command"
-    return found.duration, _largest(each.optimised for each in led), str(found.status)
+    found, led = solve_cycle(cycle, simulate=False), []
+    if len(found.legs) < len(cycle.legs):
+        return np.inf, (np.inf, np.inf), f"{found.status} of leg {len(found.legs)}"
+    for leg in found.legs:
+        made = with_simulation(leg.problem, leg.solution, compare=False).compensation
+        if made is None or made.refusal:
+            return found.duration, (np.inf, np.inf), f"{found.status}, without a command"
+        led.append(made.optimised.compensated)
+    return found.duration, _largest(led), str(found.status)
 
 
 def led_errors_at(cycle: Cycle, durations: list[float]) -> Errors:
@@ -141,16 +150,14 @@ def led_errors_at(cycle: Cycle, durations: list[float]) -> Errors:
     for leg, duration in zip(cycle.legs, durations, strict=True):
         fixed = {"objectives": (Objective(name="tool_error"),), "duration": (duration, duration)}
         problem = replace(leg.problem, **fixed)
-        try:
-            solution = solve(problem)
-        except NoSolutionFound as ended:
-            # The best motion so far, which has a command where it keeps the limits.
-            solution = ended.solution
-        led = with_simulation(problem, solution).compensation
+        # The best motion so far has a command where it keeps the limits, whatever its status.
+        solution, _ = solve_with_state(problem, simulate=True, beside_rivals=False)
+        led = solution.compensation
         if led is None or led.refusal:
             return np.inf, np.inf
-        found.append(led.optimised)
-        print(f"  leg in {duration:.3f} s: {_largest(found[-1:])}", file=sys.stderr, flush=True)
+        found.append(led.optimised.compensated)
+        told = f"  leg in {duration:.3f} s: {_largest(found[-1:])}, {solution.status}"
+        print(told, file=sys.stderr, flush=True)
     return _largest(found)
 
 
@@ -177,14 +184,15 @@ def print_led(paths: list[Path]) -> None:
             row.append(f"{time:.3f} s, {1e3 * errors[0]:.3f} / {1e3 * errors[1]:.4f} mm")
             print(f"{row[0]}, {name}: {row[-1]}", file=sys.stderr, flush=True)
 
-        moves, curves = led_s_curves(stopping)
-        curve_time = sum(moves) + whole.rest
-        add("S-curves", curve_time, _largest(curves))
+        curves = led_s_curves(stopping)
+        moves = [float(own.motion.time[-1]) for _, own in curves]
+        fastest = s_curve_row([own for _, own in curves], whole.rest, (np.inf, np.inf))
+        add("S-curves", *fastest)
 
-        slow = led_errors_in(whole, 0.85 * curve_time, moves)
-        add("15 % less", 0.85 * curve_time, slow)
-        slowed, equal = led_s_curves(stopping, slow)
-        add("S-curves of equal error", sum(slowed) + whole.rest, _largest(equal))
+        slow = led_errors_in(whole, 0.85 * fastest[0], moves)
+        add("15 % less", 0.85 * fastest[0], slow)
+        slowed = [slowed_within(problem, own, slow) for problem, own in curves]
+        add("S-curves of equal error", *s_curve_row(slowed, whole.rest, slow))
         for name, each in (("one by one", stopping), ("fastest", whole)):
             lasted, errors, status = led_cycle(each)
             add(f"{name} ({status})", lasted, errors)

@@ -49,6 +49,7 @@ def improve(
     from stiffopt.improvement.improvement import improve as improve_motion
     from stiffopt.improvement.improvement_files import write_improvement
     from stiffopt.problem.files import load_problem
+    from stiffopt.problem.limit import Limits
     from stiffopt.report.pages.improvement import print_improvement, write_improvement_report
     from stiffopt.result.compensation import COMMAND_FILE
     from stiffopt.result.store import TRAJECTORY_FILE
@@ -77,7 +78,8 @@ def improve(
     else:
         settings, arm = None, load_robot(str(robot), changes=changes)
     read = read_timed_motion(motion, arm, rate)
-    given = GivenMotion(read.time, read.position, read.velocity, read.acceleration)
+    jerk_max = (Limits.of(arm) if settings is None else settings.active_limits).jerk
+    given = GivenMotion(read.time, read.position, read.velocity, read.acceleration, jerk_max)
     maybe = (COMMAND_FILE, TRAJECTORY_FILE)
     with output_folder(folder, "improve", maybe=maybe) as stage:
         found = improve_motion(arm, given, retime=retime, settings=settings)

@@ -26,9 +26,6 @@ if TYPE_CHECKING:
 
 # Damping ratio where the robot file gives no damping.
 ASSUMED_DAMPING = 0.02
-# Torque change of a full reversal of the hysteresis over the drive's torque: reducer catalogues
-# measure lost motion at 3 to 4 % of the rated torque.
-_REVERSAL_TORQUE_RATIO = 0.04
 # A joint with a higher single-joint frequency [Hz] is taken to follow its motor: the motions of an
 # arm excite up to a tenth of it.
 MIN_FOLLOWING_FREQUENCY = 1200.0
@@ -66,8 +63,6 @@ class ElasticArm:
         Force on the tool during the motion, base axes [N].
     following : tuple of int
         Joints (from 1) whose springs are left out, see `with_fast_joints_following`.
-    reversal_torque : array (n,)
-        Torque change of a full reversal of the hysteresis [N m].
 
     Raises
     ------
@@ -90,7 +85,6 @@ class ElasticArm:
         if not np.all(self.hysteresis >= 0.0):
             joint = robot.joint_names[int(np.argmin(self.hysteresis))]
             raise RobotError(f"the hysteresis of {joint} must be a half width of 0 or above.")
-        self.reversal_torque = _REVERSAL_TORQUE_RATIO * np.asarray(robot.torque_max, dtype=float)
         stated = _values_or_default(robot.damping, robot.n, np.nan)
         unknown = np.isnan(stated) & self.elastic
         self.assumed_damping = tuple(int(j) + 1 for j in np.flatnonzero(unknown))

@@ -57,7 +57,7 @@ class BearingJoints:
         found.elastic = np.array([spring is not None for spring in found.springs])
         inertia = np.diag(found.bodies.inertia_matrix(at))
         found.damping = 2.0 * ASSUMED_DAMPING * np.sqrt(stiffness * inertia)
-        for name in ("damping", "hysteresis", "reversal_torque"):
+        for name in ("damping", "hysteresis"):
             getattr(found, name)[self.driven] = getattr(arm, name)
         found.assumed_damping = tuple(int(self.driven[j - 1]) + 1 for j in arm.assumed_damping)
         self.arm = found.with_fast_joints_following(at)

@@ -228,7 +228,6 @@ class UncertainArms:
             + 1
         )
         self.time = np.concatenate([flight, self.duration + self.step * np.arange(1, rest + 1)])
-        self._flight = count + 1
         self._q, self._v = (
             self._extend_at_rest(plan(flight)),
             self._extend_at_rest(plan(flight, 1), 0.0),

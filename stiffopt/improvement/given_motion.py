@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from math import factorial
 
 import numpy as np
-from scipy.interpolate import BPoly, CubicHermiteSpline, CubicSpline, PPoly
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from stiffopt.elastic.smooth_motion import smooth_motion
 from stiffopt.errors import ProblemError
+from stiffopt.improvement.least_jerk import least_jerk_motion
 from stiffopt.problem.pose_following import fit_joint_path
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.trajectory import JointMotion, Trajectory
@@ -47,7 +47,8 @@ class GivenMotion:
 
     `time` (K,): from 0 [s]. `position`, `velocity` and `acceleration` (K, n): of degree 5 between
     rows with accelerations, cubic between rows with velocities; else, and of samples, a cubic
-    spline.
+    spline. Between samples of a plan with accelerations the jerk keeps its limit `jerk_max` (n,),
+    where a motion through them does.
     """
 
     def __init__(
@@ -56,6 +57,7 @@ class GivenMotion:
         position: np.ndarray,
         velocity: np.ndarray | None = None,
         acceleration: np.ndarray | None = None,
+        jerk_max: np.ndarray | None = None,
     ) -> None:
         self.times = np.asarray(time, dtype=float)
         exact = velocity is not None and are_derivatives(velocity, self.times, position)
@@ -63,7 +65,10 @@ class GivenMotion:
         self._spline: Callable[..., np.ndarray]
         if velocity is not None and acceleration is not None:
             rows = np.stack([position, velocity, acceleration], axis=1)
-            self._spline = PPoly.from_bernstein_basis(BPoly.from_derivatives(self.times, rows))
+            limit = np.full(rows.shape[2], np.inf)
+            if jerk_max is not None and self.is_sampled and not self._has_noise:
+                limit = jerk_max
+            self._spline = least_jerk_motion(self.times, rows, limit)
         # Of cubics between samples the acceleration jumps, in planned ones hardly, but in no time.
         elif velocity is None or self.is_sampled:
             self._spline = CubicSpline(self.times, position, bc_type="clamped")
@@ -127,7 +132,9 @@ class GivenMotion:
         """Given motion where it is planned as samples with their rates, else the smoothed one."""
         if self._has_noise or not self.is_sampled:
             return self.smoothed
-        rows = [self._spline(self.times[:-1], k) / factorial(k - 2) for k in range(2, 6)]
+        if isinstance(self._spline, Trajectory):
+            return self._spline
+        rows = [self._spline(self.times[:-1], k) / (k - 1) for k in (2, 3)]
         start, rest = self._spline(0.0), self._spline(0.0, 1)
         return Trajectory.from_acceleration(self.times, np.stack(rows, axis=1), start, rest)
 

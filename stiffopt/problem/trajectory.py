@@ -356,10 +356,10 @@ class TrajectoryProblem:
     def arrives_at_rest(self) -> bool:
         """True where no residual vibration is allowed; else limits bound it."""
         asked = any(objective.kind.plans_links for objective in self.objectives)
-        return asked or self._leads_when_fastest
+        return asked or self.leads_when_fastest
 
     @property
-    def _leads_when_fastest(self) -> bool:
+    def leads_when_fastest(self) -> bool:
         """True where motors are to lead on a fastest motion, which jumps from limit to limit.
 
         A stated uncertainty asks for their command.

@@ -92,9 +92,9 @@ class SolverRecord:
     """Solver effort, for reports, regression tests and `stiffopt replay`.
 
     `homotopy` are the programmes solved, in order; `exchanges` are the objections to the motions
-    found, each with its step, its reason, the iterations of the solve and whether that motion was
-    accepted; `left_out` names the steps that the time limit ended or left out, empty where the
-    answer does not depend on the speed of the machine.
+    found, each with its step, its reason, the iterations of the solve, whether that motion was
+    accepted and how its last programme ended; `left_out` names the steps that the time limit ended
+    or left out, empty where the answer does not depend on the speed of the machine.
     """
 
     iterations: int

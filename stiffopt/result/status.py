@@ -61,6 +61,6 @@ _STATUS_SENTENCES = {
     ),
     SolveStatus.CERTIFICATE_FAILED: (
         "The solver finished, but a limit is exceeded on the fine grid between nodes. Do not run "
-        "this motion; raise method.intervals, or lower the scale of the named limit."
+        "this motion."
     ),
 }

@@ -69,8 +69,13 @@ def convex_hull(mesh: coal.BVHModelBase, path: Path | None) -> coal.ConvexBase:
         raise InputFileError(
             path, "", "is flat, and a body that collides needs a volume. Give the link a box."
         )
-    # Default options of Qhull; vertices are kept.
-    mesh.buildConvexHull(True, "Qt")
+    try:
+        # Default options of Qhull; vertices are kept.
+        mesh.buildConvexHull(True, "Qt")
+    except RuntimeError:
+        # Large flat faces are triangulated from one vertex, to which coal allows 255 neighbours;
+        # moved by rounding, their points have no common plane.
+        mesh.buildConvexHull(True, "QJ")
     return mesh.convex
 
 

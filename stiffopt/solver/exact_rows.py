@@ -93,7 +93,9 @@ class ExactRows(OutcomeOracle):
         )
         closer = back_off_uniformly(closer, _unexplained_excess(known, excess))
         if excess:
-            closer = back_off_states(closer, last.transcription, last.raw.x)
+            led = self.run.problem.plans_links
+            motors = KnownRows(last.assessment.time, last.assessment.position) if led else None
+            closer = back_off_states(closer, last.transcription, last.raw.x, motors)
         if not allows_other_motion(closer, last.nlp, moved=rough or smoothing != last.smoothing):
             return None
         worse = f"objective {gap:.1%} worse between the nodes"
@@ -144,9 +146,14 @@ def _known_drive_rows(problem: TrajectoryProblem, motion: Assessment) -> dict[st
 
 
 def _unexplained_excess(known: Excess, excess: dict[str, float]) -> dict[str, float]:
-    """Return excesses that the rows do not show, such as the delay by damping."""
+    """Return excesses that the rows do not show, such as the delay by damping.
+
+    Not of positions, which are states.
+    """
     unseen = {
-        k: v for k, v in excess.items() if known.largest.get(k, 0.0) < _MIN_EXPLAINED_SHARE * v
+        k: v
+        for k, v in excess.items()
+        if k != "position" and known.largest.get(k, 0.0) < _MIN_EXPLAINED_SHARE * v
     }
     return {k: min(v, _MAX_BACK_OFF_STEP) for k, v in unseen.items()}
 

@@ -88,7 +88,7 @@ def exchange(run: SolveRun, oracle: Oracle[State], start: State) -> State:
         if run.is_over:
             run.leave_out(oracle.step)
             break
-        begun, last = run.iterations, proposal.solve()
+        begun, solves, last = run.iterations, len(run.homotopy), proposal.solve()
         accepted = oracle.accepts(last, best)
         run.exchanges.append(
             {
@@ -96,6 +96,7 @@ def exchange(run: SolveRun, oracle: Oracle[State], start: State) -> State:
                 "reason": proposal.reason,
                 "iterations": run.iterations - begun,
                 "accepted": accepted,
+                "ended": run.homotopy[-1]["status"] if len(run.homotopy) > solves else "",
             }
         )
         best = last if accepted else best

@@ -202,10 +202,12 @@ class IpoptSolver:
             raise monitor.error
         word = str(solver.stats()["return_status"])
         status = monitor.stopped_by or _translate_status(word)
-        if status == "acceptable":
-            # The residual gradient is rounding along stiff directions: full steps change nothing.
-            lengths = solver.stats()["iterations"]["alpha_pr"]
-            if monitor.is_stationary(_STATIONARY_STEP_FACTOR * self.options.tol, lengths):
+        if status in ("acceptable", "stalled", "iteration_limit"):
+            # The residual gradient is rounding along stiff directions: full Newton steps change
+            # nothing.
+            made = solver.stats()["iterations"]
+            lengths = np.where(np.equal(made["regularization_size"], 0.0), made["alpha_pr"], 0.0)
+            if monitor.is_stationary(_STATIONARY_STEP_FACTOR * self.options.tol, lengths.tolist()):
                 status = "optimal"
         last = self._last_iterate(outputs)
         best = last if status in ("optimal", "acceptable") else (monitor.best or last)

@@ -220,7 +220,7 @@ def solve_stage(
         feasible = raw.violation <= FEASIBLE_VIOLATION
         ended = raw.status in ("stalled", "iteration_limit")
         if ended and feasible and raw.objective <= enough:
-            raw = replace(raw, status="acceptable")
+            raw = replace(raw, status="acceptable", reason=raw.status)
         run.record(stage, raw)
         if raw.status == "interrupted":
             run.unfinished = functools.partial(certify_outcome, run, made, raw, stage.smoothing)

@@ -371,7 +371,7 @@ def solution_of(
     if outcome.raw.status != "infeasible":
         strict = _strict_baseline_of(run, compared) if compare else run.strict
     rivals = _all_rivals(compared, strict)
-    found = judge_outcome(problem, outcome, assessment, rivals)
+    found = judge_outcome(problem, outcome, assessment, rivals, run.exchanges)
     if found.status is SolveStatus.OPTIMAL:
         reach = describe_optimality(problem, rivals, run.starts_made)
         found = replace(found, message=f"{found.message} {reach}")

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -68,13 +68,18 @@ class Verdict:
 
 
 def judge_outcome(
-    problem: TrajectoryProblem, outcome: Outcome, motion: Assessment, compared: dict[str, Baseline]
+    problem: TrajectoryProblem,
+    outcome: Outcome,
+    motion: Assessment,
+    compared: dict[str, Baseline],
+    corrections: Sequence[Mapping[str, Any]] = (),
 ) -> Verdict:
     """Judge an outcome by solver, certificate, model agreement and baselines.
 
-    `motion` is its assessment with collisions, which `judge_collisions` judges.
+    `motion` is its assessment with collisions, which `judge_collisions` judges; `corrections` are
+    the solves after the first one, as recorded.
     """
-    own = Verdict(_solve_status(outcome), _status_message(problem, outcome, motion))
+    own = Verdict(_solve_status(outcome), _status_message(problem, outcome, motion, corrections))
     found = _judge_model_agreement(problem, outcome, motion, own)
     if not motion.feasible(CERTIFICATE_TOLERANCE) and (
         beyond := _explain_unreachable_deflection(problem, compared)
@@ -94,6 +99,9 @@ def judge_outcome(
     # their commands.
     if problem.judges_uncertain_arms:
         return found
+    if problem.leads_when_fastest:
+        told = f"The {better.name} motion is faster, but its motors do not lead the links."
+        return Verdict(found.status, f"{found.message} {told}")
     optimal = found.status is SolveStatus.OPTIMAL
     # Where commands are made, these say which motion to run.
     run = "" if requests_command(problem) else "run that one, or "
@@ -238,7 +246,8 @@ def describe_optimality(
     rivals = ""
     if compared and not kept:
         rivals = "; no baseline keeps every limit within the duration"
-    elif kept and not problem.judges_uncertain_arms:  # else the commands are compared
+    elif kept and not (problem.judges_uncertain_arms or problem.leads_when_fastest):
+        # Else the commands are compared.
         rivals = f"; no baseline that keeps every limit ({', '.join(kept)}) has a better objective"
     return f"It is a local optimum, from {tried}{rivals}. More method.starts look further."
 
@@ -258,7 +267,12 @@ def _solve_status(outcome: Outcome) -> SolveStatus:
     return SolveStatus.ITERATION_LIMIT
 
 
-def _status_message(problem: TrajectoryProblem, outcome: Outcome, motion: Assessment) -> str:
+def _status_message(
+    problem: TrajectoryProblem,
+    outcome: Outcome,
+    motion: Assessment,
+    corrections: Sequence[Mapping[str, Any]],
+) -> str:
     status, raw, assessment = _solve_status(outcome), outcome.raw, outcome.assessment
     worst = assessment.worst_violation.describe()
     if status is SolveStatus.INFEASIBLE:
@@ -280,7 +294,7 @@ def _status_message(problem: TrajectoryProblem, outcome: Outcome, motion: Assess
         cause = f" Cause: {raw.reason}." if raw.status == "invalid_number" else ""
         return f"{status.sentence}{cause}{state}"
     if status is SolveStatus.CERTIFICATE_FAILED:
-        return f"{status.sentence} It exceeds {worst}."
+        return f"{status.sentence} It exceeds {worst}. {_describe_remedy(corrections)}"
     if outcome.slowed:
         return (
             f"Certified, but only near the optimum. {outcome.slowed} More method.intervals may "
@@ -308,7 +322,28 @@ def _status_message(problem: TrajectoryProblem, outcome: Outcome, motion: Assess
             f", so the motion may be run as far as {listed} and the stated requirements go. ",
             1,
         )
+    if raw.reason in ("stalled", "iteration_limit"):
+        return (
+            "Certified: every limit holds on the fine grid. But the last solve ended before its "
+            f"optimum after {raw.iterations} iterations ({raw.reason}), within 1 % of the objective"
+            " that is predicted there. method.starts = 3 tries other motions."
+        )
     return status.sentence
+
+
+def _describe_remedy(corrections: Sequence[Mapping[str, Any]]) -> str:
+    """Return advice on a limit that is exceeded between the nodes, by how its corrections ended."""
+    converged = ("", "optimal", "acceptable")
+    failed = [each for each in corrections if each["ended"] not in converged]
+    if not failed:
+        return "Raise method.intervals, or lower the scale of the named limit."
+    last = failed[-1]
+    return (
+        f"The solve that was to correct it ({last['step']}: {last['reason']}) ended without an "
+        f"optimum after {last['iterations']} iterations ({last['ended']}), which more "
+        "method.intervals need not change: allow a longer duration, try method.starts = 3, or lower"
+        " the scale of the named limit."
+    )
 
 
 def _missing_friction_share(

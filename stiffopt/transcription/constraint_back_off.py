@@ -116,29 +116,41 @@ def back_off_exceeded(
     return replace(nlp, lower_g=lower, upper_g=upper)
 
 
-def back_off_states(nlp: Nlp, transcription: Transcription, x: np.ndarray) -> Nlp:
+def back_off_states(
+    nlp: Nlp, transcription: Transcription, x: np.ndarray, motors: KnownRows | None = None
+) -> Nlp:
     """Return the NLP with bounds of states backed off beside nodes between which `x` exceeds them.
 
-    Spline coefficients, which bound states everywhere, keep their bounds, as do given states.
+    `motors`: positions that have to keep the bounds of the first states as well. Of splines, whose
+    states are bounded by rows, the positions' are backed off. Given states keep their bounds.
     """
-    block, ocp = transcription.states, transcription.ocp
-    if transcription.splines is not None or block.places is None:
-        return nlp
-    times = _dense_times(transcription, x)
-    states = transcription.guess_from(x).states(times / times[-1])
-    places = transcription.times_of(block.places, x)
-    order = np.argsort(places)
-    index = block.offset + np.arange(block.size).reshape(len(places), -1)[order]
-    lower, upper = nlp.lower_x.copy(), nlp.upper_x.copy()
-    for bound, excess, sign in (
-        (upper, states - ocp.state_upper, 1.0),
-        (lower, ocp.state_lower - states, -1.0),
-    ):
-        near = largest_adjacent_excess(times, places[order], np.maximum(excess, 0.0))
-        bound[index] -= sign * _BACK_OFF_FACTOR * near / block.rows.scale
+    ocp, times = transcription.ocp, _dense_times(transcription, x)
+    found = [(times, transcription.guess_from(x).states(times / times[-1]))]
+    found += [] if motors is None else [(motors.times, motors.values)]
+    blocks, names = [transcription.states], ("lower_x", "upper_x")
+    if transcription.splines is not None:
+        blocks = [block for block in nlp.rows.items if block.rows.name == "position"]
+        names = "lower_g", "upper_g"
+    lower, upper = (getattr(nlp, name).copy() for name in names)
+    for block in blocks:
+        assert block.places is not None
+        places = transcription.times_of(block.places, x)
+        order = np.argsort(places)
+        index = block.offset + np.arange(block.size).reshape(len(places), -1)[order]
+        states = [ocp.states.index(label) for label in block.rows.labels]
+        for when, values in found:
+            own = [k for k, state in enumerate(states) if state < values.shape[1]]
+            at, scale = [states[k] for k in own], block.rows.scale[own]
+            for bound, excess, sign in (
+                (upper, values[:, at] - ocp.state_upper[at], 1.0),
+                (lower, ocp.state_lower[at] - values[:, at], -1.0),
+            ):
+                near = largest_adjacent_excess(when, places[order], np.maximum(excess, 0.0))
+                bound[index[:, own]] -= sign * _BACK_OFF_FACTOR * near / scale
+    before = getattr(nlp, names[0]), getattr(nlp, names[1])
     crossed = lower > upper
-    lower[crossed], upper[crossed] = nlp.lower_x[crossed], nlp.upper_x[crossed]
-    return replace(nlp, lower_x=lower, upper_x=upper)
+    lower[crossed], upper[crossed] = before[0][crossed], before[1][crossed]
+    return replace(nlp, **dict(zip(names, (lower, upper), strict=True)))
 
 
 def back_off_uniformly(nlp: Nlp, excess: Mapping[str, float]) -> Nlp:

@@ -26,8 +26,10 @@ def _estimate(values, spread, between):
         values=values,
         effects=(SimpleNamespace(located=SimpleNamespace(is_run_specific=False)),),
         covariance=1e-6 * np.eye(len(values)),
+        common=np.zeros((len(values),) * 2),
         spread=spread,
         between=between,
+        added=np.zeros((len(values),) * 2),
         sizes=(np.ones(len(values)),),
         shape_sizes=((),),
         parts=(STRETCHES, RUNS),
@@ -74,6 +76,7 @@ def test_p_value_holds_shapes():
     estimate = replace(
         _estimate(np.ones(1), spread, spread),
         covariance=1e-6 * np.eye(2),
+        added=np.zeros((2, 2)),
         shape_sizes=((1.0,),),
     )
     assert estimate.p_value(0) < 1e-4

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import coal
 import numpy as np
 import pytest
 from shaped_arms import BOX, MESH, load, with_shapes, write_stl
@@ -9,7 +10,7 @@ from small_arms import PLANAR
 
 from stiffopt.errors import InputFileError, RobotError
 from stiffopt.robot.body_tree import arm_reach, link_capsules, mounting_distance
-from stiffopt.robot.link_shapes import LinkShape, mesh_triangles
+from stiffopt.robot.link_shapes import LinkShape, _load_mesh, convex_hull, mesh_triangles
 
 
 def test_shapes_are_in_the_frame_of_their_joint(tmp_path):
@@ -110,3 +111,21 @@ def test_distant_mounting_is_no_link_of_the_arm(tmp_path):
     plain, below = link_capsules(arm.tree, arm.tool), link_capsules(hung, arm.tool)
     assert [rod.joint for rod in below] == [rod.joint for rod in plain]
     assert [rod.radius for rod in below] == pytest.approx([rod.radius for rod in plain])
+
+
+def test_hull_of_a_disc_with_a_rim_of_many_points(tmp_path):
+    """Qhull triangulates its flat faces from one vertex, with more neighbours than coal allows."""
+    angle = 2.0 * np.pi * np.arange(600) / 600
+    rim = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
+    vertices = np.concatenate([rim, rim + np.array([0.0, 0.0, 0.2])])
+    sides = [(k, (k + 1) % 600, 600 + k) for k in range(600)]
+    lines = [f"v {x:.9f} {y:.9f} {z:.9f}" for x, y, z in vertices]
+    lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in sides]
+    (tmp_path / "disc.obj").write_text("\n".join(lines))
+    mesh = _load_mesh(tmp_path / "disc.obj", np.ones(3), coal.NODE_TYPE.BV_AABB)
+    hull = convex_hull(mesh, None)
+    ball, here = coal.Sphere(0.1), coal.Transform3s()
+    beside = coal.Transform3s(np.eye(3), np.array([1.5, 0.0, 0.1]))
+    found = coal.DistanceResult()
+    coal.distance(hull, here, ball, beside, coal.DistanceRequest(), found)
+    assert found.min_distance == pytest.approx(0.4, abs=1e-4)

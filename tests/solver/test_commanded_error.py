@@ -423,6 +423,37 @@ def test_a_baseline_is_judged_with_its_command_where_there_is_one(
     assert bool(told) == bool(found.message)
 
 
+def test_a_faster_baseline_without_motors_that_lead_is_no_better_fastest_motion(
+    problem, solution, monkeypatch
+):
+    own = verdict.Verdict(SolveStatus.OPTIMAL, "Solved.")
+    monkeypatch.setattr(verdict, "_solve_status", lambda _: own.status)
+    monkeypatch.setattr(verdict, "_status_message", lambda *_: own.message)
+    monkeypatch.setattr(verdict, "_judge_model_agreement", lambda *_: own)
+    baseline = SimpleNamespace(name="S-curve")
+    monkeypatch.setattr(verdict, "find_better_baseline", lambda *_: baseline)
+    goal = {"objectives": (Objective(name="duration"),), "duration": (0.1, 2.0)}
+    outcome, found = SimpleNamespace(assessment=solution.assessment), {}
+    for uncertainty in (AssumedUncertainty(), Uncertainty(stiffness=0.2)):
+        stated = replace(problem, **goal, uncertainty=uncertainty)
+        judged = verdict.judge_outcome(stated, outcome, solution.assessment, {})
+        found[stated.leads_when_fastest] = judged
+    assert found[False].status is SolveStatus.ACCEPTABLE
+    assert found[True].status is SolveStatus.OPTIMAL
+    assert found[True].message == (
+        "Solved. The S-curve motion is faster, but its motors do not lead the links."
+    )
+
+
+def test_the_remedy_of_a_limit_that_is_exceeded_follows_from_how_its_corrections_ended():
+    correction = {"step": "constraint back-off", "reason": "jerk by 9.00%", "iterations": 150}
+    solved, limited = (correction | {"ended": each} for each in ("optimal", "iteration_limit"))
+    assert verdict._describe_remedy([solved]).startswith("Raise method.intervals")
+    told = verdict._describe_remedy([limited, solved])
+    assert "jerk by 9.00%) ended without an optimum after 150 iterations" in told
+    assert "more method.intervals need not change" in told
+
+
 @pytest.mark.parametrize(("own", "name"), [(2.0, "S-curve"), (0.5, None), (1.0, None)])
 def test_the_better_baseline_is_the_best_one(problem, solution, monkeypatch, own, name):
     monkeypatch.setattr(verdict, "objective_value", lambda *_: SimpleNamespace(value=own))

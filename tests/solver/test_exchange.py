@@ -37,7 +37,13 @@ class Listed(Oracle[float]):
 @pytest.fixture
 def run():
     return SimpleNamespace(
-        step="before", exchanges=[], left_out=[], iterations=0, is_over=False, leave_out=[].append
+        step="before",
+        exchanges=[],
+        homotopy=[],
+        left_out=[],
+        iterations=0,
+        is_over=False,
+        leave_out=[].append,
     )
 
 
@@ -52,6 +58,7 @@ def test_best_motion_is_kept_and_restored(run):
         "reason": "round 0",
         "iterations": 0,
         "accepted": True,
+        "ended": "",
     }
 
 

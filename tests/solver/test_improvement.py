@@ -12,6 +12,7 @@ from stiffopt.errors import ProblemError
 from stiffopt.files import load_json, read_table
 from stiffopt.improvement.given_motion import GivenMotion
 from stiffopt.improvement.improvement import LimitUse, improve
+from stiffopt.improvement.least_jerk import least_jerk_motion
 from stiffopt.report.pages.improvement import answer, faults, headline
 from stiffopt.robot.files import load_robot
 
@@ -102,6 +103,35 @@ def test_planned_samples_that_start_with_full_jerk_are_not_charged_with_a_smooth
     measured = velocity + np.random.default_rng(2).normal(0.0, 1e-2, velocity.shape)
     logged = GivenMotion(time, position, measured)
     assert logged.without_noise is logged.plan is logged.smoothed
+
+
+@pytest.mark.parametrize("step", [1e-3, 2e-3, 5e-3])
+def test_planned_samples_between_which_the_jerk_jumps_keep_the_limit_that_the_plan_keeps(step):
+    """Pieces of degree 5 overshoot where the jerk jumps, twice within a step of 5 ms at most."""
+    limit = np.array([300.0, 200.0])
+    jumps = np.cumsum(np.tile([0.0431, 0.0617, 0.0034, 0.0519], 5))
+    signs = np.resize([1.0, -1.0, 0.3, -1.0, 1.0, -0.5, 1.0], len(jumps) - 1)
+    plan = PPoly(signs[None], jumps - jumps[0]).antiderivative(3)
+    time = np.arange(0.0, plan.x[-1], step)
+    shares = limit * [1.0, -1.0]
+    rows = [plan(time, k)[:, None] * shares for k in range(3)]
+    dense = np.linspace(0.0, time[-1], 20001)
+    plain = least_jerk_motion(time, np.stack(rows, axis=1), np.full(2, np.inf))
+    assert (np.abs(plain(dense, 3)).max(axis=0) / limit).max() > 1.2
+    given = least_jerk_motion(time, np.stack(rows, axis=1), limit)
+    assert (np.abs(given(dense, 3)).max(axis=0) / limit).max() <= 1.0 + TOLERANCE
+    for order, sampled in enumerate(rows):
+        np.testing.assert_allclose(given(time, order), sampled, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(given(dense)[:, 0], plan(dense) * limit[0], rtol=0, atol=1e-5)
+
+
+def test_samples_that_no_motion_within_the_limit_passes_are_joined_by_degree_five():
+    time, step = np.array([0.0, 0.01, 0.02]), 0.01
+    jerk = PPoly(np.array([[500.0, 100.0]]), time).antiderivative(3)
+    rows = np.stack([jerk(time, k)[:, None] for k in range(3)], axis=1)
+    given = least_jerk_motion(time, rows, np.array([300.0]))
+    np.testing.assert_allclose(given(np.linspace(0.0, 0.9 * step, 9), 3), 500.0, rtol=1e-6)
+    np.testing.assert_allclose(given(np.linspace(1.1 * step, 0.02, 9), 3), 100.0, rtol=1e-6)
 
 
 @pytest.mark.slow

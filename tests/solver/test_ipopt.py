@@ -178,6 +178,19 @@ def test_a_warm_start_saves_iterations():
     assert warm.iterations < cold.iterations
 
 
+def test_iterates_that_full_newton_steps_do_not_move_are_optimal_however_ipopt_ends():
+    """The gradient's rounding is above the tolerance that IPOPT is asked for."""
+    made, x0 = pendulum()
+    exact = dict.fromkeys(("tol", "dual_inf_tol", "acceptable_tol", "compl_inf_tol"), 1e-30)
+    best = solver(made).solve(x0, GRAVITY)
+    for most in (40, 200):
+        found = solver(made, max_iterations=most, extra=exact).solve(x0, GRAVITY)
+        assert found.reason != "Solve_Succeeded"
+        assert found.status == "optimal"
+        assert found.objective == pytest.approx(best.objective, rel=1e-9)
+    assert solver(made, max_iterations=3, extra=exact).solve(x0, GRAVITY).status != "optimal"
+
+
 def test_a_feasible_iterate_is_never_called_infeasible(monkeypatch):
     monkeypatch.setitem(ipopt._STATUS_BY_RETURN_STATUS, "Maximum_Iterations_Exceeded", "infeasible")
     made, x0 = pendulum()

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from small_arms import ROOT, joint, load, problem_text, reducer, write_robot
 
@@ -10,13 +11,15 @@ from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.objective import Objective
 from stiffopt.problem.stage_terms import Smoothing
+from stiffopt.problem.trajectory import Method, Target, TrajectoryProblem
 from stiffopt.result.status import SolveStatus
+from stiffopt.robot.files import load_robot
 from stiffopt.solver import exact_rows, refinement, starts
 from stiffopt.solver.exact_rows import ExactRows
 from stiffopt.solver.exchange import exchange
 from stiffopt.solver.solve import solve, solve_with_state
 from stiffopt.solver.stage_plan import plan_stages
-from stiffopt.transcription.constraint_back_off import backed_off
+from stiffopt.transcription.constraint_back_off import KnownRows, back_off_states, backed_off
 
 NOISY_PATH = ROOT.parent / "shared" / "cases" / "planning" / "w04_noisy60.toml"
 PEAK = 'objective = "dynamic_deflection"\nmeasure = "peak"'
@@ -152,6 +155,52 @@ def test_smoothing_widens_before_correcting_a_spike(tmp_path, monkeypatch, exces
     before = outcome.smoothing.lead
     assert len(tried) == 1
     assert (tried[0] > 1.3 * before) == wider
+
+
+def test_motors_beyond_their_range_move_the_links_bounds_there_alone(tmp_path):
+    """Positions of links are rows at the nodes; motors that lead pass them, within a narrow box."""
+    write_robot(tmp_path, "planar", [joint("shoulder", reducer()), joint("elbow", reducer())])
+    path = tmp_path / "problem.toml"
+    box = "position_lower = [-3.0, -3.0]\nposition_upper = [2.0, 3.0]"
+    goal = 'objective = "tool_deviation"'
+    path.write_text(problem_text("planar", duration="0.8", minimise=goal, limits=box))
+    problem = load_problem(path).problem
+    _, (_, outcome) = solve_with_state(problem)
+    times = np.linspace(0.0, outcome.planned.duration, 2001)
+    motors = outcome.planned(times)
+    late = np.abs(times - 0.5) < 0.02
+    motors[late, 0] = -3.1
+    known = KnownRows(times, motors)
+    closer = back_off_states(outcome.nlp, outcome.transcription, outcome.raw.x, known)
+    assert np.array_equal(closer.upper_g, outcome.nlp.upper_g)
+    moved = np.flatnonzero(closer.lower_g != outcome.nlp.lower_g)
+    assert closer.lower_g[moved] == pytest.approx(-3.0 + 1.25 * 0.1)
+    entries = [outcome.nlp.rows.entry(k) for k in moved]
+    assert {each.label for each in entries} == {"position of link 1"}
+    assert all(abs(0.8 * each.fraction - 0.5) < 0.1 for each in entries)
+
+
+@pytest.mark.slow
+def test_cycle_of_vias_whose_motors_pass_the_box_of_its_travel_is_optimal():
+    """The box of joint 4 lies below zero: a back-off by shares of bounds made it wider."""
+    random = np.random.default_rng(2)
+    robot = load_robot("ur10").with_payload(3.0, [0.0, 0.0, 0.05], [4e-3] * 3)
+    middle = np.array([0.0, -1.2, 1.4, -1.7, -1.5, 0.0])
+    poses = [
+        Target(joints=middle + random.uniform(-0.5, 0.5, 6), tolerance=5e-3) for _ in range(10)
+    ]
+    problem = TrajectoryProblem(
+        robot=robot,
+        start=Target(joints=poses[0].joints),
+        vias=tuple(poses[1:-1]),
+        end=Target(joints=poses[-1].joints),
+        duration=(5.326, 5.326),
+        objectives=(Objective(name="tool_error"),),
+        method=Method(intervals=90),
+    )
+    found = solve(problem)
+    assert found.status is SolveStatus.OPTIMAL
+    assert any("position" in each["reason"] for each in found.solver.exchanges)
 
 
 def test_via_is_met_despite_delayed_windup(tmp_path):

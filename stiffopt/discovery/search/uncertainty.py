@@ -30,6 +30,8 @@ _DIFFERENCE_STEP = 1e-4
 _SHAPE_PRIOR = 10.0
 # Fewer stretches give no jackknife estimate.
 _MIN_STRETCHES = 5
+# Upper end of a two-sided 95 % interval.
+_UPPER_QUANTILE = 0.975
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,10 +43,13 @@ class Estimate:
     effects: tuple[EstimatedEffect, ...]
     # (r, r) nominal values, amplitudes over sizes, shapes over sizes; by the linear model.
     covariance: np.ndarray
-    # spread, between (r, r): the same by a jackknife over stretches, and over whole runs where
+    # (r, r) part of it that the priors make: what estimates from parts of the rows have in common.
+    common: np.ndarray
+    # spread, between (r, r): covariance by a jackknife over stretches, and over whole runs where
     # there are three or more: only those show differences between runs.
     spread: np.ndarray
     between: np.ndarray
+    added: np.ndarray  # (r, r) covariance beyond the likelihood, of all of these
     sizes: tuple[np.ndarray, ...]
     shape_sizes: tuple[np.ndarray, ...]
     parts: tuple[int, int]  # number of stretches and of runs
@@ -58,14 +63,20 @@ class Estimate:
         """Return reported values of one effect with standard deviations.
 
         The largest of the covariance estimates counts, propagated linearly to the reported values.
+        A jackknife shows the scatter by the rows, from few parts and not the error of the priors:
+        that is added, and 1.96 deviations hold Student's 95 % interval.
         """
         found = self.effects[index]
         effect = found.located.effect
         rows, _ = self._parameter_rows(index)
         values, slopes = self._reported_values(index, constants)
+        scatter = [_small_sample_factor(n) ** 2 * each for each, n in self._jackknives(index)]
         variances = [
             np.einsum("ij,jk,ik->i", slopes, matrix[np.ix_(rows, rows)], slopes)
-            for matrix in (self.covariance, self.spread, self._between_runs(index))
+            for matrix in (
+                self.covariance + self.added,
+                *(each + self.common + self.added for each in scatter),
+            )
         ]
         variance = np.max(variances, axis=0)
         if effect.drawn is not None:
@@ -123,12 +134,10 @@ class Estimate:
         rows, _ = self._parameter_rows(index)
         k = len(self.sizes[index])
         values = self.values[rows[:k]]
-        linear = _conditional_covariance(self.covariance[np.ix_(rows, rows)], k)
+        linear = _conditional_covariance((self.covariance + self.added)[np.ix_(rows, rows)], k)
         chances = [float(special.chdtrc(k, _deviations_from_zero(values, linear)[0] ** 2))]
-        for spread, parts in zip((self.spread, self._between_runs(index)), self.parts, strict=True):
-            if np.array_equal(spread, self.covariance):  # too few parts
-                continue
-            own = spread[np.ix_(rows, rows)]
+        for spread, parts in self._jackknives(index):
+            own = (spread + self.added)[np.ix_(rows, rows)]
             # Each shape that is held costs one part.
             ways = [
                 (own[:k, :k], parts),
@@ -141,8 +150,8 @@ class Estimate:
         """Return the largest ratio of an amplitude to its standard deviation, all else free."""
         rows, _ = self._parameter_rows(index)
         own = rows[: len(self.sizes[index])]
-        known = (self.covariance, self.spread, self._between_runs(index))
-        sd = np.sqrt(np.max([np.diag(each)[own] for each in known], axis=0))
+        known = [np.diag(each)[own] for each in self._covariances(index)]
+        sd = np.sqrt(np.max(known, axis=0))
         return float(np.max(np.abs(self.values[own]) / np.maximum(sd, 1e-300)))
 
     def min_deviations(self, index: int) -> float:
@@ -155,7 +164,7 @@ class Estimate:
         k = len(self.sizes[index])
         values = self.values[rows[:k]]
         least = math.inf
-        for matrix in (self.covariance, self.spread, self._between_runs(index)):
+        for matrix in self._covariances(index):
             own = matrix[np.ix_(rows, rows)]
             ways = [
                 _deviations_from_zero(values, each)
@@ -164,10 +173,20 @@ class Estimate:
             least = min(least, max(max(t / math.sqrt(k), single) for t, single in ways))
         return least
 
-    def _between_runs(self, index: int) -> np.ndarray:
-        """Return the covariance over whole runs; that of the model for effects of single runs."""
-        by_run = self.effects[index].located.is_run_specific
-        return self.covariance if by_run else self.between
+    def _covariances(self, index: int) -> list[np.ndarray]:
+        """Return all covariance estimates (r, r) that hold for an effect."""
+        known = (self.covariance, *(each for each, _ in self._jackknives(index)))
+        return [each + self.added for each in known]
+
+    def _jackknives(self, index: int) -> list[tuple[np.ndarray, int]]:
+        """Return jackknife covariances and their numbers of parts; one run has none between runs.
+
+        Too few parts give the covariance of the linear model in place of a jackknife.
+        """
+        each = [(self.spread, self.parts[0])]
+        if not self.effects[index].located.is_run_specific:
+            each.append((self.between, self.parts[1]))
+        return [(m, count) for m, count in each if not np.array_equal(m, self.covariance)]
 
     def moved(self, steps: np.ndarray) -> Estimate:
         """Return the estimate with first amplitudes moved by steps (e,) over their sizes.
@@ -208,8 +227,7 @@ class Estimate:
 
     def _widened(self, more: np.ndarray) -> Estimate:
         """Return the estimate with a covariance (r, r) added to each of its own."""
-        names = ("covariance", "spread", "between")
-        return replace(self, **{name: getattr(self, name) + more for name in names})
+        return replace(self, added=self.added + more)
 
     def _parameter_rows(self, index: int) -> tuple[np.ndarray, np.ndarray]:
         """Return rows of an effect's amplitudes and shapes, and the sizes that they are over."""
@@ -260,8 +278,11 @@ def estimate_parameters(
         values=fit.posterior.mean,
         effects=with_amplitudes(effects, scaled, sizes),
         covariance=covariance,
+        # C P^-2 C: with C^-1 = W'W + P^-2 the error C (W'e - P^-2 b) of rows e and priors b.
+        common=(covariance / prior**2) @ covariance,
         spread=spread,
         between=between,
+        added=np.zeros_like(covariance),
         sizes=sizes,
         shape_sizes=shape_sizes,
         parts=(int(blocks.max()) + 1, int(comparison.rows.block.max()) + 1),
@@ -272,6 +293,11 @@ def _conditional_covariance(covariance: np.ndarray, k: int) -> np.ndarray:
     """Return the covariance of the first k values with the others held."""
     across = covariance[:k, k:]
     return np.asarray(covariance[:k, :k] - across @ np.linalg.pinv(covariance[k:, k:]) @ across.T)
+
+
+def _small_sample_factor(parts: int) -> float:
+    """Return Student's 97.5 % quantile of a jackknife of so many parts over the normal one."""
+    return float(special.stdtrit(parts - 1, _UPPER_QUANTILE) / special.ndtri(_UPPER_QUANTILE))
 
 
 def _jackknife_p_value(values: np.ndarray, covariance: np.ndarray, parts: int) -> float:
