@@ -103,7 +103,10 @@ def guess_columns(
     unit, why = guess_time_unit(table[time], time)
     if rate is not None:
         unit, why = "", f"time: counted, {rate:g} rows a second"
-    at_rest = are_unordered(np.column_stack([table[name] for name in columns["position"]]))
+    # Weight at rest is told by torques alone.
+    at_rest = "torque" in columns and are_unordered(
+        np.column_stack([table[name] for name in columns["position"]])
+    )
     if at_rest:
         unit, why = "", f"poses at rest: positions do not follow one another, {time} numbers them"
     units: dict[str, str | tuple[str, ...]] = {"time": unit}
