@@ -24,12 +24,13 @@ from stiffopt.declaration import (
     Ratio,
     Torque,
 )
+from stiffopt.errors import InputError
 from stiffopt.symbolic import Quantity
 
 # Upper end of the fitted contact law [Pa]: ring interfaces of reducers exceed key flanks.
 _HIGHEST_PRESSURE = 1e9
 
-BoltCount = Annotated[int, POSITIVE, Doc("Number of bolts.")]
+BoltCount = Annotated[int, POSITIVE, Doc("Number of bolts on the circle, two or more.")]
 CircleDiameter = Annotated[Length, PART, Doc("Pitch circle of the bolts.")]
 
 
@@ -37,10 +38,11 @@ CircleDiameter = Annotated[Length, PART, Doc("Pitch circle of the bolts.")]
 class BoltedFlange(ContactConnection):
     """Annular interface under the uniform pressure p = n F/A of its bolts.
 
-    Without slip the torsional stiffness is k_t(p) J_p with J_p = pi/2 (Ro^4 - Ri^4); towards the
-    slip torque it falls by the shear law. A sector of the ring has its share of A and J_p. Valid up
-    to 0.95 of the slip torque; beyond, the wind-up continues smoothly with growing compliance,
-    while the exact compliance is infinite from slip on.
+    That holds for two bolts or more, whose resultant is on the axis, and a flange stiff between
+    them. Without slip the torsional stiffness is k_t(p) J_p with J_p = pi/2 (Ro^4 - Ri^4); towards
+    the slip torque it falls by the shear law. A sector of the ring has its share of A and J_p.
+    Valid up to 0.95 of the slip torque; beyond, the wind-up continues smoothly with growing
+    compliance, while the exact compliance is infinite from slip on.
     """
 
     kind: ClassVar[str] = "bolted_flange"
@@ -117,6 +119,12 @@ class BoltedFlange(ContactConnection):
         super().__post_init__()
         POSITIVE.check(f"{self.owner}: friction", self.friction_coefficient)
         require_ordered(self.owner, inner_radius=self.inner_radius, outer_radius=self.outer_radius)
+        if self.bolt_count * self.sectors == 1:
+            raise InputError(
+                f"{self.owner}: bolt_count = 1: one bolt beside the axis presses one side of the "
+                "ring and opens the other (VDI 2230, eccentric clamping), which is not modelled. "
+                "Give two or more bolts, or a 'constant' spring in place of the ring."
+            )
 
     @cached_property
     def law(self) -> ContactLaw:

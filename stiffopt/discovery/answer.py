@@ -159,7 +159,7 @@ def statement_headline(diagnosis: Diagnosis, findings: list[Finding]) -> str:
 
 
 def action(diagnosis: Diagnosis) -> str:
-    """Return one line of what to do: the remedy of the first finding, or the next recording.
+    """Return what to do: the remedies of the first findings, or the next recording.
 
     Between two states what changed comes before what both lack.
     """
@@ -174,7 +174,11 @@ def action(diagnosis: Diagnosis) -> str:
         # One line: its first sentence; the whole stands under "Next experiment".
         sentence, dot, _ = diagnosis.next_experiment.partition(". ")
         return sentence + dot.strip()
-    return first.action
+    sure = [each for each in (new or own) if each.certainty in ("found", "likely")]
+    actions = list(dict.fromkeys(each.action for each in sure))
+    more = len(actions) - MAX_HEADLINE_FINDINGS
+    rest = [f"{more} more in the table of findings."] if more > 0 else []
+    return " ".join([*actions[:MAX_HEADLINE_FINDINGS], *rest])
 
 
 def _with_rivals(each: Statement) -> str:

@@ -68,7 +68,8 @@ class LoopSearch:
         Findings whose values it takes to be zero may only stand in for simpler ones: it is tried
         without them. Findings that another one brings about are left out.
         """
-        model, added = self._fit(found), list[Finding]()
+        given, added = found.effects, list[Finding]()
+        model = self._fit(found)
         if model is None:  # the findings make it unstable
             found = Extension()
             model = self._fit(found)
@@ -102,7 +103,10 @@ class LoopSearch:
                 model, added = better, [*added, new]
         judged = self._judge(model, (*findings, *added))
         claimed = [each.located for each in judged if each.certainty != "possible"]
-        return model, (*judged, *self._judge(model, tuple(self._own_values(model, claimed))))
+        # The model that is stored has effects that this simulation is without.
+        without = tuple(e.located.label for e in given if e not in found.effects)
+        own = self._judge(model, tuple(self._own_values(model, claimed)))
+        return replace(model, without=without), (*judged, *own)
 
     def _fit_without(
         self,

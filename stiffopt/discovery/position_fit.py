@@ -62,6 +62,8 @@ class ClosedLoopModel:
     expected_deviations: np.ndarray | None = None
     # (n,) parameters over the gain with standard deviations, where torque has no scale; else nan.
     ratios: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+    # Labels of effects of the extended model that the simulation fits as well without.
+    without: tuple[str, ...] = ()
 
     @property
     def misfit(self) -> float:
@@ -221,6 +223,7 @@ def model_section(
         expected_deviations=table(spread(model.expected_deviations)),
         ratios={name: tuple(value[order]) for name, (value, _) in model.ratios.items()},
         ratio_deviations={name: tuple(sd[order]) for name, (_, sd) in model.ratios.items()},
+        without=model.without,
     )
 
 
@@ -270,12 +273,15 @@ def read_model(recordings: RecordingSet, model: ExtendedModel) -> ClosedLoopMode
     section = model.closed_loop
     assert section is not None
     n, back = recordings.n, np.argsort(recordings.order)
-    robot, physics, _ = robot_in_loop(recordings, model)
+    every = model.extension.effects
+    own = tuple(each for each in every if each.located.label not in section.without)
+    simulated = replace(model, extension=replace(model.extension, effects=own))
+    robot, physics, _ = robot_in_loop(recordings, simulated)
     lists: dict[str, Any] = {
         name: np.array(getattr(section, name))
         for name in ("stiffness", "damping", "drive_max", "torque_max", "tolerance", "middle")
     }
-    if any(len(own) != n for own in lists.values()):
+    if any(len(each) != n for each in lists.values()):
         raise InputError(f"closed_loop needs one number a joint ({n}) in every list.")
     middle = lists.pop("middle")[back]
     law = ActuatorLaw(delay=section.delay, **lists)

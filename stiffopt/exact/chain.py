@@ -126,10 +126,33 @@ def torque_shares(
     size = np.abs(np.asarray(torque, dtype=float))
     if len(stages) == 1:
         return [np.ones_like(size)]
+    kinds = _equal_stages(stages, preloads)
+    count = np.array([len(places) for places in kinds])
+    own = _shares_of_kinds([stages[places[0]] for places in kinds], count, size, preloads)
+    shares = {place: share for each, share in zip(kinds, own, strict=True) for place in each}
+    return [shares[place] for place in range(len(stages))]
+
+
+def _equal_stages(stages: Sequence[Stage], preloads: Preloads) -> list[list[int]]:
+    """Return the places of stages that are equal but for their names, and carry equal torques."""
+    kinds: dict[tuple[Stage, float | None], list[int]] = {}
+    for place, stage in enumerate(stages):
+        unnamed = replace(stage, element=_without_name(stage.element))
+        kinds.setdefault((unnamed, _select_preload(stage, preloads)), []).append(place)
+    return list(kinds.values())
+
+
+def _shares_of_kinds(
+    stages: Sequence[Stage], count: np.ndarray, size: np.ndarray, preloads: Preloads
+) -> list[np.ndarray]:
+    """Return the share (k,) of one stage of each kind in the torques (k,), none negative [N m].
+
+    `count` (kinds,): number of stages of each kind.
+    """
     # At zero torque the split is by the tangent stiffnesses there.
     stiffness = [1.0 / stage_compliance(s, np.zeros(1), preloads) for s in stages]
     at_rest = np.array([float(k[0]) for k in stiffness])
-    shares = [np.full_like(size, part) for part in _split(at_rest)]
+    shares = [np.full_like(size, part) for part in _split(at_rest, count)]
     loaded = size > 0.0
     if not loaded.any():
         return shares
@@ -139,11 +162,14 @@ def torque_shares(
     # at least its part, and nothing slips before all would.
     slip = np.array([stage_slip_torque(s, preloads) for s in stages])
     can_slip = bool(np.isfinite(slip).all())
-    split = _split(slip if can_slip else np.zeros(len(stages)))
-    alone = np.min([stage_windup(s, whole, preloads) for s in stages], axis=0)
+    split = _split(slip if can_slip else np.zeros(len(stages)), count)
     together = np.max(
         [stage_windup(s, f * whole, preloads) for s, f in zip(stages, split, strict=True)], axis=0
     )
+    held = np.isfinite(together)
+    if len(stages) == 1 and held.all():
+        return shares
+    alone = np.min([stage_windup(s, whole, preloads) for s in stages], axis=0)
     upper = np.minimum(alone, together)
     held = np.isfinite(upper)
     if not held.all():
@@ -163,17 +189,18 @@ def torque_shares(
         slopes = [
             1.0 / stage_compliance(s, t, preloads) for s, t in zip(stages, carried, strict=True)
         ]
-        return sum(carried) - whole, np.sum(slopes, axis=0)
+        return count @ carried - whole, count @ slopes
 
     _find_root(surplus, np.zeros_like(upper), upper, upper, whole)
     for share, part in zip(shares, carried, strict=True):
-        share[loaded] = part / sum(carried)
+        share[loaded] = part / (count @ carried)
     return shares
 
 
-def _split(weights: np.ndarray) -> np.ndarray:
+def _split(weights: np.ndarray, count: np.ndarray) -> np.ndarray:
     """Return shares in proportion to weights; equal ones without any, as of open contacts."""
-    return weights / weights.sum() if weights.any() else np.full(len(weights), 1.0 / len(weights))
+    own = weights if weights.any() else np.ones(len(weights))
+    return np.asarray(own / (count @ own))
 
 
 def _torque_at_windup(

@@ -117,8 +117,6 @@ def _spacing_limits(flange: BoltedFlange, data: catalogue.BoltData) -> tuple[Pre
         remedy="a smaller bolt or a wider ring",
     )
     count = flange.bolt_count * flange.sectors
-    if count == 1:
-        return (in_ring,)
     chord = flange.circle_diameter * math.sin(math.pi / count)
     return (
         PreloadLimit(

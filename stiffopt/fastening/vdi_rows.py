@@ -198,7 +198,9 @@ def _shear_rows(steps: Verification) -> Iterator[UtilisationRow]:
 
 
 def _warning_rows(steps: Verification, least: float, shift: float) -> Iterator[UtilisationRow]:
-    extent = steps.flange.outer_radius - steps.flange.inner_radius
+    width = steps.flange.outer_radius - steps.flange.inner_radius
+    # Two bolts press the ring along one line, which only a rigid flange spreads around it.
+    extent = max(width, steps.flange.circle_diameter if steps.count < 3 else 0.0)
     spread = _MAX_FACE_WIDTH_RATIO * steps.data.bearing_diameter
     yield UtilisationRow(
         kind="validity of even pressure",
@@ -207,9 +209,10 @@ def _warning_rows(steps: Verification, least: float, shift: float) -> Iterator[U
         limit=spread,
         unit="m",
         utilisation=extent / spread,
-        source="width of the ring against G'' = 1.5 d_w: wider faces open and slip otherwise",
+        source="width of the ring, or distance of two bolts, against G'' = 1.5 d_w: wider faces "
+        "open and slip otherwise",
         provenance="catalogue",
-        remedy="a narrower ring, larger heads, washers, or a finite-element model",
+        remedy="a narrower ring, three or more bolts, larger heads, washers, or finite elements",
         binding=False,
         warns=(
             "preload and torque follow the formulas, but the pressure on so wide a ring is less"

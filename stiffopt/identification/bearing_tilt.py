@@ -48,8 +48,6 @@ class BearingTilt:
     # With its standard deviation by the jackknife [rad/(N m)].
     compliance: float
     sd: float
-    # Root mean square of one component on poses left out, with all bearings found [m].
-    left_out: float
     # Joints (from 1) whose bearing in its place predicts poses left out about as well.
     rivals: tuple[int, ...] = ()
 
@@ -96,30 +94,48 @@ def identify_tilt(recorded: StaticSet, torsion: Sequence[FittedFamily]) -> tuple
                 found = narrower
                 del joints[k]
 
-    def exchange(column: int, joint: int) -> np.ndarray:
-        columns = found.columns.copy()
-        columns[:, :, column] = added[:, :, joint]
-        return columns
-
     compliance, deviation = found.whole.value, jackknife_deviation(found.values)
+
+    def rivals(place: int) -> tuple[int, ...]:
+        """Return the joints (from 1) whose bearing in place of a found one predicts as well."""
+        columns = found.columns.copy()
+        as_good = []
+        for other in free:
+            columns[:, :, first + place] = added[:, :, other]
+            if _is_as_good(cross_validate(columns.copy(), measured), found):
+                as_good.append(other + 1)
+        return tuple(as_good)
+
     return tuple(
         BearingTilt(
             joint=j + 1,
             compliance=float(compliance[first + k]),
             sd=float(deviation[first + k]),
-            left_out=rms(found.error),
-            rivals=tuple(
-                other + 1
-                for other in free
-                if _is_as_good(cross_validate(exchange(first + k, other), measured), found)
-            ),
+            rivals=rivals(k),
         )
         for k, j in enumerate(joints)
     )
 
 
+def tilt_explanations(recorded: StaticSet, tilt: Sequence[BearingTilt]) -> list[np.ndarray]:
+    """Return the columns (m, 3, k) of the bearings found, then with each rival in its place."""
+    if not tilt:
+        return [np.empty((*recorded.displacement.shape, 0))]
+    found = [each.joint - 1 for each in tilt]
+    sets = [found]
+    for k, each in enumerate(tilt):
+        sets += [[*found[:k], rival - 1, *found[k + 1 :]] for rival in each.rivals]
+    added = tilt_columns(recorded)
+    return [added[:, :, joints] for joints in sets]
+
+
 def _is_as_good(rival: CrossValidation, found: CrossValidation) -> bool:
-    """Return True where poses left out do not tell a rival from what was found."""
+    """Return True where poses left out do not tell a rival from what was found.
+
+    Ranks tell even differences of rounding, so that those below `MIN_GAIN` tell nothing.
+    """
+    if not rms(found.error) < (1.0 - MIN_GAIN) * rms(rival.error):
+        return True
     worse = np.sum(rival.error**2 - found.error**2, axis=1)
     return paired_test(worse) > _MAX_RIVAL_CHANCE
 

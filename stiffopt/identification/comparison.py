@@ -156,6 +156,18 @@ def _responsible_element(
     return name, factor
 
 
+def describe_spread(names: Sequence[str], joint: JointComparison) -> str:
+    """Name the softest and the stiffest set of a joint that differs between them; "" without."""
+    if joint.spread is None or joint.spread < _MIN_NAMED_DIFFERENCE:
+        return ""
+    known = {name: k for name, k in zip(names, joint.stiffness, strict=True) if k is not None}
+    soft, stiff = min(known, key=known.__getitem__), max(known, key=known.__getitem__)
+    return (
+        f"{soft} is {known[stiff] / known[soft]:.2f} times as soft as {stiff}; sets differ by up "
+        f"to {joint.spread:.1f} standard deviations"
+    )
+
+
 def describe_difference(joint: JointComparison) -> str:
     """Describe what a difference from the model points to; "" without one."""
     if joint.difference is None or abs(joint.difference) < _MIN_NAMED_DIFFERENCE:

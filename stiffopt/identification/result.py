@@ -36,7 +36,7 @@ class JointStiffness:
     # 95 % confidence interval; an upper end of None is rigid.
     lower: float | None
     upper: float | None
-    least_squares: float | None  # estimate of unweighted least squares
+    least_squares: float | None  # estimate of unweighted least squares with rigid bearings
     compliance: float | None  # [rad/(N m)]
     # By the jackknife; by the covariance of equal independent errors; by the bootstrap. The larger
     # of the first two determines `sd` and the interval.
@@ -63,10 +63,11 @@ class Errors:
     # Of the robust fit on its own poses; on poses left out one at a time.
     fit: float
     left_out: float
-    # The same by plain least squares.
+    # The same by plain least squares with rigid bearings.
     least_squares: float
     least_squares_left_out: float
     nominal: float | None  # with the nominal stiffness
+    rigid_bearings: float  # on poses left out, with no bearing that tilts
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -16,6 +16,9 @@ from stiffopt.recording.static_set import StaticSet
 
 Windup = Callable[[np.ndarray], np.ndarray]
 
+# Largest rotation that counts as small: the lever arm then changes by half of it squared, 0.5 %.
+_MAX_ROTATION = 0.1  # [rad]
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StaticRows:
@@ -58,8 +61,8 @@ class StaticRows:
 def static_rows(recorded: StaticSet) -> StaticRows:
     """Rows of a static set.
 
-    Raises `InputFileError`: too few poses, or displacements that include the weight of links
-    without mass.
+    Raises `InputFileError`: too few poses, displacements too large for a deflection, or such that
+    include the weight of links without mass.
     """
     m, n = recorded.position.shape
     if m < 3 or 3 * m <= n:
@@ -83,6 +86,14 @@ def static_rows(recorded: StaticSet) -> StaticRows:
         q[order] = position
         jacobian[k] = bodies.jacobian(robot.tool, q)[:3, order]
         weight[k] = bodies.gravity_torque(q)[order]
+    lever = np.median(np.linalg.norm(jacobian[..., ~recorded.prismatic], axis=(1, 2)))
+    moved = np.median(np.linalg.norm(recorded.displacement, axis=1))
+    if moved > _MAX_ROTATION * lever > 0.0:
+        raise InputFileError(
+            recorded.path, "displacement", f"is {moved:.3g} m in half of the poses, which is no "
+            f"small deflection at lever arms of {lever:.3g} m. Check the unit, as "
+            'scale.displacement = "mm" in static.toml, or "dx [mm]" in the table.'
+        )  # fmt: skip
     return StaticRows(
         jacobian=jacobian,
         pull=np.einsum("kij,ki->kj", jacobian, recorded.force),
@@ -90,6 +101,23 @@ def static_rows(recorded: StaticSet) -> StaticRows:
         displacement=recorded.displacement,
         difference=recorded.difference,
     )
+
+
+def check_sag(rows: StaticRows, recorded: StaticSet, compliance: np.ndarray) -> None:
+    """Raise `InputFileError` where the weight alone turns a joint, of least compliances (n,), far.
+
+    Deflections under a force in a wrong unit give such joints.
+    """
+    if rows.weight is None:
+        return
+    turned = np.where(recorded.prismatic, 0.0, np.median(np.abs(rows.weight), axis=0) * compliance)
+    j = int(np.argmax(turned))
+    if turned[j] > _MAX_ROTATION:
+        raise InputFileError(
+            recorded.path, "force", f"and displacement give {recorded.joints[j]} "
+            f"{1.0 / compliance[j]:.3g} N m/rad: the weight of the links alone would turn it by "
+            f'{turned[j]:.3g} rad. Check the unit: scale.force = "kN" in static.toml.'
+        )  # fmt: skip
 
 
 # Columns below this share of the largest are rounding, not load; likewise residuals of

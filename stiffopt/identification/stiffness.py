@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from stiffopt.errors import InputFileError
-from stiffopt.identification.bearing_tilt import identify_tilt
+from stiffopt.identification.bearing_tilt import identify_tilt, tilt_explanations
 from stiffopt.identification.result import Errors, JointStiffness, StaticStiffness, Status
 from stiffopt.identification.robust_compliance import (
     CrossValidation,
@@ -21,6 +23,7 @@ from stiffopt.identification.static_rows import (
     MIN_LEVERAGE,
     Identifiable,
     StaticRows,
+    check_sag,
     identifiable,
     static_rows,
 )
@@ -64,18 +67,27 @@ def identify_stiffness(
             recorded.path, "force", "the forces load no joint: they pass through every axis. "
             "Check the order of the columns and the tool frame."
         )  # fmt: skip
-    used = columns[:, :, kept]
-    robust, plain = (cross_validate(used, measured, robust=each) for each in (True, False))
-    fitted = robust.whole
-    drawn = bootstrap(used, measured, fitted, draws, seed)
     laws = fit_families(rows, kept)
+    tilt = identify_tilt(recorded, laws)
+    bearings = tilt_explanations(recorded, tilt)
+    if tilt and torque:
+        laws = fit_families(rows, kept, bearings[0])
+    explanations = [np.concatenate([columns[:, :, kept], each], axis=2) for each in bearings]
+    robust, *rivals = (cross_validate(each, measured) for each in explanations)
+    used, fitted = robust.columns, robust.whole
+    torsion = columns[:, :, kept]
+    plain = cross_validate(torsion, measured, robust=False)
+    drawn = bootstrap(used, measured, fitted, draws, seed)
+    joints = _joint_estimates(recorded, rows, can, (robust, *rivals), plain.whole, drawn)
+    check_sag(rows, recorded, np.array([1.0 / own.upper if own.upper else 0.0 for own in joints]))
+    rigid = cross_validate(torsion, measured) if tilt else robust
     norm = np.linalg.norm(fitted.residual, axis=1)
     # Rounding must not make outliers of data without error.
     outlying = max(OUTLIER_DEVIATIONS * fitted.scale, 1e-6 * rms(measured))
     return StaticStiffness(
         source=recorded,
         rows=rows,
-        joints=_joint_estimates(recorded, rows, can, robust, plain.whole, drawn),
+        joints=joints,
         errors=Errors(
             displacement=rms(measured),
             fit=rms(fitted.residual),
@@ -85,6 +97,7 @@ def identify_stiffness(
             nominal=None
             if recorded.stiffness is None
             else rms(measured - columns @ (1.0 / recorded.stiffness)),
+            rigid_bearings=rms(rigid.error),
         ),
         predicted=measured - fitted.residual,
         left_out=robust.predicted,
@@ -93,7 +106,7 @@ def identify_stiffness(
         outliers=tuple(int(k) + 1 for k in np.flatnonzero(norm > outlying)),
         correlation=_largest_correlation(used, fitted, can, recorded.n),
         torque_dependence=torque_dependence(rows, kept, laws) if torque else UNTESTED,
-        tilt=identify_tilt(recorded, laws),
+        tilt=tilt,
         assumptions=_list_assumptions(recorded, rows),
     )
 
@@ -102,16 +115,22 @@ def _joint_estimates(
     recorded: StaticSet,
     rows: StaticRows,
     can: Identifiable,
-    robust: CrossValidation,
+    explanations: Sequence[CrossValidation],
     plain: RobustFit,
     drawn: np.ndarray,
 ) -> tuple[JointStiffness, ...]:
+    """Estimates of all joints; `explanations`: fits of the bearings found, then of their rivals."""
     from scipy.stats import t
 
-    fitted, poses = robust.whole, len(robust.folds)
-    alike = np.sqrt(np.diag(model_covariance(robust.columns, fitted)))
-    jackknife = jackknife_deviation(robust.values)
+    fitted, poses = explanations[0].whole, len(explanations[0].folds)
+    alike = np.array(
+        [np.sqrt(np.diag(model_covariance(each.columns, each.whole))) for each in explanations]
+    )
+    jackknife = np.array([jackknife_deviation(each.values) for each in explanations])
     factor = float(t.ppf(0.5 + 0.5 * CONFIDENCE, poses - 1))
+    # The interval contains that of every explanation which the poses do not tell from the first.
+    apart = np.array([np.abs(each.whole.value - fitted.value) for each in explanations])
+    deviations = np.max(apart / factor + np.maximum(alike, jackknife), axis=0)
     torque = np.quantile(np.abs(rows.load), [0.05, 0.5, 0.95], axis=0).T
     place = {int(j): k for k, j in enumerate(can.kept)}
     joints = []
@@ -121,7 +140,7 @@ def _joint_estimates(
         estimate: dict[str, float | None] = dict.fromkeys(_ESTIMATED_NOTE)
         if status == "identified":
             k = place[j]
-            value, deviation = float(fitted.value[k]), float(max(alike[k], jackknife[k]))
+            value, deviation = float(fitted.value[k]), float(deviations[k])
             status, reason = _compliance_significance(
                 value, deviation, factor, float(can.leverage[j])
             )
@@ -135,8 +154,8 @@ def _joint_estimates(
                     bootstrap_interval(drawn[:, k], poses, CONFIDENCE),
                     float(np.std(drawn[:, k], ddof=1)),
                 )
-                estimate["compliance_sd_alike"] = float(alike[k])
-                estimate["compliance_sd"] = float(jackknife[k])
+                estimate["compliance_sd_alike"] = float(alike[0, k])
+                estimate["compliance_sd"] = float(jackknife[0, k])
         low, middle, high = (float(each) for each in torque[j])
         joints.append(
             JointStiffness(
@@ -248,8 +267,8 @@ def _largest_correlation(
 
 def _list_assumptions(recorded: StaticSet, rows: StaticRows) -> tuple[str, ...]:
     said = [
-        "Links and base are rigid. Joint stiffness is that about the axes, of rigid bearings; "
-        "their tilt is tested beside it.",
+        "Links and base are rigid. Joint stiffness is that about the axes, beside the tilt of "
+        "bearings that the poses support; intervals cover bearings that they do not tell apart.",
         "Joint angles and forces are exact; all error is in the displacements.",
         "Deflections are small: the lever arms are those of the undeflected arm.",
     ]

@@ -116,7 +116,7 @@ def torque_dependence(
             formula=family.formula,
             candidate=family.candidate,
             shape=run.shape.label,
-            parameters=run.shape.columns.shape[2],
+            parameters=len(run.whole.value),
             fit=rms(run.whole.residual),
             left_out=rms(run.error),
             gain=1.0 - rms(run.error) / (rms(constant.error) or 1.0),
@@ -249,19 +249,23 @@ class FittedFamily:
     fits: tuple[CrossValidation, ...]
 
 
-def fit_families(rows: StaticRows, kept: np.ndarray) -> list[FittedFamily]:
+def fit_families(
+    rows: StaticRows, kept: np.ndarray, beside: np.ndarray | None = None
+) -> list[FittedFamily]:
     """Fit all models that the poses determine without one of them.
 
-    `kept` (k,): joints (from 0) that get parameters.
+    `kept` (k,): joints (from 0) that get parameters. `beside` (m, 3, b): columns of bearings that
+    tilt, the last ones of every model.
     """
-    return [
-        FittedFamily(
-            family,
-            tuple(cross_validate(shape.columns, rows.displacement) for shape in family.shapes),
-        )
-        for family in _families(rows, kept)
-        if is_determined(family.shapes[0].columns)
-    ]
+    m = len(rows.displacement)
+    added = np.empty((m, 3, 0)) if beside is None else beside
+    found = []
+    for family in _families(rows, kept):
+        wider = [np.concatenate([form.columns, added], axis=2) for form in family.shapes]
+        if is_determined(wider[0]):
+            fits = tuple(cross_validate(columns, rows.displacement) for columns in wider)
+            found.append(FittedFamily(family, fits))
+    return found
 
 
 def is_determined(columns: np.ndarray) -> bool:

@@ -19,8 +19,8 @@ from stiffopt.exact.chain import exact_compliance, exact_windup
 from stiffopt.preload.catalogue_designs import CatalogueDesign
 from stiffopt.preload.flange_loads import tilt_deflection
 from stiffopt.preload.load_case import LoadCase
-from stiffopt.preload.model import PreloadModel
-from stiffopt.preload.nlp import RELATIVE_ROUNDING, Levels
+from stiffopt.preload.model import RELATIVE_ROUNDING, PreloadModel
+from stiffopt.preload.nlp import Levels
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,6 +34,9 @@ from stiffopt.preload.load_case import LoadCase, LoadHistory
 from stiffopt.preload.problem import FreeElement, PreloadProblem
 from stiffopt.symbolic import Quantity, is_symbolic
 
+# Relative rounding of sums in another order [-].
+RELATIVE_ROUNDING = 1e-12
+
 
 @dataclass(frozen=True)
 class _SplitDrivetrain:
@@ -103,6 +106,18 @@ class PreloadModel:
         changed = preloads.copy()
         changed[self.slices[index]] = own
         return changed
+
+    def without_rounding(self, preloads: np.ndarray) -> np.ndarray:
+        """Return a design with preloads of one connection made equal that differ by rounding.
+
+        Fasteners of equal preload share their exact law.
+        """
+        found = preloads.copy()
+        for part in self.slices:
+            own = found[part]
+            near = np.abs(own - own[0]) <= RELATIVE_ROUNDING * own[0]
+            found[part] = np.where(near, own[0], own)
+        return found
 
     @cached_property
     def present(self) -> PreloadModel:

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from stiffopt.preload.exact_shift import ExactShift, exact_shift, shift_shapes
-from stiffopt.preload.model import PreloadModel
+from stiffopt.preload.model import RELATIVE_ROUNDING, PreloadModel
 from stiffopt.symbolic import Quantity
 from stiffopt.transcription.nlp import Blocks, Nlp
 from stiffopt.transcription.ocp import Rows
@@ -24,8 +24,6 @@ _LABEL_FORMAT = "{}, {}"
 # limits, where multipliers are of order one; 1 / (4 penalty^2) = 2.8e-8 of a flat level. A larger
 # one costs accuracy: the KKT residual is 2e-7 with 1e4, 1e-8 with 1e3.
 _CEILING_PENALTY = 3e3
-# Relative rounding of sums in another order [-].
-RELATIVE_ROUNDING = 1e-12
 # Least preload in service over capacity [-], for a connection that requires less than the second
 # share.
 _MIN_SERVICE_PRELOAD_SHARE, _NEGLIGIBLE_PRELOAD_SHARE = 0.02, 1e-3

@@ -183,7 +183,7 @@ def _exact_optimum(
         parameters = nlp.parameters(preloads)
         raw = solver.solve(x0, parameters, report=progress)
         iterations += raw.iterations
-        found = raw.x[:size] * nlp.scale
+        found = nlp.model.without_rounding(raw.x[:size] * nlp.scale)
         step = float(np.max(np.abs(found - preloads) / nlp.scale))
         preloads = found
         shifted = nlp.depends_on_stiffness or nlp.depends_on_deflection

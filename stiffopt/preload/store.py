@@ -83,7 +83,7 @@ def study_document(study: PreloadStudy) -> dict[str, Any]:
             },
             "loosening": study.loosening,
             "motion": None if study.motion is None else _motion_entry(study.motion),
-            "notes": solution.notes,
+            "notes": study.notes,
             "seconds": study.seconds,
             "inputs_hash": study_hash(problem),
             "versions": study.versions,

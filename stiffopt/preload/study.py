@@ -55,6 +55,18 @@ class PreloadStudy:
         )
         return SolveStatus.INTERRUPTED if any(parts) else self.solution.status
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes on the preloads, and on parts that Ctrl-C left incomplete."""
+        cut = SolveStatus.INTERRUPTED
+        if self.status is not cut or self.solution.status is cut:
+            return self.solution.notes
+        return (
+            "Stopped by the user: the preloads are those of the finished optimisation; what follows"
+            " it (Pareto front, catalogue, motion) is incomplete or left out.",
+            *self.solution.notes,
+        )
+
 
 def preload_study(
     problem: PreloadProblem,

@@ -246,6 +246,12 @@ def _table_path(
                 file, "", f"lacks the columns {', '.join(lacking)}: {', '.join(group)} belong "
                 "together. Add them, or rename those that are there."
             )  # fmt: skip
+    given = [group for group in (*_ANGLE_COLUMNS, _QUATERNION_COLUMNS) if group[0] in read]
+    if len(given) > 1:
+        raise InputFileError(
+            file, "", f"has several orientations a row: {', '.join(sum(given, ()))}. Delete or "
+            "rename all but one kind."
+        )  # fmt: skip
     for columns, kind, unit in (
         (_PLACE_COLUMNS, "length", table.length),
         (sum(_ANGLE_COLUMNS, ()), "angle", table.angle),

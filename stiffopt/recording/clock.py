@@ -242,6 +242,8 @@ def holds_rest_poses(columns: Mapping[str, np.ndarray], signals: Signals) -> boo
     Rows are poses where their spacing is too long for a motion in seconds and positions do not
     follow one another.
     """
+    if not any(signals.torque):
+        return False  # of commands alone, poses tell nothing
     if signals.at_rest is not None:
         return signals.at_rest
     if signals.time not in columns:

@@ -110,6 +110,22 @@ def load_arm(
     return replace(robot, tool=named_frame(robot.model, tool_frame)), locked
 
 
+def check_range(
+    path: Path, robot: Robot, position: np.ndarray, *, slack: float, first_row: int = 1
+) -> None:
+    """Raise `InputFileError` for positions (K, n) beyond the ranges of the joints by `slack`."""
+    low, high = robot.position_lower, robot.position_upper
+    beyond = np.maximum(low - position, position - high)
+    if beyond.max() > slack:
+        row, j = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
+        unit = "m" if robot.prismatic[j] else "rad"
+        raise InputFileError(
+            path, f"row {row + first_row}", f"{robot.joint_names[j]} is at {position[row, j]:.4g} "
+            f"{unit}, outside its range from {low[j]:.4g} to {high[j]:.4g}. Check units and order "
+            "of the columns, and the robot."
+        )  # fmt: skip
+
+
 def path_inside_set(path: Path, where: str, name: str) -> Path:
     """Path of a file named by a set; raises `InputFileError` outside the set's folder."""
     given = Path(name)

@@ -147,6 +147,8 @@ def encoder_velocity(run: RecordedRun) -> np.ndarray:
 def command_interval(run: RecordedRun, joints: np.ndarray | slice = slice(None)) -> float:
     """Return the median time between changes of the commands of some joints [s]; nan without."""
     assert run.command is not None
-    moved = np.nan_to_num(np.diff(run.command[:, joints], axis=0)) != 0.0
-    times = run.time[1:][moved.any(axis=1)]
+    command = run.command[:, joints]
+    known = np.isfinite(command).all(axis=1)  # a log may hold commands in the rows of new ones
+    moved = np.diff(command[known], axis=0) != 0.0
+    times = run.time[known][1:][moved.any(axis=1)]
     return float(np.median(np.diff(times))) if len(times) > 2 else float("nan")

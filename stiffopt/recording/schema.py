@@ -285,20 +285,41 @@ class StaticNominalSection(Section):
     ] = None
 
 
+class StaticScaleSection(Section):
+    """Factors of columns to SI: a number, or the unit, where names of columns state none."""
+
+    position: Annotated[Factors | None, Doc('Of joint positions, such as "deg".')] = None
+    force: Annotated[Factors | None, Doc('Of forces, such as "kN"; one or one an axis.')] = None
+    displacement: Annotated[
+        Factors | None, Doc('Of displacements, such as "mm"; one or one an axis.')
+    ] = None
+
+
 class StaticFile(ArmSection):
     """Poses with a known force and a measured displacement of the tool."""
 
     kind: Annotated[Literal["static"], Doc("Kind of file.")]
     tool_frame: Annotated[str, Doc("Link or frame of the tool.")]
-    poses: Annotated[Text, Doc("CSV file with a line a pose, relative to this file.")]
-    position: Annotated[Names, Doc("Columns of the joint positions, in rad.")]
+    poses: Annotated[
+        Text,
+        Doc("Table with a row a pose, relative to this file: text, Excel, NPZ, Parquet, MATLAB."),
+    ]
+    position: Annotated[
+        Names,
+        Doc('Columns of the joint positions, in rad or the unit of [scale] or of "q1 [deg]".'),
+    ]
     force: Annotated[
-        tuple[str, str, str], Doc("Columns of the force on the tool, base frame, in N.")
+        tuple[str, str, str],
+        Doc(
+            'Columns of the force on the tool, base frame, in N or the unit of [scale] or "F [kN]".'
+        ),
     ]
     displacement: Annotated[
-        tuple[str, str, str], Doc("Columns of the tool's displacement, base frame, in m.")
+        tuple[str, str, str],
+        Doc('Columns of its displacement, base frame, in m or the unit of [scale] or "x [mm]".'),
     ]
     difference: Annotated[
         bool, Doc("True: each line is a difference of two load states, without gravity.")
     ]
+    scale: StaticScaleSection = StaticScaleSection()
     nominal: StaticNominalSection = StaticNominalSection()

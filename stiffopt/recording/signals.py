@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -231,18 +231,12 @@ def _scale_factors(section: ScaleSection, n: int, path: Path) -> dict[str, np.nd
         if entry is None:
             continue
         where = f"signals.scale.{kind}"
-        entries = _entry_list(entry)
-        if len(entries) == 1 and not isinstance(entry, tuple):
-            entries = entries * (1 if kind == "time" else n)
-        if kind != "time" and len(entries) != n:
-            raise InputFileError(
-                path, where, f"needs one entry, or one a joint ({n}), got {len(entries)}."
-            )
+        count = 1 if kind == "time" else n
         values = [
             1.0
             if kind == "torque" and one in _UNITS_WITHOUT_FACTOR
-            else _unit_factor(one, dimension, path, where)
-            for one in entries
+            else unit_factor(one, dimension, path, where)
+            for one in entries_of_columns(entry, count, path, where)
         ]
         factors[kind] = np.array(values[0] if kind == "time" else values)
     return factors
@@ -254,9 +248,28 @@ def _entry_list(entry: Any) -> list[float | str]:
     return list(entry) if isinstance(entry, tuple) else [entry]
 
 
-def _unit_factor(entry: float | str, dimension: str, path: Path, where: str) -> float:
+def entries_of_columns(entry: Any, count: int, path: Path, where: str) -> list[float | str]:
+    """Return the entries of `count` columns: one holds for all, a list has one a column."""
+    entries = _entry_list(entry)
+    if not isinstance(entry, tuple):
+        entries = entries * count
+    if len(entries) != count:
+        raise InputFileError(
+            path, where, f"needs one entry, or one a column ({count}), got {len(entries)}."
+        )
+    return entries
+
+
+def unit_factor(
+    entry: float | str,
+    dimension: str,
+    path: Path,
+    where: str,
+    convert: Callable[[str, str], float] = joint_to_si,
+) -> float:
+    """Return the factor to SI of a number or the name of a unit; `convert` tells that of a text."""
     try:
-        value = joint_to_si(f"1 {entry}", dimension) if isinstance(entry, str) else entry
+        value = convert(f"1 {entry}", dimension) if isinstance(entry, str) else entry
     except UnitError as error:
         raise InputFileError(
             path, where, f"{error} Where no unit fits, give the number that one of it is in SI: of "
@@ -360,18 +373,3 @@ def _is_quantity_reference(letters: list[str], *, spaced: bool) -> bool:
     rest = [word for word in letters if word not in (*_REFERENCE_WORDS, *_UNIT_WORDS)]
     referred = any(word in _REFERENCE_WORDS for word in letters)
     return referred and not spaced and bool(rest) and all(word in _QUANTITY_WORDS for word in rest)
-
-
-# Names of loggers and their names in `[signals.scale]`; "" is SI. "A", "%" and "counts" need a
-# factor from the user.
-UNITS = {
-    "deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg", "grad": "deg", "rad": "",
-    "mrad": "mrad", "rev": "turn", "revs": "turn", "turn": "turn", "turns": "turn", "u": "turn",
-    "deg/s": "deg/s", "°/s": "deg/s", "rad/s": "", "mrad/s": "mrad/s", "rpm": "rpm",
-    "1/min": "rpm", "min-1": "rpm", "u/min": "rpm", "nm": "", "n m": "", "n*m": "", "n.m": "",
-    "n-m": "", "n·m": "", "mnm": "mN*m", "knm": "kN*m", "ncm": "N*cm", "a": "A", "ma": "mA",
-    "arms": "A", "%": "%", "percent": "%", "inc": "counts", "incs": "counts", "cts": "counts",
-    "counts": "counts", "ticks": "counts", "ms": "ms", "msec": "ms", "us": "us", "µs": "us",
-    "ns": "ns", "s": "", "sec": "", "m": "", "mm": "mm", "cm": "cm", "mm/s": "mm/s", "m/s": "",
-    "n": "", "kn": "kN", "-": "",
-}  # fmt: skip

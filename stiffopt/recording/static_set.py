@@ -6,14 +6,26 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from stiffopt.errors import InputFileError
-from stiffopt.files import load_toml, read_document, read_table
+from stiffopt.errors import InputFileError, UnitError
+from stiffopt.files import load_toml, read_document
 from stiffopt.recording.nominal_files import per_joint
-from stiffopt.recording.recorded_arm import RecordedArm, describe_arm, load_arm, path_inside_set
+from stiffopt.recording.readers.read import read_named_columns
+from stiffopt.recording.recorded_arm import (
+    RecordedArm,
+    check_range,
+    describe_arm,
+    joint_order,
+    load_arm,
+    path_inside_set,
+)
 from stiffopt.recording.schema import StaticFile
+from stiffopt.recording.signals import entries_of_columns, unit_factor
+from stiffopt.recording.stated_units import BRACKET_PATTERN, stated_unit
+from stiffopt.units import to_si
 
 STATIC_FILE = "static.toml"
 
@@ -58,21 +70,72 @@ def load_static_set(path: str | os.PathLike[str], changes: Sequence[str] = ()) -
     if len(set(columns)) < len(columns):
         raise InputFileError(path, "", "one column is named for two quantities. Correct the names.")
     poses = path_inside_set(path, "poses", document.poses)
-    table = read_table(poses, columns)
-    force = np.column_stack([table[name] for name in document.force])
+    table = read_named_columns(poses, columns)
+    for name in columns:
+        for place in np.flatnonzero(~np.isfinite(table[name])):
+            raise InputFileError(
+                poses,
+                f"row {place + 1}, {name}",
+                "needs a finite number. Complete or delete the row.",
+            )
+    order = joint_order(robot, document.joints)
+    angles = ["length" if slides else "angle" for slides in robot.prismatic[order]]
+    position, force, displacement = (
+        np.column_stack(
+            [
+                table[name] * factor
+                for name, factor in zip(names, _factors(names, of, entry, path, key), strict=True)
+            ]
+        )
+        for key, names, of, entry in (
+            ("position", document.position, angles, document.scale.position),
+            ("force", document.force, ["force"] * 3, document.scale.force),
+            ("displacement", document.displacement, ["length"] * 3, document.scale.displacement),
+        )
+    )
     if not force.any(axis=1).all():
         row = int(np.flatnonzero(~force.any(axis=1))[0]) + 1
         raise InputFileError(
             poses, f"row {row}", "a pose without a force says nothing of stiffness. Delete it."
         )
+    # Ranges of a URDF are often approximate, and encoders may be off by a turn.
+    check_range(poses, robot, position[:, np.argsort(order)], slack=2.0 * np.pi)
     return StaticSet(
         **describe_arm(document, path),
         robot=robot,
         locked=locked,
         tool_frame=document.tool_frame,
-        position=np.column_stack([table[name] for name in document.position]),
+        position=position,
         force=force,
-        displacement=np.column_stack([table[name] for name in document.displacement]),
+        displacement=displacement,
         difference=document.difference,
         stiffness=per_joint(document.nominal.stiffness, n, path, "nominal.stiffness"),
     )
+
+
+def _factors(
+    names: Sequence[str], dimensions: Sequence[str], entry: Any, path: Path, key: str
+) -> list[float]:
+    """Return the factors to SI of columns, by [scale], else by the units that their names state."""
+    where = key if entry is None else f"scale.{key}"
+    if entry is None:
+        entry = tuple(_unit_of_name(name, of) for name, of in zip(names, dimensions, strict=True))
+    return [
+        1.0 if own == "" else unit_factor(own, dimension, path, where, to_si)
+        for own, dimension in zip(
+            entries_of_columns(entry, len(names), path, where), dimensions, strict=True
+        )
+    ]
+
+
+def _unit_of_name(name: str, dimension: str) -> str:
+    """Return the unit that a name states, "" for SI; loggers' own abbreviations take precedence."""
+    stated = stated_unit(name)
+    content = BRACKET_PATTERN.search(name)
+    if stated is not None or content is None:
+        return stated or ""
+    try:
+        to_si(f"1 {content[1]}", dimension)
+    except UnitError:  # an entry of a vector, such as force[x]
+        return ""
+    return content[1]

@@ -16,6 +16,9 @@ from numpy.typing import ArrayLike
 from stiffopt.errors import ProblemError
 from stiffopt.result.trajectory import Trajectory
 
+# Distance of a knot from a break of a law, over the law's step, below which they are one instant.
+_SAME_PLACE_SHARE = 1e-4
+
 
 @dataclass(frozen=True)
 class JointPath:
@@ -138,9 +141,9 @@ def _merge_crossings(law: Trajectory, knots: np.ndarray) -> np.ndarray:
     at_breaks = law(breaks)[:, 0]
     after = np.clip(np.searchsorted(at_breaks, knots), 1, len(breaks) - 1)
     near = np.minimum(np.abs(at_breaks[after] - knots), np.abs(at_breaks[after - 1] - knots))
-    # Path parameters closer together are the same: the path's third derivative alone jumps in
-    # between.
-    missed = near >= 1e-11
+    # Closer to a break the knot is passed there: the path's third derivative alone jumps in between
+    # and goes with the jerk of the law's own piece. Rounding grows with the number of pieces.
+    missed = near >= _SAME_PLACE_SHARE * (at_breaks[after] - at_breaks[after - 1])
     low, high = breaks[after - 1][missed], breaks[after][missed]
     while True:
         middle = 0.5 * (low + high)

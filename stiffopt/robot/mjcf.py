@@ -88,7 +88,7 @@ class MjcfActuator:
     @property
     def velocity_gain(self) -> float:
         """`kv` of a servo at the joint [N m s/rad]; 0 of a motor."""
-        return -self.bias[2] * self.gear**2
+        return 0.0 - self.bias[2] * self.gear**2
 
     @property
     def torque_max(self) -> float:

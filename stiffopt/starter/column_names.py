@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from stiffopt.recording.signals import UNITS, is_set_point, may_be_set_point
+from stiffopt.recording.signals import is_set_point, may_be_set_point
+from stiffopt.recording.stated_units import BRACKET_PATTERN, bracketed_unit
 
 KINDS = ("velocity", "torque", "link_position", "position")
 # Words of each kind, in order of precedence; names are split at other characters than letters and
@@ -35,18 +36,12 @@ _OTHER_SIGNAL_WORDS = (
 )  # fmt: skip
 # Words that make a kind together.
 _PAIRS_BY_KIND = {"torque": (("actuator", "force"), ("actuator", "forces"))}
-_BRACKET_PATTERN = re.compile(r"[\[(]\s*([^\])]+)\s*[\])](?=\s*\d*\s*$)")
-# Content of brackets that is an entry of a vector, not a unit: q[0], position[elbow].
-_ENTRY_PATTERN = re.compile(r"\d+|[A-Za-z_][\w.\- ]{2,}")
 _UNITS_BY_KIND = {
     "position": ("deg", "degree", "degrees", "°", "grad", "rad", "mrad", "rev", "revs", "turns"),
     "velocity": ("deg/s", "°/s", "rad/s", "mrad/s", "rpm", "1/min", "min-1", "u/min"),
     "torque": ("nm", "n m", "n*m", "n.m", "n·m", "mnm", "knm", "ncm", *_AMPERE_UNITS),
 }
 _WORD_PATTERN = re.compile(r"[a-zµ°]+|\d+")
-_SUFFIX_UNITS = (
-    "deg", "rad", "mrad", "nm", "mnm", "ms", "us", "ns", "rpm", "%", "counts", "percent",
-)  # fmt: skip
 
 
 def columns_of_kind(
@@ -94,29 +89,14 @@ def acceleration_columns(names: Sequence[str], joints: Sequence[str]) -> tuple[s
 
 def split_words(name: str) -> list[str]:
     """Split a column name into words without its unit: "Actual_Q_0 [rad]" to actual, q, 0."""
-    bare = _BRACKET_PATTERN.sub("", name) if _bracketed_unit(name) else name
+    bare = BRACKET_PATTERN.sub("", name) if bracketed_unit(name) else name
     bare = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", bare)
     return _WORD_PATTERN.findall(bare.lower())
 
 
-def stated_unit(name: str) -> str | None:
-    """Return the unit in brackets or as the last word: "q1 [deg]", "q1_deg"; None without."""
-    if unit := _bracketed_unit(name):
-        return UNITS.get(unit)
-    last = re.split(r"[_\s]", name.strip().lower())[-1]
-    return UNITS[last] if last in _SUFFIX_UNITS else None
-
-
-def _bracketed_unit(name: str) -> str:
-    """Return the unit in the brackets of a name, "" without."""
-    found = _BRACKET_PATTERN.search(name)
-    unit = "" if found is None else found[1].strip().lower()
-    return unit if unit in UNITS or not _ENTRY_PATTERN.fullmatch(unit) else ""
-
-
 def _is_current(name: str) -> bool:
     return (
-        bool(set(split_words(name)) & set(CURRENT_WORDS)) or _bracketed_unit(name) in _AMPERE_UNITS
+        bool(set(split_words(name)) & set(CURRENT_WORDS)) or bracketed_unit(name) in _AMPERE_UNITS
     )
 
 
@@ -131,7 +111,7 @@ def _column_families(names: Sequence[str], joints: Sequence[str]) -> list[tuple[
         digits = [k for k, word in enumerate(family) if word.isdigit()]
         if digits:
             del family[digits[-1]]
-        families.setdefault((*family, _bracketed_unit(bare)), []).append(name)
+        families.setdefault((*family, bracketed_unit(bare)), []).append(name)
     found = [order_by_joint(own, joints) for own in families.values()]
     fitting = [each for each in found if each is not None]
     # Families that lack joints are combined if they complete each other.
@@ -164,7 +144,7 @@ def _is_kind(name: str, kind: str) -> bool:
 
 def _kind_by_unit(name: str) -> str | None:
     """Return the kind by the unit in brackets: "Achswinkel 1 [°]" is a position."""
-    unit = _bracketed_unit(name)
+    unit = bracketed_unit(name)
     if set(split_words(name)) & set(_OTHER_SIGNAL_WORDS):
         return None
     return next((kind for kind, own in _UNITS_BY_KIND.items() if unit in own), None)

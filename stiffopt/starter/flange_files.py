@@ -70,11 +70,13 @@ def _file_texts(
         raise InputError(f"--grade: no grade {grade!r}. {nearest(grade, catalogue.bolt_grades())}")
     data = catalogue.bolt(size)
     bolt = data.diameter
-    for name, value in (("--torque", torque), ("--circle", circle), ("--count", count)):
+    for name, value in (("--torque", torque), ("--circle", circle)):
         if not value > 0.0:
             raise InputError(f"{name} must be above 0, got {value:g}.")
     PART.check("--circle", circle)
-    room = circle * math.sin(math.pi / count) if count > 1 else circle
+    if count < 2:
+        raise InputError("--count: one bolt presses one side of a ring only; give two or more.")
+    room = circle * math.sin(math.pi / count)
     corners = catalogue.hexagon(size).corners if nut else 0.0
     wide = max(data.head_diameter, corners)
     if room < wide:

@@ -10,6 +10,7 @@ import numpy as np
 from stiffopt.errors import InputError
 from stiffopt.recording.clock import are_unordered
 from stiffopt.recording.signals import may_be_set_point
+from stiffopt.recording.stated_units import stated_unit
 from stiffopt.robot.robot import Robot
 from stiffopt.starter.column_names import (
     CURRENT_WORDS,
@@ -19,7 +20,6 @@ from stiffopt.starter.column_names import (
     command_columns,
     is_signal,
     split_words,
-    stated_unit,
 )
 from stiffopt.units import to_si
 
@@ -103,7 +103,10 @@ def guess_columns(
     unit, why = guess_time_unit(table[time], time)
     if rate is not None:
         unit, why = "", f"time: counted, {rate:g} rows a second"
-    at_rest = are_unordered(np.column_stack([table[name] for name in columns["position"]]))
+    # Weight at rest is told by torques alone.
+    at_rest = "torque" in columns and are_unordered(
+        np.column_stack([table[name] for name in columns["position"]])
+    )
     if at_rest:
         unit, why = "", f"poses at rest: positions do not follow one another, {time} numbers them"
     units: dict[str, str | tuple[str, ...]] = {"time": unit}

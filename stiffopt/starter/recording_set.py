@@ -338,13 +338,14 @@ def _set_text(
                 lines.append(f"{kind} = {toml_string(unit)}  # {request} here")
             else:
                 lines.append(f"{kind} = {toml_string(unit)}")
+    entries = arm.entries(torque="torque" in found.columns)
     lines += [
-        *arm.entries(torque="torque" in found.columns),
+        *entries,
         "",
         "# [nominal]                 # parameters of the nominal model, one number a joint, SI",
         *suggested(gear_ratio="100.0", rotor_inertia="0.1", coulomb="1.0", viscous="1.0"),
     ]
-    if "command" in found.columns:
+    if "command" in found.columns and not any("[actuator]" in line for line in entries):
         lines += [
             "",
             "# [actuator]                # law of the joints' controllers; without gains these are",

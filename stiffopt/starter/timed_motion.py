@@ -12,10 +12,12 @@ from stiffopt.errors import InputError, InputFileError
 from stiffopt.improvement.given_motion import are_derivatives
 from stiffopt.recording.readers.columns import Table, is_unnamed
 from stiffopt.recording.readers.read import is_messages, read_tables
+from stiffopt.recording.recorded_arm import check_range
 from stiffopt.recording.run import counted
 from stiffopt.recording.signals import may_be_set_point
+from stiffopt.recording.stated_units import stated_unit
 from stiffopt.robot.robot import Robot
-from stiffopt.starter.column_names import acceleration_columns, columns_of_kind, stated_unit
+from stiffopt.starter.column_names import acceleration_columns, columns_of_kind
 from stiffopt.starter.guessing import (
     MIN_ROWS,
     SECONDS_PER_UNIT,
@@ -207,15 +209,9 @@ def _checked_motion(
     if not moving.size:
         raise InputFileError(path, "", "holds an arm at rest: no joint moves.")
     kept = slice(moving[0], moving[-1] + 2)
-    low, high = robot.position_lower, robot.position_upper
-    beyond = np.maximum(low - position[kept], position[kept] - high)
-    if beyond.max() > np.radians(1.0):
-        row, j = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
-        raise InputFileError(
-            path, f"row {row + moving[0] + 1}", f"{robot.joint_names[j]} is at "
-            f"{position[kept][row, j]:.4g} rad, outside its range from {low[j]:.4g} to "
-            f"{high[j]:.4g}. Check units and order of the columns, and the robot."
-        )  # fmt: skip
+    # Errors of the encoders' zeros.
+    slack = float(np.radians(1.0))
+    check_range(path, robot, position[kept], slack=slack, first_row=int(moving[0]) + 1)
     rest = time[moving[0]] - time[0], time[-1] - time[kept][-1]
     if max(rest) > 0.0:
         reasons += (f"rest of {rest[0]:.3g} s before and {rest[1]:.3g} s after it: left out",)

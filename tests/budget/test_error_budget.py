@@ -21,6 +21,7 @@ from stiffopt.drivetrain.bearing import OutputBearing
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import InputFileError
 from stiffopt.exact.chain import exact_windup
+from stiffopt.report.pages.budget import bounds_figure
 from stiffopt.robot.bearings import bearing_deflections
 from stiffopt.robot.files import load_robot
 from stiffopt.robot.tolerances import Tolerances
@@ -266,3 +267,15 @@ def test_arm_that_carries_no_weight_is_measured_under_a_horizontal_pull(tmp_path
     names = [each["name"] for each in told["measurements"]]
     assert any("along x" in name or "along y" in name for name in names)
     assert all(np.isfinite(each["bound"]) for each in told["measurements"])
+
+
+def test_legend_of_the_bounds_stands_above_their_axes():
+    found = budget(
+        arm(), np.linspace(0.2, 0.9, 5)[:, None] * np.ones(6), Tolerances(), Uncertainty()
+    )
+    figure = bounds_figure(replace(found, states=replace(found.states, time=np.arange(5.0))))
+    figure.canvas.draw()
+    upper = figure.axes[0]
+    legend = upper.get_legend().get_window_extent()
+    assert legend.y0 >= upper.get_window_extent().y1
+    assert not legend.overlaps(upper.title.get_window_extent())

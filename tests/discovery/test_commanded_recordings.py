@@ -40,7 +40,7 @@ from stiffopt.discovery.position_fit import (
     read_model,
     simulate_run,
 )
-from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
+from stiffopt.discovery.sanity.actuator_estimate import estimate_actuator, resolve_actuator
 from stiffopt.discovery.sanity.command_doubts import doubt_commands, take_errors_as_commands
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import open_training_runs, prepare_training
@@ -144,6 +144,23 @@ def test_a_joint_without_scale_is_simulated_by_its_ratios(tmp_path: Path) -> Non
     assert float(np.sqrt(np.mean((run.after - run.measured) ** 2))) < 2e-3
 
 
+def test_stated_friction_and_rotor_tell_the_gain_of_a_joint_without_weight(tmp_path: Path) -> None:
+    folder = write_servo_set(tmp_path / "set", actuator=f"delay = {DELAY}", runs=2, gravity=0.0)
+    state_drive(folder)
+    urdf, file = folder / "robot.urdf", folder / "recordings.toml"
+    urdf.write_text(urdf.read_text().replace('axis xyz="0 1 0"', 'axis xyz="0 0 1"'))
+    about = f"[{ARMATURE + INERTIA + MASS * LEVER**2}]"
+    file.write_text(file.read_text().replace(f"[{ARMATURE}]", about))
+    found = load_recordings(folder)
+    assert found.actuator is not None
+    runs = open_training_runs(found)
+    guess = estimate_actuator(RobotModel(found), runs, found.actuator)
+    np.testing.assert_allclose(guess.law.stiffness, KP, rtol=0.1)
+    own = resolve_actuator(found, runs)
+    assert own.recordings.actuator is not None
+    np.testing.assert_allclose(own.recordings.actuator.stiffness, KP, rtol=0.05)
+
+
 def test_a_position_error_stated_as_torque_is_taken_as_commands(tmp_path: Path) -> None:
     folder = write_servo_set(tmp_path / "set", runs=2)
     for file in folder.glob("*.npz"):
@@ -205,6 +222,11 @@ def _thin(columns: Columns) -> Columns:
     return columns | {"goal_position": held[: len(columns["t"])]}
 
 
+def _leave_gaps(columns: Columns) -> Columns:
+    sent = np.arange(len(columns["t"])) % 10 == 0
+    return columns | {"goal_position": np.where(sent, columns["goal_position"], np.nan)}
+
+
 def _stop(columns: Columns) -> Columns:
     noise = 1e-5 * np.random.default_rng(0).normal(size=len(columns["t"]))
     return columns | {"present_position": 0.3 + noise, "goal_position": np.full(len(noise), 0.3)}
@@ -232,7 +254,18 @@ MISTAKES: dict[str, tuple[Callable[[Columns], Columns], str, str]] = {
     "reversed": (
         lambda c: c | {"goal_position": -c["goal_position"]},
         "command order",
-        "does not follow",
+        "moves the other way",
+    ),
+    "with gaps": (_leave_gaps, "command rate", "change every 100 ms"),
+    "positions copied": (
+        lambda c: c | {"present_position": c["goal_position"]},
+        "copied command",
+        "equal the commands in every row",
+    ),
+    "command at rest": (
+        lambda c: c | {"goal_position": np.full(len(c["t"]), 0.3)},
+        "no command",
+        "stand still while the arm moves",
     ),
 }
 

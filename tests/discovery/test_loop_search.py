@@ -24,7 +24,9 @@ from stiffopt.discovery.comparison.located_effect import (
     Extension,
     LocatedEffect,
 )
+from stiffopt.discovery.extended.value_changes import extended_model
 from stiffopt.discovery.loop_search import LoopSearch
+from stiffopt.discovery.position_fit import model_section, read_model
 from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import open_training_runs, prepare_training
@@ -110,6 +112,21 @@ def test_nothing_is_found_where_the_simulation_leaves_noise(tmp_path: Path) -> N
     assert model is not None
     assert not model.lacks.any()
     assert findings == ()
+
+
+def test_a_stored_simulation_is_read_without_the_effects_that_it_is_without(tmp_path: Path) -> None:
+    searched = search(tmp_path / "set")
+    located = LocatedEffect(effect=effect("cable_spring"), joint=0, shapes=(0.0,))
+    spring = EstimatedEffect(located=located, amplitudes=(0.001, 0.0))
+    whole = Extension(effects=(spring,))
+    model, _ = searched.run(whole, (searched._finding(spring, 1.0),))
+    assert model is not None
+    assert model.without == (located.label,)
+    recordings, constants = searched.recordings, searched.training.constants
+    section = model_section(recordings, model)
+    stored = replace(extended_model(recordings, constants, whole), closed_loop=section)
+    read = read_model(recordings, stored)
+    np.testing.assert_allclose(read.fitted.values, model.fitted.values)
 
 
 def test_a_size_is_that_of_the_simulation(tmp_path: Path) -> None:

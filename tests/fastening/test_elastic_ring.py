@@ -157,9 +157,8 @@ def test_two_ribs_are_refused():
         FlangeRing(thickness=5e-3, supports=2)
 
 
-@pytest.mark.parametrize("count", [1, 2])
-def test_two_bolts_are_statically_determinate(count):
-    few = flange(bolt_count=count, ring=FlangeRing(thickness=8e-3, supports=3))
+def test_two_bolts_are_statically_determinate():
+    few = flange(bolt_count=2, ring=FlangeRing(thickness=8e-3, supports=3))
     pulled = FlangeLoads(names=("pull",), values=np.array([[0.0, 0.0, 900.0, 0.0, 0.0, 20.0]]))
     steps = Verification(few, Tightening(), pulled)
-    assert steps.axial == pytest.approx(np.full_like(steps.axial, 900.0 / count))
+    assert steps.axial == pytest.approx(np.full_like(steps.axial, 450.0))

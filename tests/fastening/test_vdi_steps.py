@@ -278,6 +278,20 @@ def test_two_bolts_with_tilting_are_refused():
         Verification(flange(bolt_count=2), TESTED, loads([0, 0, 0, 60.0, 0, 20.0]))
 
 
+def test_pressure_of_few_bolts_is_not_taken_for_even():
+    with pytest.raises(InputError, match="one bolt beside the axis presses one side"):
+        flange(bolt_count=1)
+    torque = loads([0, 0, 0, 0, 0, 20.0])
+
+    def extent(count):
+        rows = vdi_rows(Verification(flange(bolt_count=count), TESTED, torque), 9000.0)
+        return next(row.value for row in rows if row.kind == "validity of even pressure")
+
+    ring = flange()
+    assert extent(2) == ring.circle_diameter
+    assert extent(3) == pytest.approx(ring.outer_radius - ring.inner_radius)
+
+
 def test_warnings_do_not_reject_designs():
     steps = Verification(flange(outer_radius=30e-3), TESTED, loads([0, 0, 0, 0, 0, 20.0]))
     warned = {c.kind: c for c in vdi_rows(steps, 9000.0, shift=1e-3) if not c.binding}

@@ -251,15 +251,22 @@ def test_published_static_set_gives_published_stiffness(tmp_path):
     assert errors.least_squares_left_out == pytest.approx(0.234e-3, abs=5e-7)
     assert errors.nominal == pytest.approx(0.244e-3, abs=5e-7)
     assert errors.left_out < errors.least_squares_left_out
+    # The bearing of joint 3 tilts, which torsion alone puts into joints 1 and 4.
+    assert [each.joint for each in result.tilt] == [3]
+    assert errors.left_out < 0.8 * errors.rigid_bearings
+    # Beside the tilt softening is supported, at the edge of what counts as chance.
     found = result.torque_dependence
-    assert found.verdict == "weak"
+    assert (found.verdict, found.best) == ("supported", "tanh, on the weight")
     best = next(model for model in found.models if model.name == found.best)
-    assert 0.015 < best.gain < 0.035
-    assert best.chance > 0.05
+    assert 0.03 < best.gain < 0.05
+    assert 0.005 < best.chance < 0.01
     # All but the last joint, which these poses load little, are told from a rigid one.
     assert [joint.status for joint in result.joints] == [*["identified"] * 5, "lower_bound"]
     for joint, value in zip(result.joints, plain, strict=True):
-        assert joint.lower < value < (joint.upper or np.inf)
+        if joint.joint in (1, 4):
+            assert value < joint.lower
+        else:
+            assert joint.lower < value < (joint.upper or np.inf)
 
 
 def _text(folder, name, before, after):
@@ -287,6 +294,25 @@ def test_wrong_static_files_are_refused(tmp_path, capsys, name, before, after, m
     assert run(["identify-stiffness", str(source), "--out", str(tmp_path / "out")]) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        ({"displacement": 1e3}, "no small deflection at lever arms"),
+        ({"force": 1e-3}, "the weight of the links alone would turn it"),
+    ],
+)
+def test_units_that_no_arm_can_have_are_refused(tmp_path, changed, says):
+    arm = replace(THREE, masses=(80.0, 60.0, 40.0), stiffness=(9e4, 2e5, 1.5e5))
+    whole = measure(arm, 20, 3)
+    wrong = {name: factor * getattr(whole, name) for name, factor in changed.items()}
+    with pytest.raises(InputFileError, match=says):
+        identify(replace(whole, **wrong), tmp_path / "wrong")
+    ((key, factor),) = changed.items()
+    scaled = replace(whole, **wrong, extra={f"scale.{key}": str(1.0 / factor)})
+    found = identify(scaled, tmp_path / "scaled")
+    assert [joint.status for joint in found.joints] == ["identified"] * 3
 
 
 def test_folder_without_static_set_is_refused(tmp_path, capsys):

@@ -173,6 +173,19 @@ def test_failed_study_writes_no_files(raised, code, text, tmp_path, capsys, monk
     assert not (tmp_path / "out").exists()
 
 
+def test_ctrl_c_after_the_optimum_is_said(tmp_path, capsys, monkeypatch):
+    def stopped(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("stiffopt.preload.study.pareto_front", stopped)
+    out = tmp_path / "out"
+    assert run(["preload", str(write_study(tmp_path)), "--out", str(out), "--quiet"]) == 130
+    said = " ".join(capsys.readouterr().out.split())
+    assert "Note: Stopped by the user: the preloads are those of the finished optimisation" in said
+    assert json.loads((out / "study.json").read_text())["notes"][0].startswith("Stopped by the")
+    assert "Stopped by the user" in (out / "report.html").read_text()
+
+
 def expected(name, value, unit):
     head = "[pareto]\npoints = 0\n"
     return head + (

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from preload_studies import JACOBIAN, Ring, case, er3a, study, with_elements
 
 from stiffopt.errors import ProblemError
+from stiffopt.exact import chain
 from stiffopt.exact.chain import exact_compliance, exact_windup, stage_windup, torque_shares
 from stiffopt.fastening.tightening import Tightening
 from stiffopt.preload.model import PreloadModel
@@ -236,6 +237,26 @@ def test_sectors_of_equal_preload_sum_to_the_ring(joint):
         assert single.slip_torque(apart, index) == pytest.approx(
             equal.slip_torque(together, index), rel=1e-12
         )
+
+
+def test_equal_sectors_share_one_curve(monkeypatch):
+    model = PreloadModel(study(case(j2=60.0), free=("circular_spline_flange",), individual=True))
+    rounded = 3511.0 * (1.0 + 1e-14 * np.arange(12))
+    preloads = model.without_rounding(rounded)
+    assert np.ptp(preloads) == 0.0
+    assert np.ptp(model.without_rounding(rounded * np.r_[1.0, 1.001, np.ones(10)])) > 3.0
+    built = []
+    make = chain.antiderivative
+    monkeypatch.setattr(
+        chain, "antiderivative", lambda *given: built.append(given[1]) or make(*given)
+    )
+    (whole,) = 1.0 / model.exact_compliance(preloads, 2, np.array([60.0]))
+    assert len(built) == 1
+    preloads[5] *= 1.001
+    (other,) = 1.0 / model.exact_compliance(preloads, 2, np.array([60.0]))
+    # Two kinds of sector, each with curves up to four octaves of torque.
+    assert len(built) <= 8
+    assert other > whole
 
 
 def test_sectors_of_unequal_preload_turn_together_also_when_one_slips():

@@ -331,6 +331,13 @@ def test_orientations_of_a_table_may_be_called_roll_pitch_and_yaw(tmp_path):
         write_table(tmp_path, rows, "x,y,z,roll,pitch,angle,speed,label")
 
 
+def test_table_with_two_kinds_of_orientations_is_refused(tmp_path):
+    rows = [f"{x},0,0,180,0,-90,0,0,0,1,0.1,a" for x in range(0, 33, 8)]
+    for names in ("rx,ry,rz,qx,qy,qz,qw", "roll,pitch,yaw,qx,qy,qz,qw"):
+        with pytest.raises(InputError, match=f"several orientations .* {names.replace(',', ', ')}"):
+            write_table(tmp_path, rows, f"x,y,z,{names},speed,label")
+
+
 def test_table_in_other_units_than_stated_is_refused(tmp_path):
     rows = [f"{x},0,0,180,0,-90,0.1,a" for x in range(0, 33, 8)]
     (tmp_path / "points.csv").write_text("x,y,z,rx,ry,rz,speed,label\n" + "\n".join(rows) + "\n")

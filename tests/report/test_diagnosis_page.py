@@ -384,6 +384,24 @@ def test_finding_that_explains_next_to_nothing_leads_no_headline(
     assert "small beside them: joint 1" in text or leads
 
 
+def test_every_sure_finding_is_something_to_do(friction):
+    """The first two in words, the others by their number."""
+    (finding,) = friction.findings
+    each = [
+        replace(
+            finding,
+            estimated=replace(finding.estimated, located=replace(finding.located, joint=joint)),
+        )
+        for joint in (0, 1)
+    ]
+    (one, two), both = (
+        [answer.action(replace(friction, findings=(own,))) for own in each],
+        answer.action(replace(friction, findings=tuple(each))),
+    )
+    assert one != two
+    assert both in (f"{one} {two}", f"{two} {one}")
+
+
 def test_value_to_enter_includes_what_the_joint_has_beside_the_change(friction):
     """Friction that no nominal model states was found in both states, and more in one."""
     (change,) = friction.findings

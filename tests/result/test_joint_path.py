@@ -86,3 +86,17 @@ def test_quintic_rests_at_both_ends_with_its_known_peaks() -> None:
 def test_unknown_spacing_is_refused() -> None:
     with pytest.raises(ProblemError, match="Allowed: chord, uniform"):
         JointPath.through(POINTS, "arc")
+
+
+def test_knot_beside_a_break_by_rounding_adds_no_piece_of_mixed_jerk() -> None:
+    """At corners the law's jerk jumps against the path's; their sum keeps its limit."""
+    knot = 0.25
+    bend = np.array([[[0.0], [1.0], [0.0], [8.0]], [[0.125], [2.5], [6.0], [-9.0]]])
+    path = JointPath(np.array([0.0, knot, 1.0]), bend)
+    for drift in (-1e-9, 1e-9, 0.0):
+        # Passes the knot at 0.5 s, with jerks of 12 and -8 on its sides.
+        before, after = [[0.0], [12.0]], [[6.0], [-8.0]]
+        law = Trajectory.from_acceleration([0.0, 0.5, 0.8], [before, after], [drift], [0.0])
+        motion = path.follow(law)
+        assert motion.times == pytest.approx([0.0, 0.5, 0.8], abs=1e-12)
+        assert len(motion.times) == 3

@@ -11,6 +11,7 @@ from small_arms import write_problem
 from stiffopt.cli import run
 from stiffopt.problem import files
 from stiffopt.problem.files import load_problem
+from stiffopt.report.solve.wording import comparison
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver import solve as solving
 from stiffopt.solver import stages
@@ -48,6 +49,8 @@ def test_before_the_first_stage_the_better_baseline_is_kept(stated, monkeypatch)
     assert kept.assessment is kept.baselines[name].assessment
     assert kept.objective.value == kept.baselines[name].objective
     assert kept.trajectory.duration == pytest.approx(0.5)
+    assert "keeps all limits" in kept.message
+    assert "stopped before its comparison" in comparison(stated, kept)
 
 
 def test_where_no_baseline_keeps_every_limit_the_one_that_exceeds_least_is_kept(

@@ -227,3 +227,9 @@ def test_a_torque_that_is_not_plausible_is_asked_about_once(tmp_path, capsys):
     assert run(["init", "flange", "-o", str(tmp_path / "f"), "--torque", "10 MN*m"]) == 0
     assert run(["preload", str(tmp_path / "f" / "flange.toml"), "--quiet"]) == 2
     assert "joint[flange].torque_max: 1e+07 N*m is not plausible" in capsys.readouterr().err
+
+
+def test_one_bolt_is_no_ring(tmp_path, capsys):
+    assert run(["init", "flange", "--out", str(tmp_path / "f"), "--count", "1"]) == 2
+    assert "one bolt presses one side of a ring only" in capsys.readouterr().err
+    assert not (tmp_path / "f").exists()

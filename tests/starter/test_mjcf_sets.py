@@ -80,6 +80,39 @@ def test_servo_gains_stand_behind_comment_marks(tmp_path):
     assert "# kp = [20.0, 24.0, 28.0]\n# kd = [2.0, 2.0, 2.0]\n" in written
 
 
+def test_servos_of_an_mjcf_are_the_only_gains_of_a_commanded_set(tmp_path):
+    model, joints = write_legs(tmp_path), ("hip_l", "thigh_l", "calf_l")
+    servos = "".join(f'<position joint="{name}" kp="5"/>' for name in joints)
+    text = model.read_text().replace("</mujoco>", f"<actuator>{servos}</actuator></mujoco>")
+    model.write_text(text)
+    log, time = tmp_path / "log.csv", np.arange(0.0, 8.0, 0.01)
+    angles = 0.5 * np.sin(np.outer(time, (1.0, 1.3, 1.7)))
+    names = [f"{kind}[{name}]" for kind in ("ctrl", "qpos") for name in joints]
+    header = ",".join(["time", *names])
+    columns = np.column_stack([time, angles, 0.95 * angles])
+    np.savetxt(log, columns, delimiter=",", header=header, comments="")
+    own = ["init", "recording", str(log), "--urdf", str(model), "--tip", "calf_l"]
+    assert run([*own, "--out", str(tmp_path / "set")]) == 0
+    written = (tmp_path / "set" / "recordings.toml").read_text()
+    assert written.count("# [actuator]") == 1
+    assert "# kd = [0.0, 0.0, 0.0]\n" in written
+
+
+def test_commanded_joints_at_rest_are_no_table_of_poses(tmp_path, capsys):
+    """Poses at rest need torques: these are refused as a recording without motion."""
+    model, names = write_arm(tmp_path), ("pan", "lift", "slide", "roll")
+    time, log = np.arange(0.0, 8.0, 0.01), tmp_path / "log.csv"
+    noise = 1e-5 * np.random.default_rng(0).normal(size=(len(time), 4))
+    header = ",".join(["time", *[f"{kind}[{name}]" for kind in ("ctrl", "qpos") for name in names]])
+    columns = np.column_stack([time, np.full_like(noise, 0.3), 0.3 + noise])
+    np.savetxt(log, columns, delimiter=",", header=header, comments="")
+    own, folder = ["init", "recording", str(log), "--urdf", str(model)], tmp_path / "set"
+    assert run([*own, "--out", str(folder)]) == 0
+    assert "at_rest" not in (folder / "recordings.toml").read_text()
+    assert run(["diagnose", str(folder), "--out", str(tmp_path / "out"), "--quiet"]) == 2
+    assert "No joint moves" in capsys.readouterr().err
+
+
 def test_a_set_names_an_mjcf_itself(tmp_path):
     """Limits that MuJoCo does not state do not exist."""
     start_set(tmp_path, write_arm(tmp_path), ("pan", "lift", "slide", "roll"))

@@ -200,6 +200,9 @@ class ClosedLoopSection(Section):
     ratio_deviations: Annotated[
         dict[str, tuple[Ratio, ...]], Doc("One standard deviation of each.")
     ] = Field(default_factory=dict)
+    without: Annotated[
+        tuple[str, ...], Doc("Effects of this model without which it simulates the runs as well.")
+    ] = ()
 
 
 class ExtendedFile(Section):

@@ -41,6 +41,8 @@ _MIN_DELAY = 2e-3
 _USUAL_FREQUENCY = 30.0
 # Stretches that are left out in turn: physics that the regressors lack differs between them.
 _JACKKNIFE_STRETCHES = 8
+# Rounds in which the gain that scales stated tolerances follows the estimated one.
+_SCALE_ROUNDS = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,8 +113,8 @@ def estimate_actuator(
     """Estimate unknown gains and the delay by least squares of the equation of motion.
 
     With an unknown gain k the position error is (weight and inertia + friction + ...) / k: masses
-    are known, so that the factor of their torque is 1 / k. Where that is not significant, the gain
-    is guessed from the acceleration.
+    are known, so that the factor of their torque is 1 / k, and so are stated friction and rotor
+    inertia. Where that is not significant, the gain is guessed from the acceleration.
     """
     rows = [_joint_rows(robot, runs, j) for j in range(robot.n)]
     delay, evidence = law.delay, np.inf
@@ -311,13 +313,39 @@ def _misfit(own: _JointRows, joint: int, law: ActuatorLaw, delay: float) -> floa
 
 
 def _load_factor(own: _JointRows, delay: float) -> tuple[np.ndarray, float]:
-    """Return the factors in the error and the deviation of the first, the load, over stretches."""
+    """Return the factors in the error and the deviation of the first, the load, over stretches.
+
+    Stated friction and rotor inertia weigh as much as their tolerance allows: over the gain, which
+    is sought, they are known relative to its own factor.
+    """
     table, target = np.column_stack([own.load, own.columns]), own.error(delay)
-    factors, spread, _ = _least_squares(table, target, own.independent)
+    factors, spread, square = _least_squares(table, target, own.independent)
+    known = np.flatnonzero(np.isfinite(own.stated[:, 1]))
+    noise = float(np.sqrt(square * len(target) / own.independent))
     parts = np.array_split(np.arange(len(target)), _JACKKNIFE_STRETCHES)
+
+    def fit(rows: np.ndarray, scale: float, independent: float) -> tuple[np.ndarray, ...]:
+        value, deviation = own.stated[known].T
+        extra = np.zeros((len(known), table.shape[1]))
+        extra[:, 0], extra[range(len(known)), 1 + known] = -value, 1.0
+        extra *= (noise / (deviation * scale))[:, None]
+        whole = np.vstack([table[rows], extra])
+        found = _least_squares(whole, np.append(target[rows], np.zeros(len(known))), independent)
+        return found[0], found[1]
+
+    if len(known):
+        # Begin with the gain by the stated value that shows best.
+        best = known[int(np.argmax(factors[1 + known] / spread[1 + known]))]
+        scale = max(factors[1 + best], spread[1 + best]) / own.stated[best, 0]
+        if factors[0] > spread[0]:
+            scale = factors[0]
+        for _ in range(_SCALE_ROUNDS):
+            factors, spread = fit(np.arange(len(target)), scale, own.independent)
+            scale = factors[0] if factors[0] > 0.0 else scale
+    else:
+        scale = 1.0
     left_out = [
-        _least_squares(np.delete(table, part, axis=0), np.delete(target, part), 1.0)[0][0]
-        for part in parts
+        fit(np.delete(np.arange(len(target)), part), scale, own.independent)[0][0] for part in parts
     ]
     jackknife = np.sqrt(
         (_JACKKNIFE_STRETCHES - 1)

@@ -19,6 +19,8 @@ from stiffopt.recording.state_pair import StatePair
 
 # Range of the ratio of commanded to measured travel in one unit: a weak joint covers a share.
 _TRAVEL_RATIO = (1.0 / 3.0, 3.0)
+# Travel of a command over that of its position below which the command stands still.
+_MIN_COMMAND_TRAVEL = 1e-6
 # Ratio of a degree to a radian within which commands are in degrees.
 _DEGREE_RATIO_TOLERANCE = 3.0
 # Correlation of command and position below which they are of different joints or motions.
@@ -60,6 +62,7 @@ def doubt_commands(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> Ite
             (
                 tuple(kind)
                 for kind in (
+                    _doubt_copies(position, command, moving),
                     _doubt_units(position, command, moving),
                     _doubt_other_joints(position, command, moving),
                     _doubt_swapped(recordings, commanded, moving),
@@ -71,11 +74,37 @@ def doubt_commands(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> Ite
     )
 
 
-def _doubt_units(position: np.ndarray, command: np.ndarray, moving: np.ndarray) -> Iterator[Doubt]:
-    """Doubt commands whose travel is not that of the positions."""
+def _doubt_copies(position: np.ndarray, command: np.ndarray, moving: np.ndarray) -> Iterator[Doubt]:
+    """Doubt positions that repeat their commands, and positions that move without any."""
+    away = np.abs(command - position)[:, moving]
+    if np.nanmax(away, initial=0.0) == 0.0:
+        yield Doubt(
+            kind="copied command",
+            evidence="The positions equal the commands in every row: no servo follows without an"
+            " error, and nothing was measured. Name the columns of measured positions.",
+        )
+    elif (_travel_ratio(position, command)[moving] < _MIN_COMMAND_TRAVEL).all():
+        yield Doubt(
+            kind="no command",
+            evidence="The commands stand still while the arm moves: they do not tell what moved it."
+            " Name the columns of commanded positions.",
+        )
+
+
+def _travel_ratio(position: np.ndarray, command: np.ndarray) -> np.ndarray:
+    """Return how far each command (n,) travels over its position."""
     with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = np.nanstd(command, axis=0) / np.nanstd(position, axis=0)
-    odd = moving & (ratio > 0.0) & ((ratio < _TRAVEL_RATIO[0]) | (ratio > _TRAVEL_RATIO[1]))
+        return np.asarray(np.nanstd(command, axis=0) / np.nanstd(position, axis=0))
+
+
+def _doubt_units(position: np.ndarray, command: np.ndarray, moving: np.ndarray) -> Iterator[Doubt]:
+    """Doubt commands whose travel is not that of the positions; a joint may be held in place."""
+    ratio = _travel_ratio(position, command)
+    odd = (
+        moving
+        & (ratio > _MIN_COMMAND_TRAVEL)
+        & ((ratio < _TRAVEL_RATIO[0]) | (ratio > _TRAVEL_RATIO[1]))
+    )
     if not odd.any():
         return
     which, usual = format_joints(np.flatnonzero(odd)), float(np.median(ratio[odd]))
@@ -111,11 +140,12 @@ def _doubt_other_joints(
             continue
         others = [_correlate(command[:, k], position[:, j]) for k in range(command.shape[1])]
         best = int(np.nanargmax(others))
-        hint = (
-            f" It goes with the command of joint {best + 1}: check the order of the columns."
-            if others[best] > max(_MIN_CORRELATION, own + 0.3)
-            else " Is it sent to this joint, with this sign?"
-        )
+        if -own > max(_MIN_CORRELATION, others[best]):
+            hint = " It moves the other way: reverse the sign by -1.0 in [signals.scale]."
+        elif others[best] > max(_MIN_CORRELATION, own + 0.3):
+            hint = f" It goes with the command of joint {best + 1}: check the order of the columns."
+        else:
+            hint = " Is it sent to this joint, with this sign?"
         yield Doubt(
             kind="command order",
             joints=(int(j) + 1,),

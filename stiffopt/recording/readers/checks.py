@@ -119,8 +119,10 @@ def require_time(signals: Signals, path: Path) -> None:
         )
 
 
-def check_columns(path: Path, wanted: Sequence[str], there: Iterable[str]) -> None:
-    """Raise `InputFileError` if a named column is missing."""
+def check_columns(
+    path: Path, wanted: Sequence[str], there: Iterable[str], by: str = "[signals]"
+) -> None:
+    """Raise `InputFileError` if a column that is named `by` a part of the set is missing."""
     names = list(there)
     lacking = [name for name in wanted if name not in names]
     if lacking:
@@ -128,8 +130,8 @@ def check_columns(path: Path, wanted: Sequence[str], there: Iterable[str]) -> No
         raise InputFileError(
             path,
             "",
-            f"has no column {lacking[0]!r}{others}, which [signals] names. "
-            f"{nearest(lacking[0], names)} Correct [signals] or the file.",
+            f"has no column {lacking[0]!r}{others}, which {by} names. "
+            f"{nearest(lacking[0], names)} Correct {by} or the file.",
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from itertools import islice
 from pathlib import Path
@@ -20,6 +20,7 @@ from stiffopt.recording.readers.checks import (
     ReadTimeout,
     bounded_memory,
     bounded_time,
+    check_columns,
     find_dataset_info,
     split_part,
 )
@@ -146,22 +147,35 @@ def read_tables(path: Path) -> dict[str, Columns]:
     return tables
 
 
+def read_named_columns(path: Path, names: Sequence[str]) -> Columns:
+    """Read columns (R,) of a file of one table, or of "FILE#PART"; errors as of `read_columns`."""
+    module = _select_reader(path)
+    reader = _import_reader(module, path)
+
+    def read() -> Columns:
+        table = _table_of_part(reader, path)
+        check_columns(path, names, table, "the set")
+        return {name: np.asarray(table[name], dtype=float) for name in names}
+
+    return read_bounded(read, path, _FORMAT_NAMES[module])
+
+
 def _reader_of_tables(reader: Any) -> Callable[[Path, Signals], Columns]:
     """Return the reading of named columns for a format of whole tables."""
+    return lambda path, signals: select_columns(path, _table_of_part(reader, path), signals)
 
-    def read(path: Path, signals: Signals) -> Columns:
-        file, part = split_part(path)
-        tables = reader.read_tables(file)
-        if part is None and len(tables) == 1:
-            (part,) = tables
-        if part not in tables:
-            first = f"{file.name}#{next(iter(tables))}"
-            raise InputFileError(
-                path, "", f"holds the runs {', '.join(tables)}. Name one of them as {first}."
-            )
-        return select_columns(path, tables[part], signals)
 
-    return read
+def _table_of_part(reader: Any, path: Path) -> Columns:
+    file, part = split_part(path)
+    tables: dict[str, Columns] = reader.read_tables(file)
+    if part is None and len(tables) == 1:
+        (part,) = tables
+    if part not in tables:
+        first = f"{file.name}#{next(iter(tables))}"
+        raise InputFileError(
+            path, "", f"holds the runs {', '.join(tables)}. Name one of them as {first}."
+        )
+    return tables[part]
 
 
 def files_of(path: Path) -> list[Path]:

@@ -17,7 +17,7 @@ from stiffopt.recording.readers.columns import (
     expand_vectors,
     unnamed_columns,
 )
-from stiffopt.recording.signals import UNITS
+from stiffopt.recording.stated_units import UNITS
 
 _CELL_SEPARATORS = (";", "\t", ",", "|")
 _NUMBER_PATTERN = re.compile(r"^[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?$")
@@ -131,14 +131,14 @@ def _find_names(head: list[list[str]], comments: list[list[str]], width: int) ->
         words = [row for row in comments if len(row) == width]
     if not words:
         return None
+    named = words[-1]
+    if len(words) > 1 and _is_units(named):
+        units = [unit.strip("[]() ") for unit in named]
+        named = [f"{n} [{u}]" if u else n for n, u in zip(words[-2], units, strict=True)]
     # A data frame leaves its index without a name.
-    names = [
-        name or unnamed for name, unnamed in zip(words[-1], unnamed_columns(width), strict=False)
-    ]
-    if len(words) > 1 and _is_units(names):
-        units = [unit.strip("[]() ") for unit in names]
-        names = [f"{n} [{u}]" if u else n for n, u in zip(words[-2], units, strict=True)]
-    return _number_duplicates(names)
+    return _number_duplicates(
+        [name or unnamed for name, unnamed in zip(named, unnamed_columns(width), strict=False)]
+    )
 
 
 def _is_units(cells: list[str]) -> bool:

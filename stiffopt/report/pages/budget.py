@@ -142,7 +142,8 @@ def bounds_figure(budget: ErrorBudget) -> Figure:
         axes.plot(time, factor * mean, color=colour, linestyle="--", label="mean error")
         axes.set_ylabel(f"[{name}]")
         axes.set_ylim(bottom=0.0)
-        axes.legend(loc="upper right", ncols=2)
+    # Beside the title, where no curve can be; line styles are the same in both.
+    upper.legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=2)
     upper.set_title("Error of position and orientation")
     shares = budget.shares(POSITION)
     lower.stackplot(
@@ -152,7 +153,7 @@ def bounds_figure(budget: ErrorBudget) -> Figure:
         colors=PALETTE,
         alpha=0.8,
     )
-    lower.set_ylabel("share of the mean square [%]")
+    lower.set_ylabel("share [%]")
     lower.set_xlabel("time [s]")
     lower.set_ylim(0.0, 100.0)
     lower.legend(loc="upper left", bbox_to_anchor=(0.0, -0.28), ncols=len(shares))

@@ -9,7 +9,11 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from stiffopt.identification.comparison import JointComparison, describe_difference
+from stiffopt.identification.comparison import (
+    JointComparison,
+    describe_difference,
+    describe_spread,
+)
 from stiffopt.identification.result import JointStiffness, StaticStiffness
 from stiffopt.report.common import svg
 from stiffopt.report.common.page import Filters, PageFigures, write_page
@@ -90,7 +94,8 @@ def tilt_sentence(result: StaticStiffness) -> str:
     )
     return (
         f"supported, moment stiffness {named}; leave-one-out error with it "
-        f"{si(result.tilt[-1].left_out, 'm', 3)} in place of {si(result.errors.left_out, 'm', 3)}."
+        f"{si(result.errors.left_out, 'm', 3)} in place of "
+        f"{si(result.errors.rigid_bearings, 'm', 3)}. It is in the joint stiffness above."
     )
 
 
@@ -169,7 +174,10 @@ def print_comparison(names: Sequence[str], joints: Sequence[JointComparison]) ->
             tilts.append((f"{name}, tilt", *cells, decades(joint.modelled_tilt)))
     print_table(("", *columns), rows + tilts, title="Joint stiffness side by side", numbers=columns)
     print_lines(
-        f"J{joint.joint}: {told}." for joint in joints if (told := describe_difference(joint))
+        f"J{joint.joint}: {told}."
+        for joint in joints
+        for told in (describe_spread(names, joint), describe_difference(joint))
+        if told
     )
 
 

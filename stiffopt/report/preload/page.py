@@ -163,7 +163,7 @@ def print_study(study: PreloadStudy, folder: Path) -> None:
         (
             f"Catalogue: {study.choice.message}" if study.choice is not None else None,
             study.motion.note if study.motion is not None else None,
-            *(f"Note: {note}" for note in solution.notes),
+            *(f"Note: {note}" for note in study.notes),
             *(f"Warning: {each}" for each in cautions(problem, solution)),
             f"Report: {folder / 'report.html'}",
         )

@@ -23,6 +23,7 @@ from stiffopt.result.compensation import (
 )
 from stiffopt.result.simulation import ElasticMotion, Simulation
 from stiffopt.result.solution import ObjectiveValue, Solution
+from stiffopt.result.status import SolveStatus
 
 # Ratio below which a gain is written as "3.4 times less", above it as a percentage.
 _MAX_FACTOR_RATIO = 0.6
@@ -178,6 +179,8 @@ def _certified_comparison(problem: TrajectoryProblem, solution: Solution) -> str
         return "It was not compared with baselines."
     if better is not None and ratio is None and solution.status.usable:
         return "Values of this objective have no ratio; the table of baselines shows them."
+    if solution.status is SolveStatus.INTERRUPTED and ratio is None:
+        return "It was stopped before its comparison with the baselines."
     if better is not None and ratio is None:
         return "This motion does not meet all limits, so it is not compared with the baselines."
     if better is None or ratio is None:
