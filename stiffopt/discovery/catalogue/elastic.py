@@ -21,7 +21,7 @@ from stiffopt.discovery.catalogue.common import (
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term, Values
 from stiffopt.discovery.signals import JointConstants, JointSignals, smooth_sign
 
-# Sliders of a presliding friction: 100 differ by 1 % of its limit.
+# Sliders of a presliding friction: 2000 differ by 2 % of its largest value.
 _SLIDER_COUNT = 10
 # Smallest rounding of a flank over the rated torque.
 _MIN_ROUNDING = 5e-5
@@ -71,8 +71,8 @@ def hysteresis_term(signals: JointSignals, amplitudes: Values, shapes: Values) -
 def _presliding_friction(windup: np.ndarray, reach: float, exponent: float) -> np.ndarray:
     """Return friction over its limit (K,): sliders in parallel that yield one after the other.
 
-    All carry as much at their limits, which are spread over the reach by a power: 0 for one slider,
-    1 for an even spread, and more for many that slide at once.
+    All have the same stiffness; their limits are spread over the reach by a power: 0 for a single
+    slider, 1 for an even spread, more for a steep rise and a long way to the limit.
     """
     limits = reach * ((np.arange(_SLIDER_COUNT) + 0.5) / _SLIDER_COUNT) ** exponent
     travel = np.diff(windup, prepend=windup[:1])
@@ -164,7 +164,7 @@ HYSTERESIS = Effect(
     shapes=(
         Shape("s", "rad", (1e-4, 3e-4, 1e-3), 2e-5, 5e-3),
         # Spread of the sliders: recordings seldom show it, but h depends on it.
-        Shape("i", "", (1.0,), 0.0, 3.0, 1.0, reported=False),
+        Shape("i", "", (1.0,), 0.0, 5.0, 1.0, reported=False),
     ),
     applies=winds_up,
     separate="Load and unload slowly, at two speeds and two amplitudes: creep shrinks when slow,"
