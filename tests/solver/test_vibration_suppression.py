@@ -50,7 +50,13 @@ def solved(request, tmp_path_factory):
 
 def solve_run(problem=None):
     return SimpleNamespace(
-        problem=problem, step="", exchanges=[], left_out=[], iterations=0, is_over=False
+        problem=problem,
+        step="",
+        exchanges=[],
+        homotopy=[],
+        left_out=[],
+        iterations=0,
+        is_over=False,
     )
 
 

@@ -159,6 +159,7 @@ HYSTERESIS = Effect(
     remedy="Look for sliding contacts at {where}: bolts, keys and splines; tighten them to"
     " their torque.",
     needs=("windup", "moves", "reverses"),
+    reference="Iwan1966",
     term=hysteresis_term,
     amplitudes=(Amplitude("h", "N m", _loop_height, 0.0, 3.0),),
     shapes=(
