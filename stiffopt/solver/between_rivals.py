@@ -9,7 +9,6 @@ there is a better one, and none is worse than the rival of its duration.
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -28,8 +27,8 @@ from stiffopt.solver.programme import Outcome, follow_plan
 from stiffopt.solver.rival_errors import RivalErrors
 from stiffopt.solver.solve_run import SolveRun
 
-# Shares of a rival that are tried, itself first: the error is flat about the best one.
-_RIVAL_SHARES = (1.0, 0.2, 0.4, 0.6, 0.8)
+# Shares of a rival that are tried: the error is flat about the best one.
+_RIVAL_SHARES = (0.2, 0.4, 0.6, 0.8, 1.0)
 
 
 class BetweenRivals(OutcomeOracle):
@@ -61,13 +60,14 @@ class BetweenRivals(OutcomeOracle):
         """Return the motion of least worst error on the lines to the rivals."""
         if last.assessment.led is None or not last.raw.converged:
             return None
-        own = self._worse(last.planned, last.assessment.led)
-        better = [
-            (worse, plan, f"{100 * share:.0f} % of the {name} motion")
+        tried = [
+            (self._worse(plan), plan, f"{100 * share:.0f} % of the {name} motion")
             for name, rival in self._rivals.items()
-            for worse, plan, share in self._towards(last.planned, rival, own)
-            if worse < own
+            for share in _RIVAL_SHARES
+            for plan in (last.planned.mixed_with(rival, share),)
         ]
+        own = self._worse(last.planned, last.assessment.led)
+        better = [each for each in tried if each[0] < own]
         for worse, plan, text in sorted(better, key=lambda each: each[0]):
             motors = follow_plan(self.run, plan, last.smoothing.law)
             # Much cheaper than the certificate.
@@ -87,20 +87,6 @@ class BetweenRivals(OutcomeOracle):
                     self._reason, functools.partial(suppress_vibration_of_links, self.run, found)
                 )
         return None
-
-    def _towards(
-        self, plan: Trajectory, rival: Trajectory, own: Rank
-    ) -> Iterator[tuple[Rank, Trajectory, float]]:
-        """Yield the rival and motions on the line to it, up to where the error grows again."""
-        before = own
-        for share in _RIVAL_SHARES:
-            mixed = plan.mixed_with(rival, share)
-            worse = self._worse(mixed)
-            yield worse, mixed, share
-            if share < 1.0:
-                if not worse < before:
-                    break
-                before = worse
 
     def rank(self, found: Outcome) -> Rank:
         """Return the rank with the excess over the best rival before the objective."""
