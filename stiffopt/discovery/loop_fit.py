@@ -150,13 +150,9 @@ def expect_parameters(
     for i, (body, own) in enumerate(zip(robot.tree.bodies, loop.tree.bodies, strict=True)):
         about = _INERTIA_DEVIATION * float(np.trace(body.inertia)) / 3.0
         change = np.abs(own.inertial_parameters - body.inertial_parameters)
-        parts = change[0], change[1:4].max(), change[4:].max()
-        # What filtered torques took for a moment may be a mass, and the other way round.
-        length = np.sqrt(np.trace(body.inertia) / 2.0 / body.mass + body.centre @ body.centre)
-        most = max(part / length**power for power, part in enumerate(parts))
         each = np.hypot(
             [of_mass, *[body.mass * of_centre] * 3, *[about] * 3],
-            [most / own.mass, *[most * length] * 3, *[most * length**2] * 3],
+            [change[0] / own.mass, *[change[1:4].max()] * 3, *[change[4:].max()] * 3],
         )
         first = found.bodies.start + i * len(BODY_PARAMETERS)
         size[first : first + len(BODY_PARAMETERS)] = each

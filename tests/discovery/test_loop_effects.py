@@ -10,17 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy import special
-from servo_sets import (
-    ARMATURE,
-    COULOMB,
-    DELAY,
-    INERTIA,
-    KP,
-    LEVER,
-    MASS,
-    VISCOUS,
-    write_servo_set,
-)
+from servo_sets import ARMATURE, COULOMB, DELAY, KP, VISCOUS, write_servo_set
 
 from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.polish import Polished
@@ -38,12 +28,7 @@ from stiffopt.discovery.extended.value_changes import extended_model
 from stiffopt.discovery.laws.law import Factor, Law, law_effect
 from stiffopt.discovery.laws.sources import LawSource
 from stiffopt.discovery.loop_effects import robot_in_loop
-from stiffopt.discovery.loop_fit import (
-    build_loop,
-    commanded_run,
-    expect_parameters,
-    nominal_parameters,
-)
+from stiffopt.discovery.loop_fit import build_loop, commanded_run, nominal_parameters
 from stiffopt.discovery.position_fit import ClosedLoopModel
 from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
 from stiffopt.discovery.settings import DEFAULT_TOLERANCE, Settings
@@ -300,23 +285,6 @@ def test_parameters_of_a_body_count_as_far_as_they_are_free(tmp_path: Path) -> N
     (judged,) = findings_with_loop_values(servo, constants(servo), model, [payload], ())
     chance = float(special.chdtrc(7, deviations**2))
     assert judged.misfit == pytest.approx(_null_share(chance))
-
-
-def test_what_a_finding_takes_for_a_moment_may_be_a_mass(servo: RecordingSet) -> None:
-    """At the body's radius of gyration about its joint, as far as filtered torques tell."""
-    moment, stated = 0.003, DEFAULT_TOLERANCE.mass  # [kg m]
-    assert stated is not None
-    (body,) = servo.robot.tree.bodies
-    change = np.zeros(10)
-    change[3] = -moment
-    robot = servo.robot.with_inertial_parameters(1, body.inertial_parameters + change)
-    run = commanded_run(servo, open_training_runs(servo)[0])
-    loop = build_loop(servo, [run], robot.tree)
-    begun = nominal_parameters(servo, robot)
-    prior, deviations = expect_parameters(servo, [run], loop, begun)
-    of_mass, about_z = deviations[prior.bodies.start], 0.0002
-    radius = np.sqrt(LEVER**2 + (2.0 * INERTIA + about_z) / 2.0 / MASS)
-    assert of_mass == pytest.approx(np.hypot(stated, moment / radius / MASS))
 
 
 def test_a_value_is_as_uncertain_as_the_deviations_of_the_fit_say(servo: RecordingSet) -> None:
