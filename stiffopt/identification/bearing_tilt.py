@@ -98,11 +98,10 @@ def identify_tilt(recorded: StaticSet, torsion: Sequence[FittedFamily]) -> tuple
 
     def rivals(place: int) -> tuple[int, ...]:
         """Return the joints (from 1) whose bearing in place of a found one predicts as well."""
-        columns = found.columns.copy()
-        as_good = []
+        columns, as_good = found.columns.copy(), []
         for other in free:
             columns[:, :, first + place] = added[:, :, other]
-            if _is_as_good(cross_validate(columns.copy(), measured), found):
+            if _is_as_good(cross_validate(columns, measured), found):
                 as_good.append(other + 1)
         return tuple(as_good)
 

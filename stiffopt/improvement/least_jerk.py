@@ -14,7 +14,7 @@ from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.result.trajectory import Trajectory
 
 # Legendre's polynomials up to degree 2, by powers of the share of the interval that is left.
-_LEGENDRE_COEFFICIENTS_POLYNOMIALS = np.array([[1.0, 0.0, 0.0], [-1.0, 2.0, 0.0], [1.0, -6.0, 6.0]])
+_LEGENDRE_POLYNOMIALS = np.array([[1.0, 0.0, 0.0], [-1.0, 2.0, 0.0], [1.0, -6.0, 6.0]])
 _GAUSS_POINTS, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(3)  # exact to degree 5
 # Newton steps and halvings of each, and the error of the moments over the limit at which they end.
 _MAX_STEPS, _MAX_HALVINGS, _MOMENT_ERROR = 40, 12, 1e-9
@@ -38,7 +38,7 @@ def least_jerk_motion(time: np.ndarray, rows: np.ndarray, limit: np.ndarray) -> 
     second = ((np.diff(q, axis=0) / step - v[:-1]) / step - 0.5 * a[:-1]) / step
     moments = np.stack([mean, 2.0 * first - mean, 12.0 * second - 6.0 * first + mean], axis=1)
     # Coefficients of powers of the share of the interval that is left, (K, 3, n).
-    jerk = np.einsum("i,ij,kin->kjn", [1.0, 3.0, 5.0], _LEGENDRE_COEFFICIENTS_POLYNOMIALS, moments)
+    jerk = np.einsum("i,ij,kin->kjn", [1.0, 3.0, 5.0], _LEGENDRE_POLYNOMIALS, moments)
     allowed = (1.0 + _USED_TOLERANCE) * limit
     left = [np.array([1.0]) for _ in step]  # at which pieces begin
     cut = np.zeros((len(step), len(limit)), dtype=bool)
@@ -46,13 +46,10 @@ def least_jerk_motion(time: np.ndarray, rows: np.ndarray, limit: np.ndarray) -> 
     for k, j in np.argwhere((np.abs(samples) > allowed).any(axis=0)):
         found = _cut_off(moments[k, :, j] / allowed[j])
         if found is not None:
-            cut[k, j], jerk[k, :, j] = (
-                True,
-                _LEGENDRE_COEFFICIENTS_POLYNOMIALS.T @ found * allowed[j],
-            )
-            shares = _crossings(_LEGENDRE_COEFFICIENTS_POLYNOMIALS.T @ found)
+            powers = _LEGENDRE_POLYNOMIALS.T @ found
+            cut[k, j], jerk[k, :, j] = True, powers * allowed[j]
             # Joints that cross at the same instant, but for rounding, share a piece.
-            left[k] = np.union1d(left[k], np.round(shares, _SHARE_DIGITS))
+            left[k] = np.union1d(left[k], np.round(_crossings(powers), _SHARE_DIGITS))
     own = np.repeat(np.arange(len(step)), [len(each) for each in left])
     begin = np.concatenate([each[::-1] for each in left])
     end = np.where(np.diff(own, append=-1) == 0, np.append(begin[1:], 0.0), 0.0)
@@ -113,12 +110,12 @@ def _cut_off(moments: np.ndarray) -> np.ndarray | None:
 
 def _moments(coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return moments (3,) of the polynomial that is cut off at 1, and their slopes (3, 3)."""
-    own = _LEGENDRE_COEFFICIENTS_POLYNOMIALS.T @ coefficients
+    own = _LEGENDRE_POLYNOMIALS.T @ coefficients
     edges = np.concatenate([[0.0], np.sort(_crossings(own)), [1.0]])
     width = np.diff(edges)[:, None]
     share = (edges[:-1, None] + 0.5 * width * (1.0 + _GAUSS_POINTS)).ravel()
     weight = (0.5 * width * _GAUSS_WEIGHTS).ravel()
-    basis = _powers(share) @ _LEGENDRE_COEFFICIENTS_POLYNOMIALS.T
+    basis = _powers(share) @ _LEGENDRE_POLYNOMIALS.T
     value = basis @ coefficients
     inside = weight * (np.abs(value) < 1.0)
     return (weight * np.clip(value, -1.0, 1.0)) @ basis, (inside[:, None] * basis).T @ basis

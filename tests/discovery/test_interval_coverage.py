@@ -6,11 +6,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from linear_comparison import linear_comparison
 
 from stiffopt.discovery.search.uncertainty import estimate_parameters
 
 RUNS, SAMPLES, SIZE = 4, 60, 3.0
-TIME = np.linspace(0.0, 5.0, SAMPLES)
 
 
 def _interval(rng: np.random.Generator, *, tolerance: float, differs: float) -> tuple[float, float]:
@@ -28,21 +28,8 @@ def _interval(rng: np.random.Generator, *, tolerance: float, differs: float) -> 
     columns = np.column_stack([nominal, SIZE * column])
     gram = columns.T @ columns + np.diag(prior**-2.0)
     mean = np.linalg.solve(gram, columns.T @ target)
-    runs = [SimpleNamespace(time=TIME)] * RUNS
-    comparison = SimpleNamespace(
-        runs=runs,
-        rows=SimpleNamespace(
-            block=run,
-            run=run,
-            sample_signal=lambda value: np.concatenate([value(each) for each in runs]),
-        ),
-        priors=(("nominal",), prior[:1]),
-        constants=None,
-        target=target,
-        fit=lambda effects: SimpleNamespace(
-            amplitudes=lambda: mean[1:], posterior=SimpleNamespace(mean=mean)
-        ),
-        stack_columns=lambda effects: columns,
+    comparison = linear_comparison(
+        columns, target, mean, runs=RUNS, duration=5.0, priors=(tolerance,)
     )
     located = SimpleNamespace(
         shapes=(),

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from linear_comparison import linear_comparison
 from test_admissible_shapes import JOINT
 
 from stiffopt.discovery.catalogue import effect
@@ -132,26 +133,11 @@ def test_prior_of_reported_values_is_that_of_amplitudes_and_initial_shapes() -> 
 def test_an_amplitude_with_its_shapes_held_is_as_uncertain_as_it_spreads_between_runs():
     """Conditioned on two shapes, a covariance from four runs leaves next to no spread."""
     rng = np.random.default_rng(3)
-    runs = [SimpleNamespace(time=np.linspace(0.0, 1.0, 50)) for _ in range(4)]
     run = np.repeat(np.arange(4), 50)
     column, per_run = rng.normal(size=200), np.array([8.0, 12.0, 9.0, 13.0])
     target = per_run[run] * column + 0.01 * rng.normal(size=200)
     amplitude = np.array([float(column @ target / (column @ column))])
-    comparison = SimpleNamespace(
-        runs=runs,
-        rows=SimpleNamespace(
-            block=run,
-            run=run,
-            sample_signal=lambda value: np.concatenate([value(each) for each in runs]),
-        ),
-        priors=((), np.zeros(0)),
-        constants=None,
-        target=target,
-        fit=lambda effects: SimpleNamespace(
-            amplitudes=lambda: amplitude, posterior=SimpleNamespace(mean=amplitude)
-        ),
-        stack_columns=lambda effects: column[:, None],
-    )
+    comparison = linear_comparison(column[:, None], target, amplitude, runs=4, duration=1.0)
     located = SimpleNamespace(
         shapes=(0.3, 2.0),
         is_run_specific=False,

@@ -152,7 +152,7 @@ HYSTERESIS = Effect(
     name="hysteresis",
     family="elastic",
     scope="joint",
-    equation="d += -D'(s)*h*y, y = mean of sliders that yield at wind-ups s*u^i, 0 < u < 1",
+    equation="d += -D'(load)*h*y, y = sum_u stop(d, r_u)/sum_u r_u, r_u = s*u^i, u = 0.05 to 0.95",
     signature="wind-up that differs between falling and rising load at equal torque, whatever"
     " the speed",
     phrase="hysteresis of the wind-up, {h}",

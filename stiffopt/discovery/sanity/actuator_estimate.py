@@ -333,6 +333,7 @@ def _load_factor(own: _JointRows, delay: float) -> tuple[np.ndarray, float]:
         found = _least_squares(whole, np.append(target[rows], np.zeros(len(known))), independent)
         return found[0], found[1]
 
+    scale = 1.0
     if len(known):
         # Begin with the gain by the stated value that shows best.
         best = known[int(np.argmax(factors[1 + known] / spread[1 + known]))]
@@ -342,8 +343,6 @@ def _load_factor(own: _JointRows, delay: float) -> tuple[np.ndarray, float]:
         for _ in range(_SCALE_ROUNDS):
             factors, spread = fit(np.arange(len(target)), scale, own.independent)
             scale = factors[0] if factors[0] > 0.0 else scale
-    else:
-        scale = 1.0
     left_out = [
         fit(np.delete(np.arange(len(target)), part), scale, own.independent)[0][0] for part in parts
     ]
