@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
-from stiffopt.closed_loop.dry_friction import friction_torque, sliding_share
+from stiffopt.closed_loop.dry_friction import Levels, friction_torque
 from stiffopt.closed_loop.factors import factorize, solve
 from stiffopt.closed_loop.physics import LoopSignals
 from stiffopt.dynamics.newton_euler import torque_of_bodies
@@ -114,7 +114,10 @@ class Balance:
 
     @cached_property
     def force(self) -> tuple[ca.SX, ca.SX]:
-        """Forces that accelerate but for dry friction, and the slope of all losses by the speed."""
+        """Forces that accelerate but for dry friction, and the slopes of all losses by the speeds.
+
+        Negative slopes are left out: they stay explicit.
+        """
         torque, losses, slope = self._drive
         past, bias = torque + self.own["offset"] - losses, self._still[1]
         found = ca.mtimes(self.of_motor, past) - ca.mtimes(self._of_link, bias)
@@ -122,19 +125,20 @@ class Balance:
             still = ca.SX.zeros(self.speed.shape[0])
             found -= ca.mtimes(self.of_motor, self._added(still, ca.SX.zeros(self.n))[0])
             slope += self._added(still, ca.sign(self.motor_speed))[1]
-        slopes = ca.mtimes(self.of_motor, slope)
+        slopes = ca.diag(ca.mtimes(self.of_motor, ca.fmax(slope, 0.0)))
         for k, joint in enumerate(self.loop.elastic):
             link, motor = int(self.loop.link_sides[joint]), int(self.loop.motor_sides[joint])
             damping = self.loop.physics.springs[joint].damping
             carried = self.place[self.n + k] + damping * (self.speed[motor] - self.speed[link])
             found[link] += carried
             found[motor] -= carried
-            slopes[link] += damping
-            slopes[motor] += damping
+            for side, other in ((link, motor), (motor, link)):
+                slopes[side, side] += damping
+                slopes[side, other] -= damping
         return found, slopes
 
     @cached_property
-    def _own_levels(self) -> tuple[ca.SX, ca.SX]:
+    def _own_levels(self) -> Levels:
         """Dry friction (n,) against either direction but for that by load."""
         if self.loop.physics.torque is None:
             return self._dry, self._dry
@@ -144,16 +148,14 @@ class Balance:
         )
         return self._dry + forth - rest, self._dry + rest - back
 
-    def friction_levels(self, stopping: ca.SX, share: ca.SX | None = None) -> tuple[ca.SX, ca.SX]:
+    def friction_levels(self, share: ca.SX) -> Levels:
         """Return the dry friction (n,) against motion in the positive and the negative direction.
 
-        `stopping` and `share` as in `sliding_share`, by default of the own speeds: the friction at
-        which gears transmit their loads. That by load goes with the torque that a gear transmits to
-        its link; a rotor takes its share of it, and of the friction.
+        `share` (n,): of the friction without that by load, -1 to 1, at which gears transmit their
+        loads. That by load goes with the torque that a gear transmits to its link; a rotor takes
+        its share of it, and of the friction.
         """
         own, levels = self.own, self._own_levels
-        if share is None:
-            share = sliding_share(self.motor_speed, stopping, levels)
         friction = friction_torque(share, levels)
         torque, losses, _ = self._drive
         past = torque + own["offset"] - losses - friction

@@ -16,10 +16,11 @@ from stiffopt.closed_loop.simulation import CommandedRun, Stretch, simulate_stre
 # Duration of a stretch that is judged, and of the motion before it that forgets the state that it
 # began with, several times the settling of a servo [s].
 STRETCH_SECONDS, _LEAD_SECONDS = 2.0, 0.5
-# Iterations, the last but one at most; and the relative decrease below which they end.
-_MAX_ITERATIONS, _MIN_DECREASE = 12, 1e-3
-# Rounds in which noise is estimated anew from the residual.
-_NOISE_ROUNDS = 2
+# Iterations at most, and the decreases of the squared deviations that end them: of a step that is
+# not worth its simulation, and of one that was made and reached no more.
+_MAX_ITERATIONS, _LEAST_EXPECTED, _LEAST_REACHED = 24, 0.1, 1.0
+# Share of the curvature that bounds steps: at first and least of none that counts, and at most.
+_LEAST_DAMPING, _LARGEST_DAMPING = 1e-3, 1e6
 # Duration of all runs that the leading parameters are fitted to, times joints [s].
 _LEADING_SECONDS = 40.0
 # Division of steps by which the fit's dependence on them is told.
@@ -235,17 +236,13 @@ class _Fit:
         self._stretches, self._leads, self._ends = _divide(runs, self._step)
 
     def polish(self, start: Parameters, say: Callable[[str], object]) -> Polished:
-        """Return the fit that begins with some parameters; its noise is estimated in rounds."""
+        """Return the fit that begins with some parameters."""
         current, point = start, self.evaluate(start)
         with np.errstate(over="ignore"):
             squares = np.sum(point.slopes**2) + np.nansum(point.residual**2)
         if not np.isfinite(squares):
             raise FloatingPointError("the simulation diverges")
-        noise = self.noise(point)
-        for last in range(_NOISE_ROUNDS):
-            current, point = self.descend(current, point, noise, say)
-            if last < _NOISE_ROUNDS - 1:
-                noise = self.noise(point)
+        current, point = self.descend(current, point, say)
         spread = np.zeros_like(start.values)
         covariance, discretisation = self.covariance(current, point)
         if not (np.diag(covariance) > 0.0).all():  # derivatives that grow without bound
@@ -357,30 +354,32 @@ class _Fit:
         return np.maximum(found, 1e-9)
 
     def descend(
-        self,
-        parameters: Parameters,
-        point: _Point,
-        noise: np.ndarray,
-        say: Callable[[str], object],
+        self, parameters: Parameters, point: _Point, say: Callable[[str], object]
     ) -> tuple[Parameters, _Point]:
-        """Minimise residuals over noise and distances from the prior."""
-        damping, cost = 1e-3, self._cost(parameters, point, noise)
+        """Minimise residuals over noise and distances from the prior.
+
+        Noise is what the fit leaves: at every step it is estimated anew, so that what the start
+        leaves does not let the prior rule.
+        """
+        damping = _LEAST_DAMPING
         for number in range(_MAX_ITERATIONS):
             largest = 1e3 * float(np.sqrt(np.nanmean(point.residual**2)))
             say(f"simulate from commands: step {number + 1}, residual {largest:.2f} mrad")
+            noise = self.noise(point)
             hessian, gradient = self._normal_equations(parameters, point, noise)
-            while damping < 1e6:
+            decrease = 0.0
+            while damping < _LARGEST_DAMPING and decrease <= 0.0:
                 moved = self._moved(parameters, hessian, gradient, damping)
+                step = (moved.values - parameters.values)[self.places] / self._size
+                if -step @ (2.0 * gradient + hessian @ step) < _LEAST_EXPECTED:
+                    return parameters, point
                 ahead = self.evaluate(moved)
-                reached = self._cost(moved, ahead, noise)
-                if reached < cost:
-                    break
-                damping *= 10.0
-            else:
+                decrease = self._decrease(parameters, moved, point, ahead, noise)
+                damping = max(damping * (0.1 if decrease > 0.0 else 10.0), _LEAST_DAMPING)
+            if decrease <= 0.0:
                 break
-            decrease, cost = cost - reached, reached
-            parameters, point, damping = moved, ahead, damping / 10.0
-            if decrease < _MIN_DECREASE * cost:
+            parameters, point = moved, ahead
+            if decrease < _LEAST_REACHED:
                 break
         return parameters, point
 
@@ -422,11 +421,25 @@ class _Fit:
         values[self.places] = change @ values[self.places]
         return replace(found, values=values), change @ covariance @ change.T
 
-    def _cost(self, parameters: Parameters, point: _Point, noise: np.ndarray) -> float:
-        away = self._distance(parameters)
-        if not np.isfinite(point.slopes).all():
-            return np.inf
-        return float(np.nansum((point.residual / noise) ** 2) + away @ away)
+    def _decrease(
+        self,
+        parameters: Parameters,
+        moved: Parameters,
+        point: _Point,
+        ahead: _Point,
+        noise: np.ndarray,
+    ) -> float:
+        """Return by how much less likely the point is than that ahead, in squared deviations.
+
+        That of residuals of unknown noise goes with the logarithm of their squares.
+        """
+        if not np.isfinite(ahead.slopes).all():
+            return -np.inf
+        before, after = (np.nansum(own.residual**2, axis=0) for own in (point, ahead))
+        least = 1e-300
+        gained = before / noise**2 * np.log((before + least) / (after + least))
+        here, there = self._distance(parameters), self._distance(moved)
+        return float(gained.sum() + here @ here - there @ there)
 
     def _distance(self, parameters: Parameters) -> np.ndarray:
         """Return the distances from the prior over its deviations."""

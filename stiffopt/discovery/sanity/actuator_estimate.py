@@ -181,7 +181,8 @@ def _refine_law(
     if law.delay_deviation:
         spread = max(float(fitted.deviations[-1]), _DELAY_DEVIATION)
         # Whole microseconds: a bound is met to within rounding.
-        delay = round(fitted.parameters.delay, 6)
+        # That of all joints may lie before those of single ones, and before none.
+        delay = max(round(fitted.parameters.delay, 6), 0.0)
         refined = replace(refined, delay=delay, delay_deviation=spread)
     return refined, fitted.parameters
 
