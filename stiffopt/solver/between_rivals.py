@@ -60,13 +60,13 @@ class BetweenRivals(OutcomeOracle):
         """Return the motion of least worst error on the lines to the rivals."""
         if last.assessment.led is None or not last.raw.converged:
             return None
+        own = self._worse(last.planned, last.assessment.led)
         tried = [
-            (self._worse(plan), plan, f"{100 * share:.0f} % of the {name} motion")
+            (self._worse(plan, below=own), plan, f"{100 * share:.0f} % of the {name} motion")
             for name, rival in self._rivals.items()
             for share in _RIVAL_SHARES
             for plan in (last.planned.mixed_with(rival, share),)
         ]
-        own = self._worse(last.planned, last.assessment.led)
         better = [each for each in tried if each[0] < own]
         for worse, plan, text in sorted(better, key=lambda each: each[0]):
             motors = follow_plan(self.run, plan, last.smoothing.law)
@@ -101,10 +101,17 @@ class BetweenRivals(OutcomeOracle):
             self.run.notes.append(f"Moved toward a rival after the optimum: {self._reason}.")
         return better
 
-    def _worse(self, plan: Trajectory, led: LedError | None = None) -> Rank:
-        """Return the largest error over the best rival's, and the sum of both phases."""
+    def _worse(
+        self, plan: Trajectory, led: LedError | None = None, below: Rank = (np.inf, np.inf)
+    ) -> Rank:
+        """Return the largest error over the best rival's, and the sum of both phases.
+
+        Of a motion that is not `below` another rank, one that is not below it either.
+        """
         led = led or self._errors.of_plan(plan)
-        return max(*self._errors.ratios(plan, led), MAX_RIVAL_RATIO), led.whole
+        if (MAX_RIVAL_RATIO, led.whole) >= below:
+            return below
+        return max(*self._errors.ratios(plan, led, below[0]), MAX_RIVAL_RATIO), led.whole
 
 
 def _smooth_rival(rival: CommandOnArms, duration: float) -> Trajectory:
