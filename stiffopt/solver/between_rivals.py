@@ -16,8 +16,8 @@ import numpy as np
 from stiffopt.certificate.assess import assess, drive_violations
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.command.command_search import CommandOnArms
+from stiffopt.command.smoothing_width import motors_with_sufficient_smoothing
 from stiffopt.elastic.smooth_motion import smooth_motion
-from stiffopt.result.compensation import MAX_RIVAL_RATIO
 from stiffopt.result.tool_error import LedError
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.arrival import suppress_vibration_of_links
@@ -69,9 +69,15 @@ class BetweenRivals(OutcomeOracle):
         ]
         better = [each for each in tried if each[0] < own]
         for worse, plan, text in sorted(better, key=lambda each: each[0]):
-            motors = follow_plan(self.run, plan, last.smoothing.law)
+            # The smoothness of a rival's command belongs to its own width.
+            motors = motors_with_sufficient_smoothing(
+                functools.partial(follow_plan, self.run, plan),
+                self._excess,
+                last.smoothing.law,
+                CERTIFICATE_TOLERANCE,
+            )
             # Much cheaper than the certificate.
-            if drive_violations(self.run.problem, motors)[0].value > CERTIFICATE_TOLERANCE:
+            if self._excess(motors) > CERTIFICATE_TOLERANCE:
                 continue
             assessment = assess(self.run.problem, motors)
             if worst_flight_violation(assessment) <= CERTIFICATE_TOLERANCE:
@@ -87,6 +93,9 @@ class BetweenRivals(OutcomeOracle):
                     self._reason, functools.partial(suppress_vibration_of_links, self.run, found)
                 )
         return None
+
+    def _excess(self, motors: Trajectory) -> float:
+        return drive_violations(self.run.problem, motors)[0].value
 
     def rank(self, found: Outcome) -> Rank:
         """Return the rank with the excess over the best rival before the objective."""
@@ -109,9 +118,9 @@ class BetweenRivals(OutcomeOracle):
         Of a motion that is not `below` another rank, one that is not below it either.
         """
         led = led or self._errors.of_plan(plan)
-        if (MAX_RIVAL_RATIO, led.whole) >= below:
+        if (1.0, led.whole) >= below:
             return below
-        return max(*self._errors.ratios(plan, led, below[0]), MAX_RIVAL_RATIO), led.whole
+        return max(*self._errors.ratios(plan, led, below[0]), 1.0), led.whole
 
 
 def _smooth_rival(rival: CommandOnArms, duration: float) -> Trajectory:
