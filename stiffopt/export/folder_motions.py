@@ -31,7 +31,7 @@ from stiffopt.export.motion_checks import (
     sealed,
     solved_legs,
 )
-from stiffopt.files import load_json, read_table
+from stiffopt.files import load_json
 from stiffopt.folders import check_result
 from stiffopt.improvement.improvement import problem_of_motion
 from stiffopt.improvement.improvement_files import IMPROVEMENT_FILE
@@ -41,6 +41,7 @@ from stiffopt.recipe.stored_result import read_changes
 from stiffopt.result.assessment import Violation
 from stiffopt.result.compensation import COMMAND_FILE
 from stiffopt.result.cycle import CYCLE_FILE, JoinedMotion, leg_folder
+from stiffopt.result.motion_table import read_motion_table
 from stiffopt.result.store import TRAJECTORY_FILE, read_joints
 from stiffopt.robot.files import load_robot
 
@@ -58,10 +59,8 @@ def read_improved(folder: Path, which: Which, given: Path | None) -> StoredMotio
     names, prismatic = read_joints(document, path)
     plan, command = folder / TRAJECTORY_FILE, folder / COMMAND_FILE
     check_result(folder, IMPROVEMENT_FILE, TRAJECTORY_FILE, COMMAND_FILE)
-    columns = [f"q{j}" for j in range(1, len(names) + 1)]
-    table = read_table(plan, ["t", *columns])
-    places = np.array([table[name] for name in columns]).T
-    link = CubicSpline(table["t"], places, bc_type="clamped")
+    table = read_motion_table(plan, len(names), ["q"])
+    link = CubicSpline(table["t"], table["q"], bc_type="clamped")
     problem = _improved_problem(path, document, given, link)
     check_seal(path, document, problem, "the arm named in it")
     time, rows, _ = read_rows(plan, path, document, problem)
