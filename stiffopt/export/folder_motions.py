@@ -14,6 +14,7 @@ import numpy as np
 from scipy.interpolate import BPoly, CubicSpline
 
 from stiffopt.errors import InputFileError
+from stiffopt.export import motion_checks
 from stiffopt.export.motion import (
     MotionEvent,
     SampledMotion,
@@ -21,15 +22,6 @@ from stiffopt.export.motion import (
     StoredMotion,
     Which,
     read_motion,
-)
-from stiffopt.export.motion_checks import (
-    SampledRows,
-    check_seal,
-    judge_plan,
-    judge_samples,
-    read_rows,
-    sealed,
-    solved_legs,
 )
 from stiffopt.files import load_json
 from stiffopt.folders import check_result
@@ -62,13 +54,13 @@ def read_improved(folder: Path, which: Which, given: Path | None) -> StoredMotio
     table = read_motion_table(plan, len(names), ["q"])
     link = CubicSpline(table["t"], table["q"], bc_type="clamped")
     problem = _improved_problem(path, document, given, link)
-    check_seal(path, document, problem, "the arm named in it")
-    time, rows, _ = read_rows(plan, path, document, problem)
-    judge_plan(problem, SampledRows(time, rows), plan)
-    time, rows, _ = read_rows(command, path, document, problem)
-    judge_samples(problem, SampledRows(time, rows, link), str(command))
+    motion_checks.check_seal(path, document, problem, "the arm named in it")
+    time, rows, _ = motion_checks.read_rows(plan, path, document, problem)
+    motion_checks.judge_plan(problem, motion_checks.SampledRows(time, rows), plan)
+    time, rows, _ = motion_checks.read_rows(command, path, document, problem)
+    motion_checks.judge_samples(problem, motion_checks.SampledRows(time, rows, link), str(command))
     curve = BPoly.from_derivatives(time, rows.transpose(1, 0, 2))
-    seal = sealed(path, document)
+    seal = motion_checks.sealed(path, document)
     file = COMMAND_FILE if which == "motor" else TRAJECTORY_FILE
     return StoredMotion(
         title=str(document.get("title") or folder.resolve().name),
@@ -118,10 +110,12 @@ class StoredCycle(StoredMotion):
             inside = (motion.time >= start) & (motion.time <= start + float(leg.curve.x[-1]))
             if np.count_nonzero(inside) > 1:
                 rows = (motion.position, motion.velocity, motion.acceleration)
-                sampled = SampledRows(
+                sampled = motion_checks.SampledRows(
                     motion.time[inside] - start, [each[inside] for each in rows], leg.link
                 )
-                found.append(judge_samples(leg.problem, sampled, f"{leg.title}, sampled"))
+                found.append(
+                    motion_checks.judge_samples(leg.problem, sampled, f"{leg.title}, sampled")
+                )
         return max(found, key=lambda each: each.value)
 
 
@@ -135,7 +129,7 @@ def read_stored(folder: Path, which: Which = "motor", problem: Path | None = Non
     check_result(folder, CYCLE_FILE)
     document = load_json(path)
     times = _read_times(path, document)
-    problems = solved_legs(path, document, problem)
+    problems = motion_checks.solved_legs(path, document, problem)
     legs = tuple(
         read_motion(folder / leg_folder(k + 1), which, stated=stated)
         for k, stated in enumerate(problems)

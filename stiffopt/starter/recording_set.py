@@ -23,14 +23,7 @@ from stiffopt.recording.run import counted
 from stiffopt.robot.joint_tree import JointTree
 from stiffopt.robot.robot import Robot
 from stiffopt.robot.urdf_xml import read_urdf_tree
-from stiffopt.starter.guessing import (
-    GuessedColumns,
-    UnrecognisedError,
-    are_poses,
-    guess_columns,
-    request_factor,
-    with_time,
-)
+from stiffopt.starter import guessing
 from stiffopt.starter.recorded_robot import RecordedRobot, store_robot
 from stiffopt.starter.table_layouts import (
     drop_garbled_rows,
@@ -54,7 +47,7 @@ class StartedSet:
     """Written recording set with the guesses in it."""
 
     path: Path  # recordings.toml
-    guess: GuessedColumns
+    guess: guessing.GuessedColumns
     notes: tuple[str, ...]
 
 
@@ -80,7 +73,7 @@ def start_recording_set(
         arm = store_robot(urdf, Path(beside), tip)
         try:
             return _write_set(data, arm, Path(beside), folder, rate)
-        except UnrecognisedError as error:
+        except guessing.UnrecognisedError as error:
             which = (
                 ""
                 if tip or urdf.suffix.lower() == ".toml"
@@ -99,14 +92,14 @@ def _write_set(
     files = _find_files(data)
     tables, layout, garbled = _read_runs(files, robot)
     files = list(tables)
-    if rate is None and are_poses(tables[files[0]], robot):
+    if rate is None and guessing.are_poses(tables[files[0]], robot):
         # One pose a row: the rows are numbered.
         rate = 1.0
     if rate is not None:
         if not 0.0 < rate < 1e6:
             raise InputError(f"--rate {rate:g} must be above 0 and below 1e6 rows a second.")
-        tables = {path: with_time(table, rate) for path, table in tables.items()}
-    first = guess_columns(tables[files[0]], robot, rate)
+        tables = {path: guessing.with_time(table, rate) for path, table in tables.items()}
+    first = guessing.guess_columns(tables[files[0]], robot, rate)
     if layout:
         first = replace(first, reasons=(layout, *first.reasons))
     wanted = [first.time, *(c for columns in first.columns.values() for c in columns if c)]
@@ -298,7 +291,7 @@ def _run_name(label: str) -> str:
 
 
 def _set_text(
-    name: str, arm: RecordedRobot, found: GuessedColumns, runs: Sequence[tuple[str, str]]
+    name: str, arm: RecordedRobot, found: guessing.GuessedColumns, runs: Sequence[tuple[str, str]]
 ) -> str:
     joints = arm.robot.joint_names
 
@@ -333,7 +326,7 @@ def _set_text(
             if not isinstance(unit, str):
                 each = ("1.0" if not one else toml_string(one) for one in unit)
                 lines.append(f"{kind} = {toml_list(each)}")
-            elif request := request_factor(kind, unit):
+            elif request := guessing.request_factor(kind, unit):
                 # Not a valid entry until the user replaces it by a factor, but for torques.
                 lines.append(f"{kind} = {toml_string(unit)}  # {request} here")
             else:

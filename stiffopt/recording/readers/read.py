@@ -13,17 +13,7 @@ import numpy as np
 
 from stiffopt.errors import InputError, InputFileError, shortened
 from stiffopt.files import check_file
-from stiffopt.recording.readers import kuka_trace
-from stiffopt.recording.readers.checks import (
-    MAX_MEMORY,
-    MAX_SECONDS,
-    ReadTimeout,
-    bounded_memory,
-    bounded_time,
-    check_columns,
-    find_dataset_info,
-    split_part,
-)
+from stiffopt.recording.readers import checks, kuka_trace
 from stiffopt.recording.readers.columns import select_columns
 from stiffopt.recording.readers.messages import Message
 from stiffopt.recording.signals import Signals
@@ -154,7 +144,7 @@ def read_named_columns(path: Path, names: Sequence[str]) -> Columns:
 
     def read() -> Columns:
         table = _table_of_part(reader, path)
-        check_columns(path, names, table, "the set")
+        checks.check_columns(path, names, table, "the set")
         return {name: np.asarray(table[name], dtype=float) for name in names}
 
     return read_bounded(read, path, _FORMAT_NAMES[module])
@@ -166,7 +156,7 @@ def _reader_of_tables(reader: Any) -> Callable[[Path, Signals], Columns]:
 
 
 def _table_of_part(reader: Any, path: Path) -> Columns:
-    file, part = split_part(path)
+    file, part = checks.split_part(path)
     tables: dict[str, Columns] = reader.read_tables(file)
     if part is None and len(tables) == 1:
         (part,) = tables
@@ -185,10 +175,10 @@ def files_of(path: Path) -> list[Path]:
     if path.is_dir():
         found = sorted(path.iterdir())
     else:
-        file, _ = split_part(path)
+        file, _ = checks.split_part(path)
         found = [file]
         if _READER_OF_ENDING.get(file.suffix.lower()) == "parquet":
-            found += filter(None, [find_dataset_info(file)])
+            found += filter(None, [checks.find_dataset_info(file)])
         if file.suffix.lower() == _TRACE_ENDING:
             found = kuka_trace.files_of(file)
     return [each for each in found if each.is_file()]
@@ -213,7 +203,7 @@ def _select_reader(path: Path) -> str:
     """Return the name of the module that reads a file."""
     if path.is_dir() and (path / "metadata.yaml").is_file():
         return _BAG_READER
-    file, _ = split_part(path)
+    file, _ = checks.split_part(path)
     check_file(file)
     ending = file.suffix.lower()
     if ending in _CONVERSION_ADVICE:
@@ -249,19 +239,19 @@ def _import_reader(module: str, path: Path) -> Any:
 def read_bounded(read: Callable[[], Read], path: Path, name: str) -> Read:
     """Run a reader within bounds of time and memory; its errors become an `InputFileError`."""
     try:
-        with bounded_memory(), bounded_time():
+        with checks.bounded_memory(), checks.bounded_time():
             return read()
     except InputError:
         raise
-    except ReadTimeout as error:
+    except checks.ReadTimeout as error:
         raise InputFileError(
-            path, "", f"cannot be read as {name} within {MAX_SECONDS:g} s. Split it, or check "
-            "that it is whole."
+            path, "", f"cannot be read as {name} within {checks.MAX_SECONDS:g} s. Split it, or "
+            "check that it is whole."
         ) from error  # fmt: skip
     except MemoryError as error:
         raise InputFileError(
             path, "", f"cannot be read as {name}: it needs more than "
-            f"{MAX_MEMORY / 2**30:.1f} GiB of memory. Split it, or check that it is whole."
+            f"{checks.MAX_MEMORY / 2**30:.1f} GiB of memory. Split it, or check that it is whole."
         ) from error  # fmt: skip
     except Exception as error:  # libraries raise errors of many kinds
         reason = shortened(error) or type(error).__name__
