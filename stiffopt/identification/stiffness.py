@@ -23,6 +23,7 @@ from stiffopt.identification.static_rows import (
     MIN_LEVERAGE,
     Identifiable,
     StaticRows,
+    check_nominal,
     check_sag,
     identifiable,
     static_rows,
@@ -80,6 +81,8 @@ def identify_stiffness(
     drawn = bootstrap(used, measured, fitted, draws, seed)
     joints = _joint_estimates(recorded, rows, can, (robust, *rivals), plain.whole, drawn)
     check_sag(rows, recorded, np.array([1.0 / own.upper if own.upper else 0.0 for own in joints]))
+    identified = [own.stiffness if own.status == "identified" else None for own in joints]
+    check_nominal(recorded, np.array(identified, dtype=float))
     rigid = cross_validate(torsion, measured) if tilt else robust
     norm = np.linalg.norm(fitted.residual, axis=1)
     # Rounding must not make outliers of data without error.
