@@ -5,10 +5,21 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from stiffopt.report.common.page import PageFigures, write_page
-from stiffopt.report.common.svg import BLUE, GREY, VERMILLION, WIDTH, figure_style, panels, subplots
+from stiffopt.report.common.svg import (
+    BLUE,
+    GREY,
+    PALETTE,
+    VERMILLION,
+    WIDTH,
+    figure_style,
+    line_style,
+    panels,
+    subplots,
+)
 from stiffopt.report.common.text import scale, si, words
 from stiffopt.report.pages.sweep_terminal import (
     headline,
@@ -86,7 +97,7 @@ def axes_figure(summary: SweepSummary) -> Figure | None:
     figure, grid = panels(len(drawn), columns, size, sharey=True)
     lost = ~np.isfinite(held)
     for axes, (place, (values, kind)) in zip(grid, drawn.items(), strict=True):
-        axes.plot(values, factor * held, "o", color=BLUE, markersize=3.5, alpha=0.7)
+        _draw_curves(axes, summary, place, values, factor * held)
         floor = np.full(lost.sum(), factor * np.nanmin(held))
         axes.plot(values[lost], floor, "x", color=VERMILLION, markersize=5.0)
         axes.set_xlabel(f"{place} [{kind}]")
@@ -94,6 +105,34 @@ def axes_figure(summary: SweepSummary) -> Figure | None:
         axes.set_ylabel(f"{words(name)} [{unit}]" if unit else words(name))
     figure.tight_layout()
     return figure
+
+
+def _draw_curves(
+    axes: Axes, summary: SweepSummary, place: str, values: np.ndarray, held: np.ndarray
+) -> None:
+    """Plot results over one entry; a line joins cases that share all others, at their best start.
+
+    `values`, `held` (n,): entry and result of each finished case.
+    """
+    curves: dict[tuple[str, ...], list[int]] = {}
+    for index, (case, _) in enumerate(summary.done):
+        others = (f"{name} = {value}" for name, value in case.changes if name != place)
+        bases = [summary.sweep.base_names[case.base]] * (len(summary.sweep.base_names) > 1)
+        curves.setdefault((*bases, *others), []).append(index)
+    # Longer keys than one entry would cover the curves.
+    told = 1 < len(curves) <= min(len(PALETTE), len(held) - 1) and all(
+        len(names) == 1 for names in curves
+    )
+    cost = -held if summary.maximised else held
+    for index, (names, members) in enumerate(curves.items()):
+        style = line_style(index) if told else {"color": BLUE, "linestyle": "-"}
+        own = np.array(members)
+        axes.plot(values[own], held[own], "o", color=style["color"], markersize=3.5, alpha=0.7)
+        own = own[np.lexsort((cost[own], values[own]))]
+        best = own[np.unique(values[own], return_index=True)[1]]
+        axes.plot(values[best], held[best], label=" ".join(names), linewidth=1.0, **style)
+    if told:
+        axes.legend()
 
 
 @figure_style()
