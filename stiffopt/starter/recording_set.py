@@ -23,14 +23,8 @@ from stiffopt.recording.run import counted
 from stiffopt.robot.joint_tree import JointTree
 from stiffopt.robot.robot import Robot
 from stiffopt.robot.urdf_xml import read_urdf_tree
-from stiffopt.starter import guessing
+from stiffopt.starter import guessing, table_layouts
 from stiffopt.starter.recorded_robot import RecordedRobot, store_robot
-from stiffopt.starter.table_layouts import (
-    drop_garbled_rows,
-    join_signal_files,
-    name_blocks,
-    read_message_table,
-)
 from stiffopt.starter.writing import toml_list, toml_string, write_new
 
 # Training share of a single recording; the rest is held out. Fewest rows for training.
@@ -167,7 +161,7 @@ def _read_runs(files: Sequence[Path], robot: Robot) -> tuple[dict[Path, Table], 
     tables: dict[Path, Table] = {}
     for path in files:
         if is_messages(path):
-            tables[path] = read_message_table(path, robot.joint_names)
+            tables[path] = table_layouts.read_message_table(path, robot.joint_names)
             continue
         for part, table in read_tables(path).items():
             own = path.with_name(f"{path.stem}_{part}{path.suffix}") if part else path
@@ -176,10 +170,10 @@ def _read_runs(files: Sequence[Path], robot: Robot) -> tuple[dict[Path, Table], 
     tables = _join_by_folder(tables, robot)
     for path, table in tables.items():
         try:
-            tables[path], layout = name_blocks(table, robot)
+            tables[path], layout = table_layouts.name_blocks(table, robot)
         except InputError as error:
             raise InputFileError(path, "", str(error)) from error
-        tables[path], garbled = drop_garbled_rows(tables[path])
+        tables[path], garbled = table_layouts.drop_garbled_rows(tables[path])
         if garbled:
             listed = ", ".join(map(str, garbled[:5])) + (", ..." if len(garbled) > 5 else "")
             notes.append(
@@ -193,11 +187,11 @@ def _join_by_folder(tables: Mapping[Path, Table], robot: Robot) -> dict[Path, Ta
     """Join the files of one signal each in every folder; of all folders, where each has one."""
     folders = [path.parent for path in tables]
     if len(set(folders)) == len(folders):
-        return join_signal_files(tables, robot)
+        return table_layouts.join_signal_files(tables, robot)
     joined: dict[Path, Table] = {}
     for folder in dict.fromkeys(folders):
         own = {path: table for path, table in tables.items() if path.parent == folder}
-        joined |= join_signal_files(own, robot)
+        joined |= table_layouts.join_signal_files(own, robot)
     return joined
 
 

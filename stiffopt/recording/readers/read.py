@@ -99,10 +99,9 @@ def read_columns(path: str | os.PathLike[str], signals: Signals) -> Columns:
     numbers. Raises `InputError`: the format needs libraries that are not installed.
     """
     path = Path(path)
-    module = _select_reader(path)
-    reader = _import_reader(module, path)
+    reader, form = _import_reader(path)
     read = reader.read if hasattr(reader, "read") else _reader_of_tables(reader)
-    columns: Columns = read_bounded(lambda: read(path, signals), path, _FORMAT_NAMES[module])
+    columns: Columns = read_bounded(lambda: read(path, signals), path, form)
     lengths = {name: len(column) for name, column in columns.items()}
     if len(set(lengths.values())) > 1:
         listed = ", ".join(f"{name}: {count}" for name, count in lengths.items())
@@ -125,29 +124,23 @@ def read_tables(path: Path) -> dict[str, Columns]:
 
     Raises `InputFileError` or `InputError`: see `read_columns`.
     """
-    module = _select_reader(path)
-    reader = _import_reader(module, path)
-    tables: dict[str, Columns] = read_bounded(
-        lambda: reader.read_tables(path), path, _FORMAT_NAMES[module]
-    )
+    reader, form = _import_reader(path)
+    tables: dict[str, Columns] = read_bounded(lambda: reader.read_tables(path), path, form)
     if not all(tables.values()):
-        raise InputFileError(
-            path, "", f"was read as {_FORMAT_NAMES[module]} and holds no columns of numbers."
-        )
+        raise InputFileError(path, "", f"was read as {form} and holds no columns of numbers.")
     return tables
 
 
 def read_named_columns(path: Path, names: Sequence[str]) -> Columns:
     """Read columns (R,) of a file of one table, or of "FILE#PART"; errors as of `read_columns`."""
-    module = _select_reader(path)
-    reader = _import_reader(module, path)
+    reader, form = _import_reader(path)
 
     def read() -> Columns:
         table = _table_of_part(reader, path)
         checks.check_columns(path, names, table, "the set")
         return {name: np.asarray(table[name], dtype=float) for name in names}
 
-    return read_bounded(read, path, _FORMAT_NAMES[module])
+    return read_bounded(read, path, form)
 
 
 def _reader_of_tables(reader: Any) -> Callable[[Path, Signals], Columns]:
@@ -194,9 +187,8 @@ def is_messages(path: Path) -> bool:
 
 def first_messages(path: Path, count: int) -> list[Message]:
     """Read the first messages of an MCAP file or a rosbag2: topic, log time [ns], content."""
-    module = _select_reader(path)
-    reader = _import_reader(module, path)
-    return read_bounded(lambda: list(islice(reader.peek(path), count)), path, _FORMAT_NAMES[module])
+    reader, form = _import_reader(path)
+    return read_bounded(lambda: list(islice(reader.peek(path), count)), path, form)
 
 
 def _select_reader(path: Path) -> str:
@@ -226,9 +218,11 @@ def _is_trace(path: Path) -> bool:
         return _TRACE_MARK in stream.read(4096)
 
 
-def _import_reader(module: str, path: Path) -> Any:
+def _import_reader(path: Path) -> tuple[Any, str]:
+    """Return the module that reads a file, and the name of its format."""
+    module = _select_reader(path)
     try:
-        return import_module(f"stiffopt.recording.readers.{module}")
+        return import_module(f"stiffopt.recording.readers.{module}"), _FORMAT_NAMES[module]
     except ModuleNotFoundError as error:
         raise InputError(
             f"{path}: reading it needs the package {error.name!r}. "

@@ -15,12 +15,7 @@ from stiffopt.report.common.robot import estimated_inputs, joint_units
 from stiffopt.report.common.text import capital, scale, words
 from stiffopt.report.scene.poses import poses_along
 from stiffopt.report.scene.still import ArmInSpace, embedded_scene
-from stiffopt.report.solve import wording
-from stiffopt.report.solve.compensation import (
-    COMPENSATED,
-    COMPENSATION_FILTERS,
-    compensation_figure,
-)
+from stiffopt.report.solve import compensation, wording
 from stiffopt.report.solve.figures import (
     PARTS,
     ComparedMotion,
@@ -83,7 +78,7 @@ def write_solve_report(
         "space": None,
         "still": "",
     }
-    filters: Filters = COMPENSATION_FILTERS | {
+    filters: Filters = compensation.COMPENSATION_FILTERS | {
         "limit": wording.limit_text,
         "excess": wording.violation_text,
         "amount": lambda value: wording.objective_amount(
@@ -171,8 +166,8 @@ def _draw_figures(problem: TrajectoryProblem, solution: Solution, part: str) -> 
     if solution.compensation is not None:
         figures.draw(
             "compensation",
-            compensation_figure(solution.compensation),
-            COMPENSATED,
+            compensation.compensation_figure(solution.compensation),
+            compensation.COMPENSATED,
         )
     return figures
 
