@@ -200,7 +200,7 @@ def check_file(path: str | os.PathLike[str], most: int | None = None) -> None:
         raise InputFileError(path, "", "is a device or a pipe. Give a regular file.")
     if path.parent.is_file():
         raise InputFileError(
-            path.parent, "", "is a file, and a folder is needed here. Check the path."
+            path.parent, "", "is a file: give the folder of the results, or correct the path."
         )
     if not path.parent.is_dir():
         raise InputFileError(path, "", f"there is no folder {path.parent}. Check the path.")
