@@ -16,6 +16,7 @@ automation", Publicis.
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 from typing import Annotated, Literal
@@ -202,8 +203,7 @@ class Servo:
         lag = 0 if delay == 0.0 else max(1, int(np.ceil(delay / SAMPLE_INTERVAL)))
         step = delay / lag if lag else min(SAMPLE_INTERVAL, 0.02 / gain)
         times, command = step * np.arange(int(np.ceil(until / step)) + 1), self._as_sent(command)
-        matrix = np.array([[0.0, 1.0], [0.0 if lag else -inner * gain, -inner]])
-        step_state, first, second = _linear_hold(matrix, step)
+        step_state, first, second = _linear_hold(0.0 if lag else inner * gain, inner, step)
         motion = np.empty((2, len(times), len(command(0.0))))
         known = np.zeros((1, *motion.shape[::2]))
         # Whole delays at a time: all samples of a motion of minutes would take a gigabyte.
@@ -251,8 +251,9 @@ class Servo:
         decay = _LEAD_DECAY_CONSTANTS * max(forward / gain, 1.0 / inner) + delay
         count = int(np.ceil((motors.duration + decay) / (_COMMAND_STRIDE * SAMPLE_INTERVAL)))
         times = np.linspace(0.0, motors.duration + decay, _COMMAND_STRIDE * count + 1)
-        matrix = np.array([[0.0, 1.0], [-inner * gain / torque, -inner * forward / torque]])
-        step_state, first, second = _linear_hold(matrix, times[1])
+        step_state, first, second = _linear_hold(
+            inner * gain / torque, inner * forward / torque, float(times[1])
+        )
         state, places, last = np.zeros((1, 2, motors.joints)), [], 0
         for begin in range(0, len(times) - 1, _STEPS_AT_ONCE):
             own = times[begin : begin + _STEPS_AT_ONCE + 1]
@@ -315,10 +316,14 @@ def _recur_linearly(step: np.ndarray, driven: np.ndarray, begin: np.ndarray) -> 
     return np.asarray(found.reshape(driven.shape))
 
 
-def _linear_hold(matrix: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Exact step of z' = A z + (0, f) with f linear in it: transition, weights of both ends."""
+@functools.lru_cache(maxsize=64)
+def _linear_hold(
+    stiffness: float, damping: float, step: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Exact step of x'' = f - damping x' - stiffness x, f linear: transition, weights of ends."""
     whole = np.zeros((4, 4))
-    whole[:2, :2], whole[1, 2], whole[2, 3] = matrix, 1.0, 1.0 / step
+    whole[0, 1], whole[1, :2] = 1.0, (-stiffness, -damping)
+    whole[1, 2], whole[2, 3] = 1.0, 1.0 / step
     found = scipy.linalg.expm(step * whole)
     ramp = found[:2, 3:]
     return found[:2, :2], found[:2, 2:3] - ramp, ramp

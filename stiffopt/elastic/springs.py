@@ -50,10 +50,14 @@ class JointSpring:
         """Torque [N m] up to which the law is followed."""
         self.windup_reach = float(windup[-1])
         """Wind-up [rad] there."""
-        self._torques, self._windups = torque.tolist(), windup.tolist()
+        self._torques, self._windups = torque, windup
         self._by_windup = _hermite_coefficients(windup, torque, 1.0 / compliance)
         self._by_torque = _hermite_coefficients(torque, windup, compliance)
-        # Tuples are read faster than array rows at single instants.
+        self._list_pieces()
+
+    def _list_pieces(self) -> None:
+        """List wind-ups and polynomials, which are read faster than arrays at single instants."""
+        self._breaks = self._windups.tolist()
         self._pieces = [tuple(piece) for piece in self._by_windup.tolist()]
 
     @classmethod
@@ -61,60 +65,58 @@ class JointSpring:
         """Return a linear spring without a limit [N m/rad]."""
         spring = cls.__new__(cls)
         spring.torque_reach, spring.windup_reach = np.inf, _LINEAR_REACH
-        spring._torques, spring._windups = (
-            [0.0, size * _LINEAR_REACH] for size in (stiffness, 1.0)
-        )
-        windup, torque = np.array(spring._windups), np.array(spring._torques)
+        torque, windup = (np.array([0.0, size * _LINEAR_REACH]) for size in (stiffness, 1.0))
+        spring._torques, spring._windups = torque, windup
         slope = np.full(2, stiffness)
         spring._by_windup = _hermite_coefficients(windup, torque, slope)
         spring._by_torque = _hermite_coefficients(torque, windup, 1.0 / slope)
-        spring._pieces = [tuple(piece) for piece in spring._by_windup.tolist()]
+        spring._list_pieces()
         return spring
 
     def times(self, factor: float) -> JointSpring:
         """Return the spring with its torque times `factor` at every wind-up."""
         other = copy.copy(self)
         other.torque_reach = factor * self.torque_reach
-        other._torques = [factor * torque for torque in self._torques]
+        other._torques = factor * self._torques
         other._by_windup = factor * self._by_windup
         other._by_torque = self._by_torque / factor ** np.arange(4)
-        other._pieces = [tuple(piece) for piece in other._by_windup.tolist()]
+        other._list_pieces()
         return other
 
     @property
     def by_windup(self) -> tuple[np.ndarray, np.ndarray]:
         """Breaks (k,) [rad] and torque polynomials (k, 4) from each on, lowest power first."""
-        return np.array(self._windups), self._by_windup
+        return self._windups, self._by_windup
 
     def torque_at(self, windup: float) -> tuple[float, float]:
         """Torque [N m] and tangent stiffness [N m/rad] at one wind-up [rad]."""
         size = windup if windup >= 0.0 else -windup
-        k = bisect_right(self._windups, size) - 1
+        k = bisect_right(self._breaks, size) - 1
         c0, c1, c2, c3 = self._pieces[k]
-        x = size - self._windups[k]
+        x = size - self._breaks[k]
         torque = c0 + x * (c1 + x * (c2 + x * c3))
         return (torque if windup >= 0.0 else -torque), c1 + x * (2.0 * c2 + x * 3.0 * c3)
 
     def torque_alone(self, windup: float) -> float:
         """Torque [N m] at one wind-up [rad], without the stiffness there."""
         size = windup if windup >= 0.0 else -windup
-        k = bisect_right(self._windups, size) - 1
+        k = bisect_right(self._breaks, size) - 1
         c0, c1, c2, c3 = self._pieces[k]
-        x = size - self._windups[k]
+        x = size - self._breaks[k]
         torque: float = c0 + x * (c1 + x * (c2 + x * c3))
         return torque if windup >= 0.0 else -torque
 
     def torque(self, windup: np.ndarray) -> np.ndarray:
         """Torques (k,) [N m] at wind-ups (k,) [rad]."""
-        return _evaluate_odd_cubics(self._by_windup, np.array(self._windups), windup)
+        return _evaluate_odd_cubics(self._by_windup, self._windups, windup)
 
     def windup(self, torque: np.ndarray) -> np.ndarray:
         """Wind-ups (k,) [rad] at torques (k,) [N m]; the inverse of `torque`."""
-        return _evaluate_odd_cubics(self._by_torque, np.array(self._torques), torque)
+        return _evaluate_odd_cubics(self._by_torque, self._torques, torque)
 
     def compliance(self, torque: np.ndarray) -> np.ndarray:
         """Tangent compliances (k,) [rad/(N m)] at torques (k,) [N m]."""
-        size, breaks = np.abs(torque), np.array(self._torques)
+        size, breaks = np.abs(torque), self._torques
         piece = np.searchsorted(breaks, size, side="right") - 1
         _, c1, c2, c3 = self._by_torque[piece].T
         x = size - breaks[piece]

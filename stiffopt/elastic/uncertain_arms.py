@@ -87,7 +87,7 @@ class LinearizedWeight:
         whole = []
         for robot in _robot_and_heavier_payload(arm):
             bodies = robot.rigid_bodies()
-            weight = np.array([bodies.gravity_torque(row) for row in q])
+            weight = robot.bodies_in_motion().gravity_torque(q)
             whole.append((weight, np.array([bodies.weight_slope(row) for row in q])))
         self.torque, self.by_q = _split_payload(whole)
         self.torque[0] -= arm.force_torque(q)
@@ -276,7 +276,7 @@ class UncertainArms:
 
     def position_peaks(self, members: Sequence[Member]) -> np.ndarray:
         """Largest position errors (2, B) of members, in flight and after arrival [m]."""
-        found = self._simulate_in_batches(members)
+        found = self._simulate_in_batches(members, axes=3)
         return np.concatenate([[e.peak(e.flight), e.peak(e.after)] for e in found], axis=1)
 
     def peaks(self, members: Sequence[Member]) -> list[dict[str, np.ndarray]]:
@@ -287,8 +287,8 @@ class UncertainArms:
             for phase in zip(*found, strict=True)
         ]
 
-    def _simulate_in_batches(self, members: Sequence[Member]) -> Iterator[ToolError]:
-        """Simulate as many members at a time as the memory is for."""
+    def _simulate_in_batches(self, members: Sequence[Member], axes: int = 6) -> Iterator[ToolError]:
+        """Simulate as many members at a time as the memory is for; 3 axes for positions alone."""
         made, joints = native.core(len(self.damping)), len(self.damping)
         together = max(1, _MAX_POSITIONS // (len(self.time) * joints))
         for first in range(0, len(members), together):
@@ -298,7 +298,7 @@ class UncertainArms:
                 if made is None
                 else _integrate_compiled(made, self, part)
             )
-            yield self.tool_error(part, links)
+            yield self.tool_error(part, links, axes)
 
     def _extend_at_rest(self, values: np.ndarray, at_rest: float | None = None) -> np.ndarray:
         """Append the last values of the flight, or `at_rest`, until the end."""
@@ -355,12 +355,13 @@ class UncertainArms:
         """Static equilibrium (B, n) with the motors `turn` ahead of the start of the plan."""
         return _solve_equilibrium(self.springs, self._start, arms, turn[:, None])[:, 0]
 
-    def tool_error(self, members: Sequence[Member], links: np.ndarray) -> ToolError:
+    def tool_error(self, members: Sequence[Member], links: np.ndarray, axes: int = 6) -> ToolError:
         """Tool errors of members, for link positions less the plan (K, B, n)."""
         equilibrium, own = self._planned_equilibria(self.departures(members))
         # One matrix product for all members: einsum would loop over them.
-        along = self._jacobian.swapaxes(1, 2)
-        away = links @ along - (equilibrium.swapaxes(0, 1) @ along)[:, own]
+        along = np.ascontiguousarray(self._jacobian[:, :axes].swapaxes(1, 2))
+        away = links @ along
+        away -= np.take(equilibrium.swapaxes(0, 1) @ along, own, axis=1)
         away = away.swapaxes(0, 1)
         return ToolError(
             time=self.time,

@@ -3,7 +3,7 @@
 The motion is judged as it is: limits, tool error of the servo and the elastic arm, residual
 vibration. Where it exceeds a limit it is slowed there and only there; with `retime` it is as fast
 as its limits allow. The command leads by the wind-up; where it exceeds a limit of the motors, the
-plan is backed off by as much.
+plan is backed off there by as much.
 """
 
 from __future__ import annotations
@@ -14,15 +14,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.certificate.assess import assess
+from stiffopt.certificate.assess import assess, drive_history
 from stiffopt.certificate.collisions import with_collisions
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
-from stiffopt.command.compensation import compensate
+from stiffopt.command.command_search import CommandOnArms
+from stiffopt.command.compensation import commands_on_arms, compensate
 from stiffopt.command.simulation import PlannedMotion, elastic_arm
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
 from stiffopt.errors import NotSimulatedError
-from stiffopt.improvement.given_motion import GivenMotion, moving_pieces
+from stiffopt.improvement.given_motion import GivenMotion, MotionPiece, moving_pieces
+from stiffopt.improvement.limit_shares import LimitShares
 from stiffopt.path.averaged_law import averaged_law
 from stiffopt.path.path_timing import PathDemands, fastest_timing
 from stiffopt.problem.objective import Objective
@@ -39,14 +41,10 @@ if TYPE_CHECKING:
 
 # Quantities of joints that are compared with their limits, with the SI unit for revolute joints.
 JOINT_LIMITS = {"velocity": "rad/s", "acceleration": "rad/s^2", "jerk": "rad/s^3", "torque": "N m"}
-# Rounds of backing off until the command keeps the limits of the motors, and the extra each time.
-_MAX_BACK_OFFS, _BACK_OFF_EXTRA = 8, 0.01
-# Largest excess that one round backs off from: larger ones fall faster than the limit.
-_MAX_BACK_OFF = 0.4
+# Rounds of backing off until the command keeps the limits of the motors.
+_MAX_BACK_OFFS = 8
 # Window over which a new timing is averaged, so that motors can lead [s].
 _AVERAGING_WINDOW = 0.02
-# Limits that a plan can be backed off from.
-_BACKED_OFF = (*JOINT_LIMITS, "tool_speed")
 
 Progress = Callable[[str], object]
 
@@ -97,7 +95,7 @@ class Improvement:
     compensation: Compensation | None
     path_deviation: float  # largest distance of the improved path from the given one [m]
     retimed: bool  # True where the timing differs from the given one
-    margins: dict[str, float]  # shares of limits left to the lead of the motors
+    margins: dict[str, float]  # largest shares of limits left to the lead of the motors
     notes: tuple[str, ...]
 
     @property
@@ -149,34 +147,33 @@ def improve(
     problem = problem_of_motion(robot, given, settings)
     tell("given motion")
     before = _assess_motion(problem, given.without_noise)
-    margins: dict[str, float] = {}
-    plan, changed, compensation = given.plan, False, None
+    pieces, shares = moving_pieces(given.plan), LimitShares(_AVERAGING_WINDOW)
+    laws: list[tuple[float, Trajectory]] = []
+    plan = given.plan
     if retime or _violations(assess(problem, plan)):
-        plan, changed = _retimed(problem, given.plan, margins, retime), True
-    for _ in range(_MAX_BACK_OFFS):
+        plan, laws = _retimed(problem, pieces, shares, retime)
+    for number in range(_MAX_BACK_OFFS + 1):
         problem = problem_of_motion(robot, plan, problem)
         tell("command of the motors")
-        compensation = _compensation(problem, plan)
-        excess = _violations(assess(problem, plan)) if changed else ()
-        excess += () if compensation is None else compensation.optimised.excess
-        if not excess:
+        planned = assess(problem, plan)
+        led = _command(problem, planned)
+        excess = (_violations(planned) if laws else ()) + (() if led is None else led.excess)
+        if not excess or number == _MAX_BACK_OFFS:
             break
-        for each in excess:
-            if each.limit in _BACKED_OFF:
-                over = min(each.value, _MAX_BACK_OFF)
-                left = (1.0 - margins.get(each.limit, 0.0)) / (1.0 + over)
-                margins[each.limit] = 1.0 - left * (1.0 - _BACK_OFF_EXTRA)
-        plan, changed = _retimed(problem, given.plan, margins, retime), True
+        if laws:
+            motors = [] if led is None else [drive_history(problem, led.motors)[0]]
+            shares.back_off(laws, problem.active_limits, [planned, *motors], excess)
+        plan, laws = _retimed(problem, pieces, shares, retime)
     improved = _assess_motion(problem, plan, simulated=False)
     return Improvement(
         problem=problem,
         given=before,
         improved=improved,
         plan=plan,
-        compensation=compensation,
+        compensation=None if led is None else _compensation(problem, led),
         path_deviation=_path_deviation(problem, given, plan),
-        retimed=changed,
-        margins=margins,
+        retimed=bool(laws),
+        margins=shares.margins,
         notes=problem.remarks,
     )
 
@@ -186,21 +183,26 @@ def _violations(motion: Assessment) -> tuple[Violation, ...]:
 
 
 def _retimed(
-    problem: TrajectoryProblem, motion: JointMotion, margins: dict[str, float], retime: bool
-) -> Trajectory:
-    """Return the motion along the same path, as fast as its limits allow, or as it was."""
-    force = problem.process_force
-    parts = []
-    for piece in moving_pieces(motion):
+    problem: TrajectoryProblem, pieces: list[MotionPiece], shares: LimitShares, retime: bool
+) -> tuple[Trajectory, list[tuple[float, Trajectory]]]:
+    """Return the motion along the same path, as fast as its limits allow, or as it was.
+
+    And the time law of each piece with the time at which it begins [s].
+    """
+    force, begin = problem.process_force, 0.0
+    parts, laws = [], []
+    for number, piece in enumerate(pieces):
         demands = PathDemands(
             path_speed=None if retime else piece.speed,
             process_force=lambda s: np.broadcast_to(force, (len(s), 3)),
-            margin=margins,
+            shares=shares.of_piece(number),
         )
         law = fastest_timing(problem.robot, problem.active_limits, piece.path, demands)
         law = averaged_law(law, _AVERAGING_WINDOW)
         parts.append((piece.path.follow(law), piece.dwell))
-    return join_motions(parts)
+        laws.append((begin, law))
+        begin += law.duration + piece.dwell
+    return join_motions(parts), laws
 
 
 def _assess_motion(
@@ -249,15 +251,21 @@ def _limit_uses(problem: TrajectoryProblem, motion: Assessment) -> tuple[LimitUs
     return tuple(sorted(found, key=lambda use: -use.share))
 
 
-def _compensation(problem: TrajectoryProblem, plan: Trajectory) -> Compensation | None:
+def _command(problem: TrajectoryProblem, planned: Assessment) -> CommandOnArms | None:
+    """Return the command of a plan; None for an arm that is rigid or cannot be simulated."""
     if not problem.robot.yields:
         return None
-    assessment = assess(problem, plan)
-    planned = PlannedMotion.of("optimised", assessment, assessment.feasible(CERTIFICATE_TOLERANCE))
+    motion = PlannedMotion.of("optimised", planned, planned.feasible(CERTIFICATE_TOLERANCE))
     try:
-        return compensate(problem, elastic_arm(problem, assessment.position[0]), [planned])
+        arm = elastic_arm(problem, planned.position[0])
+        return commands_on_arms(problem, arm, [motion])[0]
     except NotSimulatedError:
         return None
+
+
+def _compensation(problem: TrajectoryProblem, led: CommandOnArms) -> Compensation:
+    arm = elastic_arm(problem, led.motion.position[0])
+    return compensate(problem, arm, [led.motion], known=led)
 
 
 def _path_deviation(problem: TrajectoryProblem, given: GivenMotion, plan: Trajectory) -> float:

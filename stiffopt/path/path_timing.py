@@ -15,6 +15,7 @@ convex-concave constraints using sequential convex programming", IEEE Transactio
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -69,22 +70,24 @@ class PathDemands:
     path_speed: Callable[[np.ndarray], np.ndarray] | None = None
     # Force on the tool (K, 3) [N], base axes, at path parameters (K,).
     process_force: Callable[[np.ndarray], np.ndarray] | None = None
-    # Share of a limit that is left unused, by the limit's name.
-    margin: dict[str, float] | None = None
+    # Shares (K,) of a limit that may be used, by the limit's name, at path parameters (K,).
+    shares: Callable[[str, np.ndarray], np.ndarray] | None = None
     eased: bool = True  # the acceleration is zero at both ends
 
     def on(self, begin: float, end: float) -> PathDemands:
         """Return the demands on a part of the path, whose parameter runs from 0 to 1 again."""
-        speed, force, span = self.path_speed, self.process_force, end - begin
+        speed, force, shares = self.path_speed, self.process_force, self.shares
+        span = end - begin
         return replace(
             self,
             path_speed=None if speed is None else lambda s: speed(begin + span * s) / span,
             process_force=None if force is None else lambda s: force(begin + span * s),
+            shares=None if shares is None else lambda name, s: shares(name, begin + span * s),
         )
 
-    def share(self, name: str) -> float:
-        """Share of a limit that may be used."""
-        return 1.0 - (self.margin or {}).get(name, 0.0)
+    def share(self, name: str, s: np.ndarray) -> np.ndarray:
+        """Shares (K,) of a limit that may be used at path parameters (K,)."""
+        return np.ones(len(s)) if self.shares is None else self.shares(name, s)
 
 
 def fastest_timing(
@@ -219,11 +222,12 @@ class _PathTiming:
 
         Above 1 where the motion exceeds the limit between the stages of the programme.
         """
-        piece, limits, share = self._pieces(law), self._limits, self._demands.share
+        piece, limits = self._pieces(law), self._limits
         found: dict[str, np.ndarray] = dict.fromkeys(_DERIVATIVE_ORDERS, np.zeros(len(piece)))
         for stage in _CHECKED_STAGES:
             own = law.at(stage)
             q, *rates = self._joint_motion(own, piece)
+            share = functools.partial(self._demands.share, s=own[0])
             _, moving, hold, tool = self._torques(own, q, rates[0], rates[1])
             sign = np.sign(hold + moving)
             with np.errstate(divide="ignore", invalid="ignore"):
@@ -233,7 +237,7 @@ class _PathTiming:
                     "jerk": np.abs(rates[2]) / limits.jerk,
                     "torque": sign
                     * moving
-                    / (share("torque") * self._torque(rates[0]) - sign * hold),
+                    / (share("torque")[:, None] * self._torque(rates[0]) - sign * hold),
                     "tool_speed": (tool / self._tool_speed(piece))[:, None],
                 }
             for name, ratio in ratios.items():
@@ -310,7 +314,7 @@ class _PathTiming:
         self, law: np.ndarray, piece: np.ndarray
     ) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
         """Factors of x, x', x'' in each row (K, R), and its bound; rows are relative to limits."""
-        limits, share = self._limits, self._demands.share
+        limits, share = self._limits, functools.partial(self._demands.share, s=law[0])
         p0, dq, ddq, dddq = self._joint_motion(law, piece)
         zero = np.zeros_like(dq)
         columns: list[tuple[np.ndarray, ...]] = []
@@ -345,7 +349,7 @@ class _PathTiming:
         torque = self._torque(dq)
         bound_both("torque", torque, moving - viscous, 0.5 * pushing, hold + viscous)
         with np.errstate(divide="ignore"):
-            joints = (share("velocity") * self._velocity(p0) / np.abs(dq)).min(axis=1)
+            joints = share("velocity") * (self._velocity(p0) / np.abs(dq)).min(axis=1)
             ceilings = [
                 (allowance("velocity") * joints) ** 2,
                 (allowance("tool_speed") * share("tool_speed") * self._tool_speed(piece) / tool)

@@ -50,9 +50,10 @@ def timed_motion(problem: TrajectoryProblem) -> Baseline | None:
     @functools.cache
     def fastest_laws(margins: frozenset[tuple[str, float]]) -> list[tuple[Trajectory, float]]:
         """Return the fastest laws with shares of the limits left, where each window starts."""
+        unused = dict(margins)
         demands = PathDemands(
             process_force=_forces_along(problem, path),
-            margin=dict(margins),
+            shares=lambda name, s: np.full(len(s), 1.0 - unused.get(name, 0.0)),
             eased=problem.boundary_acceleration == "zero",
         )
         return fastest_parts(problem.robot, problem.active_limits, path, demands)

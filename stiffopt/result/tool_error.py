@@ -32,7 +32,8 @@ class ToolError:
     @cached_property
     def distance(self) -> np.ndarray:
         """Magnitude of the position error (.., K) [m]."""
-        return np.asarray(np.linalg.norm(self.position, axis=-1))
+        square = np.einsum("...x,...x->...", self.position, self.position)
+        return np.asarray(np.sqrt(square))
 
     @cached_property
     def along(self) -> np.ndarray:

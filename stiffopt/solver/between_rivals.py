@@ -16,8 +16,8 @@ import numpy as np
 from stiffopt.certificate.assess import assess, drive_violations
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.command.command_search import CommandOnArms
+from stiffopt.command.smoothing_width import motors_with_sufficient_smoothing
 from stiffopt.elastic.smooth_motion import smooth_motion
-from stiffopt.result.compensation import MAX_RIVAL_RATIO
 from stiffopt.result.tool_error import LedError
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.arrival import suppress_vibration_of_links
@@ -60,18 +60,24 @@ class BetweenRivals(OutcomeOracle):
         """Return the motion of least worst error on the lines to the rivals."""
         if last.assessment.led is None or not last.raw.converged:
             return None
+        own = self._worse(last.planned, last.assessment.led)
         tried = [
-            (self._worse(plan), plan, f"{100 * share:.0f} % of the {name} motion")
+            (self._worse(plan, below=own), plan, f"{100 * share:.0f} % of the {name} motion")
             for name, rival in self._rivals.items()
             for share in _RIVAL_SHARES
             for plan in (last.planned.mixed_with(rival, share),)
         ]
-        own = self._worse(last.planned, last.assessment.led)
         better = [each for each in tried if each[0] < own]
         for worse, plan, text in sorted(better, key=lambda each: each[0]):
-            motors = follow_plan(self.run, plan, last.smoothing.law)
+            # The smoothness of a rival's command belongs to its own width.
+            motors = motors_with_sufficient_smoothing(
+                functools.partial(follow_plan, self.run, plan),
+                self._excess,
+                last.smoothing.law,
+                CERTIFICATE_TOLERANCE,
+            )
             # Much cheaper than the certificate.
-            if drive_violations(self.run.problem, motors)[0].value > CERTIFICATE_TOLERANCE:
+            if self._excess(motors) > CERTIFICATE_TOLERANCE:
                 continue
             assessment = assess(self.run.problem, motors)
             if worst_flight_violation(assessment) <= CERTIFICATE_TOLERANCE:
@@ -88,6 +94,9 @@ class BetweenRivals(OutcomeOracle):
                 )
         return None
 
+    def _excess(self, motors: Trajectory) -> float:
+        return drive_violations(self.run.problem, motors)[0].value
+
     def rank(self, found: Outcome) -> Rank:
         """Return the rank with the excess over the best rival before the objective."""
         excess, late, _ = super().rank(found)
@@ -101,10 +110,17 @@ class BetweenRivals(OutcomeOracle):
             self.run.notes.append(f"Moved toward a rival after the optimum: {self._reason}.")
         return better
 
-    def _worse(self, plan: Trajectory, led: LedError | None = None) -> Rank:
-        """Return the largest error over the best rival's, and the sum of both phases."""
+    def _worse(
+        self, plan: Trajectory, led: LedError | None = None, below: Rank = (np.inf, np.inf)
+    ) -> Rank:
+        """Return the largest error over the best rival's, and the sum of both phases.
+
+        Of a motion that is not `below` another rank, one that is not below it either.
+        """
         led = led or self._errors.of_plan(plan)
-        return max(*self._errors.ratios(plan, led), MAX_RIVAL_RATIO), led.whole
+        if (1.0, led.whole) >= below:
+            return below
+        return max(*self._errors.ratios(plan, led, below[0]), 1.0), led.whole
 
 
 def _smooth_rival(rival: CommandOnArms, duration: float) -> Trajectory:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -193,6 +194,18 @@ class IpoptSolver:
         monitor = self._monitor
         limit = self.options.max_seconds if max_seconds is None else max_seconds
         monitor.begin(report, limit)
+
+        def stationary(barrier: float = np.inf) -> bool:
+            """True where full Newton steps change nothing, under at most this barrier parameter.
+
+            The residual gradient is rounding along stiff directions then.
+            """
+            made = solver.stats()["iterations"]
+            lengths = np.where(np.equal(made["regularization_size"], 0.0), made["alpha_pr"], 0.0)
+            return made["mu"][-1] <= barrier and monitor.is_stationary(lengths.tolist())
+
+        monitor.still_step = _STATIONARY_STEP_FACTOR * self.options.tol
+        monitor.has_ended = functools.partial(stationary, self.options.tol)
         monitor.patience = self.options.patience
         monitor.max_iterations = max_iterations
         with handle_interrupts(lambda *_: monitor.interrupt.set()):
@@ -202,13 +215,8 @@ class IpoptSolver:
             raise monitor.error
         word = str(solver.stats()["return_status"])
         status = monitor.stopped_by or _translate_status(word)
-        if status in ("acceptable", "stalled", "iteration_limit"):
-            # The residual gradient is rounding along stiff directions: full Newton steps change
-            # nothing.
-            made = solver.stats()["iterations"]
-            lengths = np.where(np.equal(made["regularization_size"], 0.0), made["alpha_pr"], 0.0)
-            if monitor.is_stationary(_STATIONARY_STEP_FACTOR * self.options.tol, lengths.tolist()):
-                status = "optimal"
+        if status in ("acceptable", "stalled", "iteration_limit") and stationary():
+            status = "optimal"
         last = self._last_iterate(outputs)
         best = last if status in ("optimal", "acceptable") else (monitor.best or last)
         reason = word

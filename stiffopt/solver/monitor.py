@@ -74,12 +74,15 @@ class Monitor(ca.Callback):
         """Reset the record before a solve."""
         self.report, self.max_seconds, self.patience = report, max_seconds, 0
         self.max_iterations: int | None = None
+        # Largest step of a stationary iterate, and the check after a few of them.
+        self.still_step, self.has_ended = 0.0, lambda: False
         self.started = time.perf_counter()
         self.history: list[Progress] = []
         self.steps: list[float] = []  # largest change of a variable in each iteration
         self.best: Iterate | None = None
         self.last: Iterate | None = None
-        self.stopped_by = ""  # "interrupted", "time_limit" or "iteration_limit"
+        # "interrupted", "time_limit", "iteration_limit", or "optimal" where only rounding is left.
+        self.stopped_by = ""
         self.error: BaseException | None = None
         self.interrupt = threading.Event()
 
@@ -120,9 +123,16 @@ class Monitor(ca.Callback):
             self.stopped_by = "time_limit"
         elif self._has_spent_iterations():
             self.stopped_by = "iteration_limit"
+        elif self._still_steps() >= _STATIONARY_ITERATIONS and self.has_ended():
+            self.stopped_by = "optimal"
         return float(bool(self.stopped_by))
 
-    def is_stationary(self, tolerance: float, lengths: Sequence[float]) -> bool:
+    def _still_steps(self) -> int:
+        """Number of the last steps that are no longer than those of a stationary iterate."""
+        moving = (k for k, step in enumerate(reversed(self.steps)) if not step <= self.still_step)
+        return next(moving, len(self.steps))
+
+    def is_stationary(self, lengths: Sequence[float]) -> bool:
         """Return True where the last iterates are feasible and stationary under full steps.
 
         Later steps that the line search shortened because of rounding do not matter as long as the
@@ -130,11 +140,7 @@ class Monitor(ca.Callback):
 
         `lengths` are the step lengths of all iterations, 1 for a full step.
         """
-        still = 0
-        for step in reversed(self.steps):
-            if not step <= tolerance:
-                break
-            still += 1
+        still, tolerance = self._still_steps(), self.still_step
         full = [length >= _FULL_STEP_LENGTH for length in lengths[len(lengths) - still :]]
         if not any(
             all(full[k : k + _STATIONARY_ITERATIONS])

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+import numpy as np
+
 from stiffopt.elastic.led_error import led_error
 from stiffopt.result.compensation import MIN_SLOWDOWN
 from stiffopt.result.tool_error import LedError
@@ -19,18 +21,24 @@ class RivalErrors:
 
     def __init__(self, run: SolveRun, rivals: Sequence[tuple[float, LedError]]) -> None:
         self._run = run
-        self._rivals = [each for each in rivals if min(each[1].in_flight, each[1].after_arrival)]
+        compared = [each for each in rivals if min(each[1].in_flight, each[1].after_arrival)]
+        # Beside a slower one the motion is simulated once more.
+        self._rivals = sorted(compared, key=lambda each: each[0])
 
-    def ratios(self, plan: Trajectory, led: LedError | None) -> tuple[float, ...]:
+    def ratios(
+        self, plan: Trajectory, led: LedError | None, largest: float = np.inf
+    ) -> tuple[float, ...]:
         """Return the errors over the best rival's, as of `LedError.ratios_to`; zeros without one.
 
-        The best rival is the one beside which the sum of both phases is largest.
+        The best rival is the one beside which the sum of both phases is largest. The first one
+        beside which it is above `largest` will do: one of the errors is above it there too.
         """
-        pairs = [] if led is None else list(self._pairs(plan, led))
-        if not pairs:
-            return (0.0,) * len(LedError.KINDS)
-        own, best = max(pairs, key=lambda each: each[0].whole / each[1].whole)
-        return own.ratios_to(best)
+        found = 0.0, (0.0,) * len(LedError.KINDS)
+        for own, rival in [] if led is None else self._pairs(plan, led):
+            found = max(found, (own.whole / rival.whole, own.ratios_to(rival)))
+            if found[0] > largest:
+                break
+        return found[1]
 
     def _pairs(self, plan: Trajectory, led: LedError) -> Iterator[tuple[LedError, LedError]]:
         """Yield errors of the motion, and of a rival, at equal duration."""

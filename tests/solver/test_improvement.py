@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import PPoly
 
+from stiffopt.baseline.rivals import quintic_law
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE as TOLERANCE
 from stiffopt.cli import run
 from stiffopt.errors import ProblemError
@@ -13,7 +14,10 @@ from stiffopt.files import load_json, read_table
 from stiffopt.improvement.given_motion import GivenMotion
 from stiffopt.improvement.improvement import LimitUse, improve
 from stiffopt.improvement.least_jerk import least_jerk_motion
+from stiffopt.improvement.limit_shares import LimitShares
+from stiffopt.problem.limit import Limits
 from stiffopt.report.pages.improvement import answer, faults, headline
+from stiffopt.result.assessment import DriveHistory, Violation
 from stiffopt.robot.files import load_robot
 
 START = np.array([0.2, 0.3, -0.4, 0.2, 0.6, 0.1])
@@ -225,3 +229,16 @@ def test_a_limit_used_within_the_certificate_s_tolerance_is_no_fault(arm):
 
     assert not any("times the limit" in each for each in faults_at(1.0 + 0.9 * TOLERANCE))
     assert "times the limit" in faults_at(1.0 + 1.1 * TOLERANCE)[0]
+
+
+def test_limits_are_backed_off_only_about_the_instants_at_which_they_are_exceeded(arm):
+    limits, time = Limits.of(arm), np.linspace(0.0, 1.0, 1001)
+    law, rest = quintic_law(1.0), np.zeros((len(time), arm.n))
+    jerk = np.where(np.abs(time - 0.3) < 2e-3, 1.3, 0.9)[:, None] * limits.jerk
+    plan = DriveHistory(time, rest, rest, rest, jerk, rest)
+    shares = LimitShares(0.02)
+    shares.back_off([(0.0, law)], limits, [plan], [Violation(0.3, "jerk", 1, 0.3)])
+    assert set(shares.margins) == {"jerk"}
+    left = shares.of_piece(0)("jerk", law(np.array([0.1, 0.25, 0.3, 0.35, 0.9]))[:, 0])
+    np.testing.assert_allclose(left, [1.0, 1.0, 0.99 / 1.3, 1.0, 1.0], atol=0.01)
+    assert shares.of_piece(0)("torque", np.array([0.3])) == 1.0

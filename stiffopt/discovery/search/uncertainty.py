@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +21,7 @@ from stiffopt.discovery.comparison.located_effect import (
 )
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.names import ValueName
+from stiffopt.discovery.thresholds import MIN_ACTIVE_SHARE
 
 if TYPE_CHECKING:
     from stiffopt.discovery.effect import Constants
@@ -52,7 +54,8 @@ class Estimate:
     added: np.ndarray  # (r, r) covariance beyond the likelihood, of all of these
     sizes: tuple[np.ndarray, ...]
     shape_sizes: tuple[np.ndarray, ...]
-    parts: tuple[int, int]  # number of stretches and of runs
+    # (e,) numbers of stretches and of runs in which each effect acts.
+    parts: tuple[tuple[int, int], ...]
 
     def calibration(self) -> dict[ValueName, float]:
         """Return the changes of the nominal values by name."""
@@ -71,13 +74,22 @@ class Estimate:
         rows, _ = self._parameter_rows(index)
         values, slopes = self._reported_values(index, constants)
         scatter = [_small_sample_factor(n) ** 2 * each for each, n in self._jackknives(index)]
-        variances = [
-            np.einsum("ij,jk,ik->i", slopes, matrix[np.ix_(rows, rows)], slopes)
+        covariances = [
+            matrix[np.ix_(rows, rows)]
             for matrix in (
                 self.covariance + self.added,
                 *(each + self.common + self.added for each in scatter),
             )
         ]
+        if effect.takes_recorded:  # the amplitude is known
+            shapes = np.arange(len(found.amplitudes), len(rows))
+            order = np.concatenate([shapes, np.arange(len(found.amplitudes))])
+            slopes = slopes[:, shapes]
+            covariances = [
+                _conditional_covariance(each[np.ix_(order, order)], len(shapes))
+                for each in covariances
+            ]
+        variances = [np.einsum("ij,jk,ik->i", slopes, each, slopes) for each in covariances]
         variance = np.max(variances, axis=0)
         if effect.drawn is not None:
             few = effect.drawn(found.amplitudes, found.located.shapes, constants)
@@ -181,12 +193,14 @@ class Estimate:
     def _jackknives(self, index: int) -> list[tuple[np.ndarray, int]]:
         """Return jackknife covariances and their numbers of parts; one run has none between runs.
 
-        Too few parts give the covariance of the linear model in place of a jackknife.
+        Only parts in which the effect acts tell of it. Too few of them are no jackknife: without
+        the only one that shows an effect nothing is known of it.
         """
-        each = [(self.spread, self.parts[0])]
+        stretches, runs = self.parts[index]
+        each = [(self.spread, stretches, _MIN_STRETCHES)]
         if not self.effects[index].located.is_run_specific:
-            each.append((self.between, self.parts[1]))
-        return [(m, count) for m, count in each if not np.array_equal(m, self.covariance)]
+            each.append((self.between, runs, MIN_RUNS_AS_BLOCKS))
+        return [(matrix, count) for matrix, count, fewest in each if count >= fewest]
 
     def moved(self, steps: np.ndarray) -> Estimate:
         """Return the estimate with first amplitudes moved by steps (e,) over their sizes.
@@ -266,6 +280,7 @@ def estimate_parameters(
         matrix = np.column_stack([matrix, *slopes])
     prior = np.concatenate([prior_sd, np.ones(len(scaled)), np.full(len(slopes), _SHAPE_PRIOR)])
     del slopes
+    edges = np.cumsum([len(names), *map(len, sizes)]).tolist()
     blocks = number_stretches(comparison)
     covariance, spread = _jackknife_covariance(comparison, matrix, prior, blocks)
     between = covariance
@@ -285,8 +300,20 @@ def estimate_parameters(
         added=np.zeros_like(covariance),
         sizes=sizes,
         shape_sizes=shape_sizes,
-        parts=(int(blocks.max()) + 1, int(comparison.rows.block.max()) + 1),
+        parts=tuple(
+            (
+                _acting_parts(matrix[:, first:last], blocks),
+                _acting_parts(matrix[:, first:last], comparison.rows.block),
+            )
+            for first, last in pairwise(edges)
+        ),
     )
+
+
+def _acting_parts(columns: np.ndarray, part: np.ndarray) -> int:
+    """Return the number of parts (m,) in which an effect with columns (m, k) acts."""
+    square = np.bincount(part, np.sum(columns**2, axis=1))
+    return int(np.sum(square > MIN_ACTIVE_SHARE * square.max()))
 
 
 def _conditional_covariance(covariance: np.ndarray, k: int) -> np.ndarray:

@@ -21,7 +21,7 @@ MAX_ENTRIES = 64
 # Levels of nesting that are searched for signals.
 _MAX_DEPTH = 12
 # Fields of messages that name the entries of the lists beside them.
-_ENTRY_NAME_FIELDS = ("name", "names", "joint_names")
+ENTRY_NAME_FIELDS = ("name", "names", "joint_names")
 # Prefix of the names of columns that a file leaves without a name.
 UNNAMED_COLUMN = "column"
 
@@ -126,7 +126,7 @@ def _flatten_record(value: Any, name: str, depth: int) -> Iterator[tuple[str, fl
     if depth > _MAX_DEPTH:
         return
     if isinstance(value, Mapping):
-        said = next((each for key in _ENTRY_NAME_FIELDS if (each := value.get(key))), ())
+        said = next((each for key in ENTRY_NAME_FIELDS if (each := value.get(key))), ())
         entries = said if isinstance(said, list) and all(isinstance(n, str) for n in said) else ()
         for key, own in value.items():
             inner = f"{name}.{key}" if name else str(key)

@@ -18,10 +18,9 @@ from stiffopt.recording.readers.checks import check_bytes, check_columns, check_
 from stiffopt.recording.readers.columns import Table
 from stiffopt.recording.signals import Signals
 
-# Keys of a channel header: name, kind, type and number of values, column, offset, step.
-_NAME_KEY, _KIND_KEY, _TYPE_KEY, _COUNT_KEY, _COLUMN_KEY, _OFFSET_KEY, _STEP_KEY = (
-    "200", "210", "214", "220", "221", "240", "241",
-)  # fmt: skip
+# Keys of a channel header: name, kind and type of values, column, offset, step.
+_NAME_KEY, _KIND_KEY, _TYPE_KEY, _COLUMN_KEY = "200", "210", "214", "221"
+_OFFSET_KEY, _STEP_KEY = "240", "241"
 _TIME_NAMES = ("Zeit", "Time", "t")
 
 

@@ -12,14 +12,13 @@ import numpy as np
 
 from stiffopt.errors import InputFileError, nearest
 from stiffopt.recording.readers.checks import check_messages, check_numbers
+from stiffopt.recording.readers.columns import ENTRY_NAME_FIELDS
 from stiffopt.recording.signals import Signals
 
 # Topic, log time [ns], decoded message.
 Message = tuple[str, int, Any]
 
 _STEP_PATTERN = re.compile(r"\.?([^.\[\]]+)|\[([^\]]+)\]")
-# Fields of messages with the names of list entries.
-_NAME_FIELDS = ("name", "names", "joint_names")
 _NANOSECONDS_PER_SECOND = 1_000_000_000
 # Stamps [s] and [ns] that 64 bits of nanoseconds can hold.
 _MAX_STAMP = 4e9
@@ -39,7 +38,8 @@ class Field:
         for step in self.steps:
             if isinstance(step, str) and step.startswith("["):
                 names = next(
-                    (n for key in _NAME_FIELDS if (n := _get_field(holder, key)) is not None), ()
+                    (n for key in ENTRY_NAME_FIELDS if (n := _get_field(holder, key)) is not None),
+                    (),
                 )
                 if not isinstance(names, Sequence) or step[1:-1] not in names:
                     return None

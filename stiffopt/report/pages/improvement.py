@@ -182,7 +182,9 @@ def notes(found: Improvement) -> list[str]:
     told = list(found.notes)
     if found.margins:
         left = ", ".join(f"{name} {100.0 * part:.0f} %" for name, part in found.margins.items())
-        told.append(f"Left to the lead of the motors: {left} of the limits.")
+        told.append(
+            f"Left to the lead of the motors where it needs them: up to {left} of the limits."
+        )
     if found.given.both is None:
         told.append("The arm is rigid or cannot be simulated: no tool error, no lead.")
     if found.compensation is not None:
