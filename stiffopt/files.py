@@ -199,7 +199,9 @@ def check_file(path: str | os.PathLike[str], most: int | None = None) -> None:
     if path.exists():
         raise InputFileError(path, "", "is a device or a pipe. Give a regular file.")
     if path.parent.is_file():
-        raise InputFileError(path.parent, "", "is a file: give the folder of the results.")
+        raise InputFileError(
+            path.parent, "", "is a file, and a folder is needed here. Check the path."
+        )
     if not path.parent.is_dir():
         raise InputFileError(path, "", f"there is no folder {path.parent}. Check the path.")
     here = sorted(p.name for p in path.parent.iterdir() if p.is_file())

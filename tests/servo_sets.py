@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +19,10 @@ MASS, LEVER, INERTIA, GRAVITY = 0.75, 0.14, 0.002, 9.81
 KP, VISCOUS, COULOMB, ARMATURE, DELAY = 9.0, 0.25, 0.12, 0.015, 0.012
 STEP, HELD = 0.01, 2
 STRIBECK_SPEED = 0.1  # [rad/s]
-_SUBSTEPS = 20
+_SUBSTEPS = 100
 
 
+@cache
 def commanded_motion(
     seed: int,
     seconds: float = 8.0,
@@ -40,17 +43,19 @@ def commanded_motion(
     h, position, q, v = STEP / _SUBSTEPS, np.empty(len(time)), 0.0, 0.0
     about = INERTIA + MASS * LEVER**2 + ARMATURE
     late = round(DELAY / h)
-    sent = np.repeat(command, _SUBSTEPS)
+    sent = np.repeat(command, _SUBSTEPS).tolist()
     for k in range(len(time)):
         position[k] = q
         for s in range(_SUBSTEPS):
             u = sent[max(k * _SUBSTEPS + s - late, 0)]
-            drive = np.clip(KP * (u - q), -limit, limit) - MASS * gravity * LEVER * np.sin(q)
-            # Semi-implicit, dry friction as an impulse that at most stops the link.
-            free = (v + h * drive / about) / (1.0 + h * VISCOUS / about)
-            most = h * (coulomb + stribeck * np.exp(-((v / STRIBECK_SPEED) ** 2))) / about
-            v = 0.0 if abs(free) < most else free - most * np.sign(free)
-            q += h * v
+            # Leapfrog, dry friction as an impulse that at most stops the link.
+            q += 0.5 * h * v
+            drive = min(max(KP * (u - q), -limit), limit) - MASS * gravity * LEVER * math.sin(q)
+            slow = 0.5 * h * VISCOUS / about
+            free = ((1.0 - slow) * v + h * drive / about) / (1.0 + slow)
+            most = h * (coulomb + stribeck * math.exp(-((v / STRIBECK_SPEED) ** 2))) / about
+            v = 0.0 if abs(free) < most else free - math.copysign(most, free)
+            q += 0.5 * h * v
     return time, command, position + 2e-5 * rng.normal(size=len(time))
 
 

@@ -197,3 +197,11 @@ def no_motion():
             )
         },
     )
+
+
+def trajectory_columns(joints: int) -> list[str]:
+    """Return the header of trajectory.csv of an arm whose motors and links move alike."""
+    quantities = ("q", "qd", "qdd", "tau", "tau_spring", "k", "windup")
+    names = ["t", *(f"{each}{joint}" for each in quantities for joint in range(1, joints + 1))]
+    vectors = ("tool", "deflection", "deflection_dynamic")
+    return [*names, *(f"{vector}_{axis}" for vector in vectors for axis in "xyz")]

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from small_arms import ROOT, write_problem, write_robot
+from synthetic_solution import trajectory_columns
 
 from stiffopt.cli import app, run
 from stiffopt.cli.base import default_folder
-from stiffopt.result.store import trajectory_columns
 
 PEAK = 'objective = "dynamic_deflection"'
 

@@ -129,3 +129,16 @@ def saturation(world: World, joint: int, severity: float, rng: np.random.Generat
 
     world.drive.append(drive)
     return Outcome(parameters={"limit": limit}, law={"knee": knee})
+
+
+@effect("sensor")
+def reading_limit(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
+    """The reading of the torque ends below what the training motions need for a while."""
+    need = np.abs(world.nominal_torque[world.training, :, joint])
+    limit = float(np.quantile(need, 1.0 - min(0.02 * severity * spread(rng), 0.2)))
+
+    def read(signals: Signals) -> None:
+        signals.torque[:, :, joint] = np.clip(signals.torque[:, :, joint], -limit, limit)
+
+    world.sensors.append(read)
+    return Outcome(parameters={"limit": limit})

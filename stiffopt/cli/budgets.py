@@ -5,29 +5,21 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from stiffopt.cli.base import (
-    Changes,
-    Open,
-    Out,
-    app,
-    default_folder,
-    number_or_text,
-    show_report,
-)
+from stiffopt.cli import base
 from stiffopt.errors import InputError
 from stiffopt.folders import output_folder
 
 
-@app.command
+@base.app.command
 def budget(
     source: Path,
     *,
-    out: Out | None = None,
+    out: base.Out | None = None,
     model: Path | None = None,
     stiffness: Path | None = None,
     margin: str = "0.1 m",
-    changes: Changes = (),
-    open_report: Open = False,
+    changes: base.Changes = (),
+    open_report: base.Open = False,
 ) -> int:
     """Compute the error budget of the tool: bounds, shares of their sources, best measurement.
 
@@ -50,7 +42,7 @@ def budget(
     from stiffopt.report.pages.budget import print_budget, write_budget_report
     from stiffopt.units import to_si
 
-    around = to_si(number_or_text(margin), "length", "--margin")
+    around = to_si(base.number_or_text(margin), "length", "--margin")
     if around < 0.0:
         raise InputError(f"--margin {margin}: must be 0 or above.")
     if source.is_dir():
@@ -77,7 +69,7 @@ def budget(
     )
     if stiffness is not None:
         unsure = replace(unsure, uncertainty=narrow_stiffness(unsure, stiffness))
-    folder = out or default_folder(f"{source.resolve().stem}-budget", changes)
+    folder = out or base.default_folder(f"{source.resolve().stem}-budget", changes)
     with output_folder(folder, "budget") as stage:
         found = error_budget(unsure, states)
         volume = volume_budget(unsure, found, around)
@@ -86,5 +78,5 @@ def budget(
         write_budget_report(problem.title, found, volume, measurements, assumptions, stage)
         write_budget(found, volume, measurements, assumptions, stage)
     print_budget(found, volume, measurements, folder)
-    show_report(folder, open_report)
+    base.show_report(folder, open_report)
     return 0

@@ -10,17 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from stiffopt.cli.base import (
-    Changes,
-    NoChanges,
-    Open,
-    Out,
-    SolvedProblem,
-    app,
-    number_or_text,
-    refuse_changes,
-    show_report,
-)
+from stiffopt.cli import base
 from stiffopt.errors import InputError, shortened
 from stiffopt.folders import output_folder
 
@@ -49,12 +39,12 @@ def _with_model(problem: TrajectoryProblem, model: Path, effects: Path | None) -
     return extended_problem(problem, planner_model(problem.robot, read_model(model, effects)))
 
 
-@app.command
+@base.app.command
 def simulate(
     result: Path,
     *,
-    problem: SolvedProblem = None,
-    out: Out | None = None,
+    problem: base.SolvedProblem = None,
+    out: base.Out | None = None,
     band: str = "0.05 mm",
     bandwidth: float | None = None,
     feed_forward: float | None = None,
@@ -62,8 +52,8 @@ def simulate(
     damping: float | None = None,
     model: Path | None = None,
     effects: Path | None = None,
-    changes: Changes = (),
-    open_report: Open = False,
+    changes: base.Changes = (),
+    open_report: base.Open = False,
 ) -> int:
     """Simulate a solved motion and its baselines on the elastic arm.
 
@@ -108,11 +98,11 @@ def simulate(
     from stiffopt.result.store import write_simulation
     from stiffopt.units import to_si
 
-    refuse_changes(
+    base.refuse_changes(
         tuple(each for each in changes if not _UNCERTAINTY_ENTRY.match(each)), _SOLVED_MOTION_REASON
     )
-    settled = to_si(number_or_text(band), "length", "--band")
-    late = None if delay is None else to_si(number_or_text(delay), "time", "--delay")
+    settled = to_si(base.number_or_text(band), "length", "--band")
+    late = None if delay is None else to_si(base.number_or_text(delay), "time", "--delay")
     given = {"bandwidth": bandwidth, "feed_forward": feed_forward, "delay": late}
     loop: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     if settled <= 0.0:
@@ -124,7 +114,7 @@ def simulate(
                 "have the given loop, without uncertainty of servos. Omit one of the two."
             )
     if (result / CYCLE_FILE).is_file():
-        refuse_changes(changes, "a simulated cycle has the arm as modelled. Omit --set.")
+        base.refuse_changes(changes, "a simulated cycle has the arm as modelled. Omit --set.")
         if model is not None:
             raise InputError("--model: a cycle is simulated on its own arm. Omit the option.")
         return _simulate_cycle(
@@ -163,7 +153,7 @@ def simulate(
         print_compensation(replace(led, file=str(result / COMMAND_FILE)))
         print(rival_text(led))
     print(f"Wrote {path}, {path.with_suffix('.csv').name} and {page.name}")
-    show_report(folder, open_report, page.name)
+    base.show_report(folder, open_report, page.name)
     return 0
 
 
@@ -217,14 +207,14 @@ def _simulate_cycle(
     return 0
 
 
-@app.command
+@base.app.command
 def view(
     result: Path,
     *,
-    problem: SolvedProblem = None,
-    out: Out | None = None,
+    problem: base.SolvedProblem = None,
+    out: base.Out | None = None,
     show: Annotated[bool, Parameter(name="--open", help="Open the page in the browser.")] = True,
-    changes: NoChanges = (),
+    changes: base.NoChanges = (),
 ) -> int:
     """Show a solved motion in the browser: scene.html, which needs no network.
 
@@ -234,7 +224,7 @@ def view(
     from stiffopt.report.scene.poses import stored_poses
     from stiffopt.report.scene.still import write_scene_page
 
-    refuse_changes(changes)
+    base.refuse_changes(changes)
     stored = read_result(result, problem)
     own, *others = stored.motions()
     robot, folder = stored.problem.robot, out or result
@@ -248,19 +238,19 @@ def view(
         title = stored.problem.title or robot.name
         page = write_scene_page(title, robot, motions, stage / "scene.html", stored.problem.cell)
     print(f"Wrote {folder / page.name}")
-    show_report(folder, show, page.name)
+    base.show_report(folder, show, page.name)
     return 0
 
 
-@app.command
+@base.app.command
 def modes(
     source: str,
     *,
     at: Annotated[str | None, Parameter(help="Joint angles, such as '0 45deg -0.3 0 90deg 0'.")] = (
         None
     ),
-    out: Out | None = None,
-    changes: Changes = (),
+    out: base.Out | None = None,
+    changes: base.Changes = (),
 ) -> int:
     """Compute the elastic modes of an arm: frequencies, damping ratios and mode shapes.
 
@@ -279,7 +269,7 @@ def modes(
     if path.is_dir():
         if at is not None:
             raise InputError("--at: the poses are those of the solve's motion. Omit --at.")
-        refuse_changes(changes)
+        base.refuse_changes(changes)
         stored = read_result(path)
         rows = modes_along(stored.problem.robot, stored.optimised.time, stored.optimised.position)
         folder = out or path
@@ -336,7 +326,7 @@ def _parse_pose(text: str, robot: Robot) -> np.ndarray:
         )
     angles = []
     for value, name, slides in zip(values, robot.joint_names, robot.prismatic, strict=True):
-        angle = joint_to_si(number_or_text(value), "angle", f"--at, {name}")
+        angle = joint_to_si(base.number_or_text(value), "angle", f"--at, {name}")
         angles.append(fit_joint(angle, bool(slides), "angle", f"--at, {name}"))
     pose = np.array(angles)
     check_range(robot, Limits.of(robot), "--at", pose, "; bare numbers are rad, degrees 20deg")

@@ -8,31 +8,22 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
-from stiffopt.cli.base import (
-    Changes,
-    Open,
-    Out,
-    Quiet,
-    app,
-    default_folder,
-    print_json,
-    show_report,
-)
+from stiffopt.cli import base
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.folders import output_folder
 from stiffopt.interrupts import defer_while_writing
 
 recording = App(name="recording", help="Check recordings before a diagnosis.")
-app.command(recording)
+base.app.command(recording)
 
 
-@app.command
+@base.app.command
 def diagnose(
     recordings: Path | None = None,
     *more: Path,
     before: Path | None = None,
     after: Path | None = None,
-    out: Out | None = None,
+    out: base.Out | None = None,
     model: Path | None = None,
     effects: Path | None = None,
     experiment: bool = True,
@@ -41,9 +32,9 @@ def diagnose(
     despite_doubts: Annotated[bool, Parameter(negative=())] = False,
     workers: int | None = None,
     scheduler: str | None = None,
-    changes: Changes = (),
-    open_report: Open = False,
-    quiet: Quiet = False,
+    changes: base.Changes = (),
+    open_report: base.Open = False,
+    quiet: base.Quiet = False,
 ) -> int:
     """Identify effects that the nominal model lacks, and validate them on held-out runs.
 
@@ -125,7 +116,7 @@ def diagnose(
         assert recordings is not None
         loaded = load_recordings(recordings, changes)
         homes = [loaded.path.parent.resolve()]
-    chosen = out or default_folder("_to_".join(home.name for home in homes), changes)
+    chosen = out or base.default_folder("_to_".join(home.name for home in homes), changes)
     for home in homes:
         if home in (chosen.resolve(), *chosen.resolve().parents):
             raise InputFileError(
@@ -152,7 +143,7 @@ def diagnose(
                 write_diagnosis_report(found, stage, png=png)
             write_diagnosis(found, stage)
     print_diagnosis(found, chosen)
-    show_report(chosen, open_report)
+    base.show_report(chosen, open_report)
     return 130 if found.stopped else 0
 
 
@@ -187,7 +178,7 @@ def check(
     *,
     effects: Path | None = None,
     json: bool = False,
-    changes: Changes = (),
+    changes: base.Changes = (),
 ) -> int:
     """Check a recording set: content, missing signals, identifiable effects.
 
@@ -213,7 +204,7 @@ def check(
     if is_static(recordings):
         facts = terminal.static_facts(load_static_set(recordings, changes))
         if json:
-            print_json(facts)
+            base.print_json(facts)
         else:
             terminal.print_static_check(facts)
         return 0
@@ -226,7 +217,7 @@ def check(
     found = effect_checks(loaded, report.facts, report.training_runs, every)
     doubted, remarked = judge_plausibility(loaded, training, despite_doubts=True)
     if json:
-        print_json(
+        base.print_json(
             report.as_dict()
             | {
                 "effects": [each.as_dict() for each in found],
@@ -245,15 +236,15 @@ def check(
     return 0
 
 
-@app.command(name="identify-stiffness")
+@base.app.command(name="identify-stiffness")
 def identify_stiffness(
     recordings: Path,
     *,
     beside: tuple[Path, ...] = (),
     robot: str = "",
-    out: Out | None = None,
-    changes: Changes = (),
-    open_report: Open = False,
+    out: base.Out | None = None,
+    changes: base.Changes = (),
+    open_report: base.Open = False,
 ) -> int:
     """Identify the joint stiffness of an arm from deflections measured under known forces.
 
@@ -290,7 +281,7 @@ def identify_stiffness(
     recorded = load_static_set(recordings, changes)
     others = [load_static_set(path, changes) for path in beside]
     modelled = load_robot(robot) if robot else None
-    folder = out or default_folder(recorded.path.resolve().parent.name, changes)
+    folder = out or base.default_folder(recorded.path.resolve().parent.name, changes)
     with output_folder(folder, "identify-stiffness") as stage:
         result = identify(recorded)
         write_static_report(result, stage)
@@ -304,17 +295,17 @@ def identify_stiffness(
     print_static(result, folder)
     if joints:
         print_comparison(names, joints)
-    show_report(folder, open_report)
+    base.show_report(folder, open_report)
     return 0
 
 
-@app.command
+@base.app.command
 def rollout(
     recordings: Path,
     *,
     model: Path,
-    out: Out | None = None,
-    changes: Changes = (),
+    out: base.Out | None = None,
+    changes: base.Changes = (),
 ) -> int:
     """Simulate what the arm would have done on the recorded commands, before and after a diagnosis.
 
@@ -334,7 +325,7 @@ def rollout(
 
     loaded = load_recordings(recordings, changes)
     home = loaded.path.parent.resolve()
-    folder = out or default_folder(f"{home.name}-rollout", changes)
+    folder = out or base.default_folder(f"{home.name}-rollout", changes)
     if home in (folder.resolve(), *folder.resolve().parents):
         raise InputFileError(
             folder, "", f"lies in the recording set {home}, which is read-only. Give another --out."

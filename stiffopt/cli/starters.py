@@ -7,25 +7,17 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
-from stiffopt.cli.base import (
-    OUT_NAMES,
-    STARTER_FILE_REASON,
-    NoChanges,
-    app,
-    number_or_text,
-    out_path,
-    refuse_changes,
-)
+from stiffopt.cli import base
 from stiffopt.report.common.terminal import print_lines
 
 init = App(name="init", help="Write starter files: robot, problem, recording set, flange study.")
-app.command(init)
+base.app.command(init)
 
 File = Annotated[
     Path | None,
     Parameter(
-        name=OUT_NAMES,
-        converter=out_path,
+        name=base.OUT_NAMES,
+        converter=base.out_path,
         help="File to write; an existing file is not overwritten.",
     ),
 ]
@@ -40,7 +32,7 @@ def robot(
     tip: str | None = None,
     catalogue: Path | None = None,
     out: File = None,
-    changes: NoChanges = (),
+    changes: base.NoChanges = (),
 ) -> int:
     """Write a robot file for a URDF or MJCF: limits and candidate reducers, estimates marked.
 
@@ -51,7 +43,7 @@ def robot(
     from stiffopt.starter.robot_file import robot_text
     from stiffopt.starter.writing import write_new
 
-    refuse_changes(changes, STARTER_FILE_REASON)
+    base.refuse_changes(changes, base.STARTER_FILE_REASON)
     path = out or urdf.with_name(f"{urdf.stem}_robot.toml")
     started = robot_text(urdf, path.parent, tip, catalogue=catalogue)
     written = write_new(path, started.text)
@@ -66,7 +58,7 @@ def robot(
 
 
 @init.command
-def problem(source: str, *, out: File = None, changes: NoChanges = ()) -> int:
+def problem(source: str, *, out: File = None, changes: base.NoChanges = ()) -> int:
     """Write a first trajectory problem for a robot.
 
     `source`: shipped robot, robot file (TOML), URDF or MJCF.
@@ -75,7 +67,7 @@ def problem(source: str, *, out: File = None, changes: NoChanges = ()) -> int:
     from stiffopt.starter.problem_file import problem_text
     from stiffopt.starter.writing import write_new
 
-    refuse_changes(changes, STARTER_FILE_REASON)
+    base.refuse_changes(changes, base.STARTER_FILE_REASON)
     arm = load_robot(source)
     file = source if source in shipped_robots() else Path(source)
     path = out or (file.parent if isinstance(file, Path) else Path()) / f"{arm.name}_first.toml"
@@ -92,14 +84,14 @@ def recording(
     out: Annotated[
         Path | None,
         Parameter(
-            name=OUT_NAMES,
-            converter=out_path,
+            name=base.OUT_NAMES,
+            converter=base.out_path,
             help="Folder of the set; default NAME_set beside the data.",
         ),
     ] = None,
     rate: float | None = None,
     tip: str | None = None,
-    changes: NoChanges = (),
+    changes: base.NoChanges = (),
 ) -> int:
     """Write a recording set for recorded tables or bags; inferred entries are listed.
 
@@ -112,7 +104,7 @@ def recording(
     """
     from stiffopt.starter.recording_set import start_recording_set
 
-    refuse_changes(changes, STARTER_FILE_REASON)
+    base.refuse_changes(changes, base.STARTER_FILE_REASON)
     folder = out or data[0].with_name(f"{data[0].stem}_set")
     started = start_recording_set(data, urdf, folder, rate, tip)
     print_lines(
@@ -133,7 +125,7 @@ def recording(
 def flange(
     *,
     out: Annotated[
-        Path, Parameter(name=OUT_NAMES, converter=out_path, help="Folder for the files.")
+        Path, Parameter(name=base.OUT_NAMES, converter=base.out_path, help="Folder for the files.")
     ] = Path("flange"),
     torque: Amount = "100 N*m",
     size: str = "M5",
@@ -145,7 +137,7 @@ def flange(
     shear_force: Amount = "0 N",
     tilting_moment: Amount = "0 N*m",
     catalogue: Path | None = None,
-    changes: NoChanges = (),
+    changes: base.NoChanges = (),
 ) -> int:
     """Write a preload study of one bolted flange; no URDF is needed.
 
@@ -175,18 +167,18 @@ def flange(
     from stiffopt.starter.flange_files import write_flange
     from stiffopt.units import to_si
 
-    refuse_changes(changes, STARTER_FILE_REASON)
+    base.refuse_changes(changes, base.STARTER_FILE_REASON)
     files = write_flange(
         out,
-        torque=to_si(number_or_text(torque), "torque", "--torque"),
+        torque=to_si(base.number_or_text(torque), "torque", "--torque"),
         size=size,
         grade=grade,
         count=count,
-        circle=to_si(number_or_text(circle), "length", "--circle"),
+        circle=to_si(base.number_or_text(circle), "length", "--circle"),
         nut=nut,
-        axial_force=to_si(number_or_text(axial_force), "force", "--axial-force"),
-        shear_force=to_si(number_or_text(shear_force), "force", "--shear-force"),
-        tilting_moment=to_si(number_or_text(tilting_moment), "torque", "--tilting-moment"),
+        axial_force=to_si(base.number_or_text(axial_force), "force", "--axial-force"),
+        shear_force=to_si(base.number_or_text(shear_force), "force", "--shear-force"),
+        tilting_moment=to_si(base.number_or_text(tilting_moment), "torque", "--tilting-moment"),
         own=catalogue,
     )
     print_lines((f"Wrote {', '.join(map(str, files))}.", f"Next: stiffopt preload {files[-1]}"))

@@ -1,8 +1,9 @@
 """Closed loop of an arm and its actuators as one step of an integrator, with exact derivatives.
 
 The integrator is the linearly implicit two-stage method ROS2 of Verwer et al. (1999), which is of
-second order for any approximation of the Jacobian and L-stable: stiff gains and dry friction on
-light links need no shorter steps. Its Jacobian here holds the actuators and friction alone.
+second order for any approximation of the Jacobian and L-stable: stiff gains on light links need no
+shorter steps. Its Jacobian here holds the actuators and viscous friction alone. Dry friction is a
+torque of the whole step, which `mean_friction` solves by the response of the step to it.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 from stiffopt import native
 from stiffopt.actuator.law import ActuatorLaw
 from stiffopt.closed_loop.balance import Balance
+from stiffopt.closed_loop.dry_friction import friction_torque, mean_friction, sliding_share
 from stiffopt.closed_loop.factors import solve
 from stiffopt.closed_loop.parameters import BODY_PARAMETERS, JOINT_PARAMETERS
 from stiffopt.closed_loop.physics import LoopPhysics
@@ -95,9 +97,8 @@ class CommandedArm:
     def step_function(self, free: np.ndarray) -> ca.Function:
         """Return one step with derivatives by some parameters (indices), and by the delay.
 
-        (state and sensitivities (size (1 + m),), command and its slope (2 n,), parameters and width
-        of dry friction, step) -> the same state after the step. The last sensitivity is that by the
-        delay.
+        (state and sensitivities (size (1 + m),), command and its slope (2 n,), parameters, step) ->
+        the same state after the step. The last sensitivity is that by the delay.
         """
         return self._both_steps(free)[0]
 
@@ -122,7 +123,7 @@ class CommandedArm:
         return self._steps[key]
 
     def _build_step(self, free: np.ndarray) -> ca.Function:
-        state, command, parameters, width, h, following = self._symbols()
+        state, command, parameters, h, following = self._symbols()
         n, m = self.n, len(free)
         sensitivity, slope = ca.SX.sym("S", self.size, m + 1), ca.SX.sym("slope", n)
         by_state, by_command = (ca.jacobian(following, each) for each in (state, command))
@@ -137,7 +138,7 @@ class CommandedArm:
             [
                 ca.vertcat(state, ca.vec(sensitivity)),
                 ca.vertcat(command, slope),
-                ca.vertcat(parameters, width),
+                parameters,
                 h,
             ],
             [ca.densify(ca.vertcat(following, ca.vec(after)))],
@@ -159,21 +160,19 @@ class CommandedArm:
     def _symbols(self) -> tuple[ca.SX, ...]:
         """Return one step of ROS2 in symbols, and what it depends on.
 
-        State (2 n,), command (n,), parameters (p,), width, step and next state. At the width, a
-        speed [rad/s], dry friction reaches 76 % (tanh 1).
+        State (2 n,), command (n,), parameters (p,), step and next state.
         """
         n, elastic = self.n, len(self.elastic)
         state, command = ca.SX.sym("x", self.size), ca.SX.sym("u", n)
-        parameters = ca.SX.sym("p", self._parameter_count)
-        width, h = ca.SX.sym("width"), ca.SX.sym("h")
-        balance = partial(Balance, self, *self._split(parameters), command, width)
+        parameters, h = ca.SX.sym("p", self._parameter_count), ca.SX.sym("h")
+        balance = partial(Balance, self, *self._split(parameters), command)
         reading, rate, load, other = ca.vertsplit(
             state, [0, n, 2 * n, 2 * n + elastic, 2 * (n + elastic)]
         )
         place, speed = ca.vertcat(reading, load), ca.vertcat(rate, other)
         here = balance(place, speed)
         (force, slope), rates, slopes = here.force, here.rates, here.slopes
-        # Negative slopes, as of dry friction that a fit drives below zero, stay explicit.
+        # Negative slopes stay explicit.
         shift = _STAGE_WEIGHT * h
         implicit = here.factorize(
             here.mass + ca.diag(shift * ca.fmax(slope, 0)) + shift**2 * ca.mtimes(slopes, rates)
@@ -184,20 +183,49 @@ class CommandedArm:
             second = solve(implicit, right - shift * ca.mtimes(slopes, rate))
             return rate + shift * ca.mtimes(rates, second), second
 
-        first = stage(ca.mtimes(rates, speed), force)
+        def combine(first: tuple[ca.SX, ca.SX], second: tuple[ca.SX, ca.SX]) -> list[ca.SX]:
+            """Return the changes of places and speeds over the step."""
+            return [h * (1.5 * one + 0.5 * two) for one, two in zip(first, second, strict=True)]
+
+        # Response of the step to friction of each motor.
+        motors = here.of_motor
+        first = stage(ca.SX(*motors.shape), -motors)
+        change = -motors - h * (ca.mtimes(ca.diag(slope), first[1]) + ca.mtimes(slopes, first[0]))
+        second = stage(
+            h * ca.mtimes(rates, first[1]) - 2.0 * first[0],
+            change - 2.0 * ca.mtimes(here.mass, first[1]),
+        )
+        of_place, of_speed = combine(first, second)
+        mobility = -ca.mtimes(motors.T, of_speed)
+        stopping = 1.0 / ca.diag(mobility)
+
+        levels = here.friction_levels(stopping)
+        share = sliding_share(here.motor_speed, stopping, levels)
+        friction = friction_torque(share, levels)
+        first = stage(ca.mtimes(rates, speed), force - ca.mtimes(motors, friction))
         ahead = balance(place + h * first[0], speed + h * first[1])
+        acceleration = ahead.acceleration(
+            friction_torque(share, ahead.friction_levels(stopping, share))
+        )
         second = stage(
             ca.mtimes(ahead.rates, ahead.speed) - 2.0 * first[0],
-            ca.mtimes(here.mass, ahead.acceleration - 2.0 * first[1]),
+            ca.mtimes(here.mass, acceleration - 2.0 * first[1]),
         )
-        (q, s), (v, w) = (
-            ca.vertsplit(before + h * (1.5 * one + 0.5 * two), [0, n, n + elastic])
-            for before, one, two in zip((place, speed), first, second, strict=True)
+        moved, gained = combine(first, second)
+        found = mean_friction(
+            here.motor_speed,
+            here.motor_speed + ca.mtimes(motors.T, gained),
+            friction,
+            mobility,
+            levels,
         )
+        more = found - friction
+        q, s = ca.vertsplit(place + moved + ca.mtimes(of_place, more), [0, n, n + elastic])
+        v, w = ca.vertsplit(speed + gained + ca.mtimes(of_speed, more), [0, n, n + elastic])
         unknown = self.physics.amplitudes.symbols
         places = slice(self._parameter_count - 1 - unknown.numel(), self._parameter_count - 1)
         (after,) = ca.substitute([ca.vertcat(q, v, s, w)], [unknown], [parameters[places]])
-        return state, command, parameters, width, h, after
+        return state, command, parameters, h, after
 
     def _bodies(self, changes: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Return masses, first moments and inertias with changes (7 n,), body by body."""

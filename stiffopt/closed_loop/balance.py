@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
+from stiffopt.closed_loop.dry_friction import friction_torque, sliding_share
 from stiffopt.closed_loop.factors import factorize, solve
 from stiffopt.closed_loop.physics import LoopSignals
 from stiffopt.dynamics.newton_euler import torque_of_bodies
@@ -29,11 +30,10 @@ class Balance:
         own: Mapping[str, ca.SX],
         bodies: tuple[ca.SX, ...],
         command: ca.SX,
-        width: ca.SX,
         place: ca.SX,
         speed: ca.SX,
     ) -> None:
-        self.loop, self.own, self.bodies, self.width = loop, own, bodies, width
+        self.loop, self.own, self.bodies = loop, own, bodies
         self.n, self.command = loop.n, command
         self.place, self.speed = place, speed
         law = loop.law
@@ -41,7 +41,7 @@ class Balance:
         self.kp = ca.DM(stiffness) * (1.0 + own["gain"])
         self.kd = ca.DM(law.damping) * (1.0 + own["damping"])
         count = loop.size // 2
-        self._of_link, self._of_motor = (
+        self._of_link, self.of_motor = (
             ca.sparsify(ca.DM(np.eye(count)[:, each]))
             for each in (loop.link_sides, loop.motor_sides)
         )
@@ -87,10 +87,11 @@ class Balance:
     def mass(self) -> ca.SX:
         """Forces of all sides per acceleration."""
         found = ca.mtimes([self._of_link, self._still[0], self._of_link.T])
-        found += ca.mtimes([self._of_motor, ca.diag(self.own["armature"]), self._of_motor.T])
+        found += ca.mtimes([self.of_motor, ca.diag(self.own["armature"]), self.of_motor.T])
         if self.loop.physics.torque is not None:
             rate = ca.SX.sym("a", self.speed.shape[0])
-            found += ca.mtimes(self._of_motor, ca.jacobian(self._added(rate)[0], rate))
+            added, _ = self._added(rate, ca.sign(self.motor_speed))
+            found += ca.mtimes(self.of_motor, ca.jacobian(added, rate))
         return found
 
     def factorize(self, matrix: ca.SX) -> list[list[ca.SX]]:
@@ -98,10 +99,14 @@ class Balance:
         # Torques of the physics may depend on accelerations anyhow.
         return factorize(matrix, symmetric=self.loop.physics.torque is None)
 
-    @cached_property
-    def acceleration(self) -> ca.SX:
-        """Accelerations of all sides."""
-        return solve(self._factor, self.force[0])
+    @property
+    def motor_speed(self) -> ca.SX:
+        """Speeds (n,) of the motors."""
+        return ca.mtimes(self.of_motor.T, self.speed)
+
+    def acceleration(self, friction: ca.SX) -> ca.SX:
+        """Return the accelerations of all sides with some dry friction (n,)."""
+        return solve(self._factor, self.force[0] - ca.mtimes(self.of_motor, friction))
 
     @cached_property
     def _factor(self) -> list[list[ca.SX]]:
@@ -109,15 +114,15 @@ class Balance:
 
     @cached_property
     def force(self) -> tuple[ca.SX, ca.SX]:
-        """Forces that accelerate, and the slope of all losses by the speed."""
+        """Forces that accelerate but for dry friction, and the slope of all losses by the speed."""
         torque, losses, slope = self._drive
         past, bias = torque + self.own["offset"] - losses, self._still[1]
-        found = ca.mtimes(self._of_motor, past) - ca.mtimes(self._of_link, bias)
+        found = ca.mtimes(self.of_motor, past) - ca.mtimes(self._of_link, bias)
         if self.loop.physics.torque is not None:
-            more, by_speed = self._added(ca.SX.zeros(self.speed.shape[0]))
-            found -= ca.mtimes(self._of_motor, more)
-            slope += by_speed
-        slopes = ca.mtimes(self._of_motor, slope)
+            still = ca.SX.zeros(self.speed.shape[0])
+            found -= ca.mtimes(self.of_motor, self._added(still, ca.SX.zeros(self.n))[0])
+            slope += self._added(still, ca.sign(self.motor_speed))[1]
+        slopes = ca.mtimes(self.of_motor, slope)
         for k, joint in enumerate(self.loop.elastic):
             link, motor = int(self.loop.link_sides[joint]), int(self.loop.motor_sides[joint])
             damping = self.loop.physics.springs[joint].damping
@@ -126,62 +131,82 @@ class Balance:
             found[motor] -= carried
             slopes[link] += damping
             slopes[motor] += damping
-        direction = ca.tanh(ca.mtimes(self._of_motor.T, self.speed) / self.width)
-        dry = self._load_friction(past, found, direction)
-        found -= ca.mtimes(self._of_motor, dry * direction)
-        slopes += ca.mtimes(self._of_motor, dry / self.width * (1.0 - direction**2))
         return found, slopes
 
-    def _load_friction(self, past: ca.SX, force: ca.SX, direction: ca.SX) -> ca.SX:
-        """Return the friction (n,) that goes with the torques that gears transmit to their links.
+    @cached_property
+    def _own_levels(self) -> tuple[ca.SX, ca.SX]:
+        """Dry friction (n,) against either direction but for that by load."""
+        if self.loop.physics.torque is None:
+            return self._dry, self._dry
+        still = ca.SX.zeros(self.speed.shape[0])
+        rest, forth, back = (
+            self._added(still, way * ca.SX.ones(self.n))[0] for way in (0.0, 1.0, -1.0)
+        )
+        return self._dry + forth - rest, self._dry + rest - back
 
-        `past`: torques past the other friction of the drives, `force`: all that accelerates without
-        this friction. A rotor takes its share of both.
+    def friction_levels(self, stopping: ca.SX, share: ca.SX | None = None) -> tuple[ca.SX, ca.SX]:
+        """Return the dry friction (n,) against motion in the positive and the negative direction.
+
+        `stopping` and `share` as in `sliding_share`, by default of the own speeds: the friction at
+        which gears transmit their loads. That by load goes with the torque that a gear transmits to
+        its link; a rotor takes its share of it, and of the friction.
         """
-        own = self.own
-        load = past - own["armature"] * ca.mtimes(self._of_motor.T, solve(self._factor, force))
-        share = 1.0 - own["armature"] / ca.mtimes(self._of_motor.T, ca.diag(self.mass))
+        own, levels = self.own, self._own_levels
+        if share is None:
+            share = sliding_share(self.motor_speed, stopping, levels)
+        friction = friction_torque(share, levels)
+        torque, losses, _ = self._drive
+        past = torque + own["offset"] - losses - friction
+        turned = ca.mtimes(self.of_motor.T, self.acceleration(friction))
+        load = past - own["armature"] * turned
+        taken = 1.0 - own["armature"] / ca.mtimes(self.of_motor.T, ca.diag(self.mass))
         for k, joint in enumerate(self.loop.elastic):
-            load[joint], share[joint] = self.place[self.n + k], 0.0
-        size = ca.sqrt(load**2 + _LOAD_WIDTH**2)
-        against = 1.0 + own["load_friction"] * share * direction * load / size
-        return own["load_friction"] * load**2 / size / against
+            load[joint], taken[joint] = self.place[self.n + k], 0.0
+        found = []
+        for way, level in zip((1.0, -1.0), levels, strict=True):
+            there = load - taken * (way * level - friction)
+            size = ca.sqrt(there**2 + _LOAD_WIDTH**2)
+            against = 1.0 + own["load_friction"] * taken * way * there / size
+            found.append(level + own["load_friction"] * there**2 / size / against)
+        return found[0], found[1]
+
+    @property
+    def _dry(self) -> ca.SX:
+        """Dry friction (n,) of the drives by no load."""
+        away = self.place[: self.n] - ca.DM(self.loop.middle)
+        return self.own["coulomb"] + self.own["friction_slope"] * away
 
     @cached_property
     def _drive(self) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Torques of the actuators, losses of the drives but by load, and their slopes."""
-        own, law = self.own, self.loop.law
-        q, v = self.place[: self.n], ca.mtimes(self._of_motor.T, self.speed)
+        """Torques of the actuators, viscous losses of the drives, and their slopes."""
+        own, law, v = self.own, self.loop.law, self.motor_speed
         # An actuator damps by the speed that it reads.
-        error = _clip(self.kp * (self.command - q), law.drive_max)
+        error = _clip(self.kp * (self.command - self.place[: self.n]), law.drive_max)
         torque = _clip(error - self.kd * self.speed[: self.n], law.torque_max)
         for joint, largest in self.loop.physics.limits.items():
             torque[joint] = ca.fmax(ca.fmin(torque[joint], largest), -largest)
-        direction = ca.tanh(v / self.width)
-        dry = own["coulomb"] + own["friction_slope"] * (q - ca.DM(self.loop.middle))
-        losses = dry * direction + own["viscous"] * v + own["drag"] * v * ca.fabs(v)
-        slope = self.kd + own["viscous"] + dry / self.width * (1.0 - direction**2)
-        return torque, losses, slope
+        losses = own["viscous"] * v + own["drag"] * v * ca.fabs(v)
+        return torque, losses, self.kd + own["viscous"]
 
-    def _added(self, rate: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Return the added torques at accelerations `rate`, and their slopes by the own speed."""
+    def _added(self, rate: ca.SX, direction: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Return the added torques at accelerations `rate`, and their slopes by the own speed.
+
+        `direction` (n,): of motion, -1 to 1.
+        """
         physics, own = self.loop.physics, self.own
         assert physics.torque is not None
         torque, losses, _ = self._drive
         inertia, bias = self._still
-        faster = ca.mtimes(self._of_motor.T, rate)
+        faster = ca.mtimes(self.of_motor.T, rate)
         spring = bias + ca.mtimes([inertia, self._of_link.T, rate])
         for k, joint in enumerate(self.loop.elastic):
             spring[joint] = self.place[self.n + k]
-        # Speed and direction are one: both give the slope by which stages are stable.
         v = ca.SX.sym("v", self.n)
-        way = ca.tanh(v / self.width)
-        drive = spring + losses + own["armature"] * faster
-        signals = LoopSignals(self.place[: self.n], v, faster, way, torque, spring, drive)
+        drive = spring + losses + self._dry * direction + own["armature"] * faster
+        signals = LoopSignals(self.place[: self.n], v, faster, direction, torque, spring, drive)
         more = physics.torque(signals)
         by_speed = ca.diag(ca.jacobian(more, v))
-        actual = ca.mtimes(self._of_motor.T, self.speed)
-        more, by_speed = ca.substitute([more, by_speed], [v], [actual])
+        more, by_speed = ca.substitute([more, by_speed], [v], [self.motor_speed])
         return more, by_speed
 
     @property

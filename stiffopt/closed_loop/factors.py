@@ -27,11 +27,11 @@ def factorize(matrix: ca.SX, *, symmetric: bool) -> list[list[ca.SX]]:
 
 
 def solve(factor: list[list[ca.SX]], right: ca.SX) -> ca.SX:
-    """Solve with the factors of a matrix."""
+    """Solve with the factors of a matrix; `right` (n, m)."""
     n = len(factor)
     forward: list[ca.SX] = []
     for i in range(n):
-        rest = right[i] - sum(factor[i][k] * forward[k] for k in range(i))
+        rest = right[i, :] - sum(factor[i][k] * forward[k] for k in range(i))
         forward.append(rest / factor[i][i])
     found: list[ca.SX] = [ca.SX(0)] * n
     for i in reversed(range(n)):

@@ -22,7 +22,7 @@ _MAX_ITERATIONS, _MIN_DECREASE = 12, 1e-3
 _NOISE_ROUNDS = 2
 # Duration of all runs that the leading parameters are fitted to, times joints [s].
 _LEADING_SECONDS = 40.0
-# Division of steps and of the width of dry friction by which the fit's dependence on them is told.
+# Division of steps by which the fit's dependence on them is told.
 _REFINEMENT_RATIO = 2.0
 # Limits of drives that a fit may begin with, over what filtered torques tell.
 _LIMIT_FACTORS = np.linspace(0.8, 1.6, 17)
@@ -42,7 +42,7 @@ class Polished:
     residual: np.ndarray
     # (n,) standard deviation of the encoders' noise [rad]; nan of readings that never change.
     noise: np.ndarray
-    # (n,) root mean square of what no steps and no width of dry friction would change [rad].
+    # (n,) root mean square of what no steps would change [rad].
     discretisation: np.ndarray
     places: np.ndarray  # (m,) fitted parameters
     covariance: np.ndarray  # (m, m) of the fitted parameters
@@ -387,8 +387,8 @@ class _Fit:
     def covariance(self, parameters: Parameters, point: _Point) -> tuple[np.ndarray, np.ndarray]:
         """Return the covariance (m, m) of the fitted parameters, and the discretisation error (n,).
 
-        How sharply dry friction changes its direction is not known, and steps are finite: where
-        the fit would go with both halved, twice as far as it would go with neither, is a deviation.
+        Steps are finite: where the fit would go with infinitely short ones, by their halves and the
+        second order of the integrator, is a deviation.
         What the simulation changes besides is an error of its positions.
         """
         noise = self.noise(point)
@@ -397,7 +397,7 @@ class _Fit:
 
         none = np.zeros(0, dtype=int)
         finer = self.simulate(parameters, none, _REFINEMENT_RATIO).residual - point.residual
-        finer *= _REFINEMENT_RATIO / (_REFINEMENT_RATIO - 1.0)
+        finer /= 1.0 - _REFINEMENT_RATIO**-2
         moved = inverse @ np.einsum("kjm,kj->m", weighted, np.nan_to_num(finer) / noise)
         error = np.sqrt(np.nanmean((finer - point.slopes @ moved) ** 2, axis=0))
         whole = inverse + np.outer(moved, moved)

@@ -11,10 +11,8 @@ from stiffopt.actuator.law import mean_command
 from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.parameters import Parameters
 
-# Longest step of the integrator [s]: dry friction of light links turns within few of them.
+# Longest step of the integrator [s]: a servo's own motion takes ten or more of them.
 _MAX_STEP = 1e-3
-# Speed at which dry friction reaches 76 % (tanh 1) [rad/s]: far below that of any motion.
-_DRY_FRICTION_WIDTH = 0.005
 # Steps that one call simulates: their states and derivatives are kept until it ends.
 _CALL_STEPS = 128
 # Commands at the beginning of a run that bound its initial velocity [s], and steps in which this
@@ -74,8 +72,8 @@ def simulate_stretches(
 ) -> list[Simulated]:
     """Simulate stretches side by side, each from its first measured position.
 
-    `free`: parameters to derive by, beside the delay; default none. `refinement`: divides the width
-    of dry friction and the longest step.
+    `free`: parameters to derive by, beside the delay; default none. `refinement`: divides the
+    longest step.
     """
     free = np.zeros(0, dtype=int) if free is None else free
     lanes, _ = loop.lanes(free, 1)
@@ -113,8 +111,7 @@ def _simulate_together(
         found.append(Simulated(np.tile(start, (rows, 1)), np.zeros((rows, n, m))))
     given[:, len(stretches) :], width[:, len(stretches) :] = given[:, :1], width[:, :1]
     state[:, len(stretches) :] = state[:, :1]
-    own_width = _DRY_FRICTION_WIDTH / refinement
-    values = np.tile(np.append(parameters.values, own_width)[:, None], (1, _CALL_STEPS))
+    values = np.tile(parameters.values[:, None], (1, _CALL_STEPS))
     for first in range(0, calls * _CALL_STEPS, _CALL_STEPS):
         steps = slice(first, first + _CALL_STEPS)
         states = np.asarray(
@@ -166,11 +163,10 @@ def initial_velocity(loop: CommandedArm, run: CommandedRun, parameters: Paramete
     rate = (run.command[span] - run.command[0]) / (run.time[span] - run.time[0])
     step = loop.step_function(np.zeros(0, dtype=int))
     given = np.concatenate([run.command[0], np.zeros(loop.n)])
-    values = np.append(parameters.values, _DRY_FRICTION_WIDTH)
     n, size = loop.n, loop.size
     state = loop.begin(run.position[0], np.zeros(n), parameters.values)
     for _ in range(_SETTLING_STEPS):
-        moved = step(np.concatenate([state, np.zeros(size)]), given, values, _MAX_STEP)
+        moved = step(np.concatenate([state, np.zeros(size)]), given, parameters.values, _MAX_STEP)
         state = np.asarray(moved)[:size, 0]
         state[:n] = run.position[0]
     velocity: np.ndarray = state[n : 2 * n]

@@ -226,6 +226,10 @@ class Effect:
     turned_gravity: Callable[[Values, Any], Any] | None = None
     # True where its first amplitude is the position of the joint at which its encoder reads 0.
     moves_zero: bool = False
+    # True where its term with an amplitude of one is the part of the recorded torque of which the
+    # motion tells nothing: the amplitude is known, and each sample of that part is an observation
+    # of its own.
+    takes_recorded: bool = False
     # True where its deflection depends on the load of its joint: the spring is softer or stiffer by
     # it; default: in the family elastic.
     yields: bool = False

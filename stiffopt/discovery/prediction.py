@@ -31,8 +31,9 @@ class Prediction:
 class Predictor:
     """Predictions along the motion of one run.
 
-    `run`: only its motor positions, temperature and times are used. `prepared`: the run as prepared
-    for a fit; with elastic joints, predictions use the same motion. `vibrating`: as of
+    `run`: only its motor positions, temperature and times are used, and the torque asked for beyond
+    the limit of a drive, of which the motion tells nothing. `prepared`: the run as prepared for a
+    fit; with elastic joints, predictions use the same motion. `vibrating`: as of
     `prepare_run`. Its `nominal` is the run with signals of the nominal model.
     """
 
@@ -64,12 +65,11 @@ class Predictor:
         }
 
     def _prepare_band(self, cutoff: float) -> PreparedRun:
-        """Prepare the run in another band, without the channels to be predicted."""
-        run = self.run
-        blind = replace(run, torque=np.full_like(run.torque, np.nan), link_position=None)
+        """Prepare the run in another band."""
+        run = replace(self.run, link_position=None)
         settings = replace(self._training.settings, cutoff=cutoff)
         constants = self._training.constants
-        return prepare_run(self.robot, blind, 0, constants, settings, vibrating=self._vibrating)
+        return prepare_run(self.robot, run, 0, constants, settings, vibrating=self._vibrating)
 
     @property
     def velocity(self) -> np.ndarray:

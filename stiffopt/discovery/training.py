@@ -155,11 +155,7 @@ def prepare_training(
         ]
     stated = recordings.tolerance
     free = stated.mass is None and stated.com is None
-    # With stated tolerances a measured torque may be a saturated command, no range; one that an
-    # actuator's law asks for is one.
-    given = free and not recordings.signals.commanded
-    measured = _largest_torques(prepared) if given else None
-    ranged = robot.constants_over([run.signals for run in prepared], measured)
+    ranged = robot.constants_over([run.signals for run in prepared], _largest_torques(prepared))
     if model is not None:
         ranged = model.scaled(ranged)
         check_extended(model, ranged)

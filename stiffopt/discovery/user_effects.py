@@ -215,6 +215,7 @@ def sample_constants(
             pole_pairs=4.0,
             stroke=(float(position[:, j].min()), float(position[:, j].max())),
             fastest=float(np.abs(velocity[:, j]).max()),
+            measured_torque=float(np.abs(torque[:, j]).max()),
             largest_torque=float(np.abs(torque[:, j]).max()),
             joints=position.shape[1],
         )

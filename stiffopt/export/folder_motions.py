@@ -14,6 +14,7 @@ import numpy as np
 from scipy.interpolate import BPoly, CubicSpline
 
 from stiffopt.errors import InputFileError
+from stiffopt.export import motion_checks
 from stiffopt.export.motion import (
     MotionEvent,
     SampledMotion,
@@ -22,16 +23,7 @@ from stiffopt.export.motion import (
     Which,
     read_motion,
 )
-from stiffopt.export.motion_checks import (
-    SampledRows,
-    check_seal,
-    judge_plan,
-    judge_samples,
-    read_rows,
-    sealed,
-    solved_legs,
-)
-from stiffopt.files import load_json, read_table
+from stiffopt.files import load_json
 from stiffopt.folders import check_result
 from stiffopt.improvement.improvement import problem_of_motion
 from stiffopt.improvement.improvement_files import IMPROVEMENT_FILE
@@ -41,6 +33,7 @@ from stiffopt.recipe.stored_result import read_changes
 from stiffopt.result.assessment import Violation
 from stiffopt.result.compensation import COMMAND_FILE
 from stiffopt.result.cycle import CYCLE_FILE, JoinedMotion, leg_folder
+from stiffopt.result.motion_table import read_motion_table
 from stiffopt.result.store import TRAJECTORY_FILE, read_joints
 from stiffopt.robot.files import load_robot
 
@@ -58,18 +51,16 @@ def read_improved(folder: Path, which: Which, given: Path | None) -> StoredMotio
     names, prismatic = read_joints(document, path)
     plan, command = folder / TRAJECTORY_FILE, folder / COMMAND_FILE
     check_result(folder, IMPROVEMENT_FILE, TRAJECTORY_FILE, COMMAND_FILE)
-    columns = [f"q{j}" for j in range(1, len(names) + 1)]
-    table = read_table(plan, ["t", *columns])
-    places = np.array([table[name] for name in columns]).T
-    link = CubicSpline(table["t"], places, bc_type="clamped")
+    table = read_motion_table(plan, len(names), ["q"])
+    link = CubicSpline(table["t"], table["q"], bc_type="clamped")
     problem = _improved_problem(path, document, given, link)
-    check_seal(path, document, problem, "the arm named in it")
-    time, rows, _ = read_rows(plan, path, document, problem)
-    judge_plan(problem, SampledRows(time, rows), plan)
-    time, rows, _ = read_rows(command, path, document, problem)
-    judge_samples(problem, SampledRows(time, rows, link), str(command))
+    motion_checks.check_seal(path, document, problem, "the arm named in it")
+    time, rows, _ = motion_checks.read_rows(plan, path, document, problem)
+    motion_checks.judge_plan(problem, motion_checks.SampledRows(time, rows), plan)
+    time, rows, _ = motion_checks.read_rows(command, path, document, problem)
+    motion_checks.judge_samples(problem, motion_checks.SampledRows(time, rows, link), str(command))
     curve = BPoly.from_derivatives(time, rows.transpose(1, 0, 2))
-    seal = sealed(path, document)
+    seal = motion_checks.sealed(path, document)
     file = COMMAND_FILE if which == "motor" else TRAJECTORY_FILE
     return StoredMotion(
         title=str(document.get("title") or folder.resolve().name),
@@ -119,10 +110,12 @@ class StoredCycle(StoredMotion):
             inside = (motion.time >= start) & (motion.time <= start + float(leg.curve.x[-1]))
             if np.count_nonzero(inside) > 1:
                 rows = (motion.position, motion.velocity, motion.acceleration)
-                sampled = SampledRows(
+                sampled = motion_checks.SampledRows(
                     motion.time[inside] - start, [each[inside] for each in rows], leg.link
                 )
-                found.append(judge_samples(leg.problem, sampled, f"{leg.title}, sampled"))
+                found.append(
+                    motion_checks.judge_samples(leg.problem, sampled, f"{leg.title}, sampled")
+                )
         return max(found, key=lambda each: each.value)
 
 
@@ -136,7 +129,7 @@ def read_stored(folder: Path, which: Which = "motor", problem: Path | None = Non
     check_result(folder, CYCLE_FILE)
     document = load_json(path)
     times = _read_times(path, document)
-    problems = solved_legs(path, document, problem)
+    problems = motion_checks.solved_legs(path, document, problem)
     legs = tuple(
         read_motion(folder / leg_folder(k + 1), which, stated=stated)
         for k, stated in enumerate(problems)

@@ -80,7 +80,7 @@ class _Editor:
 
     def change_joint(self, j: int, joint: MjcfJoint) -> None:
         """Change friction, armature and reference of a joint."""
-        element, robot = self.source.joint(joint.name), self.found.robot
+        element, robot = self.source.element("joint", joint.name), self.found.robot
         slides = joint.kind == "slide"
         rows = [
             (key, getattr(joint, key), float(getattr(robot, value)[j]), joint_unit(unit, slides))
@@ -130,7 +130,7 @@ class _Editor:
         if not (np.abs(change) > _MIN_RELATIVE_CHANGE * np.abs(before).max()).any():
             return
         body = next(each for each in self.model.bodies if each.name == joint.body)
-        element = self.source.body(body.name)
+        element = self.source.element("body", body.name)
         mass, centre, inertia = _add_inertia(body, change, joint.anchor)
         texts = {
             "mass": (_format_number(body.mass), _format_number(mass), "kg"),
@@ -151,7 +151,7 @@ class _Editor:
         if reason or element is None:
             self._leave_out("body", body.name, texts, reason)
             return
-        inertial = self.source.inertial(body.name)
+        inertial = self.source.element("inertial", body.name)
         self._record_change(inertial or element, "inertial", body.name, texts)
         new = {key: text for key, (_, text, _) in texts.items()}
         if inertial is None:
@@ -167,7 +167,7 @@ class _Editor:
         for drive in self.model.actuators:
             if drive.joint != joint:
                 continue
-            element = self.source.actuator(drive.name)
+            element = self.source.element("actuator", drive.name)
             gains = tuple(
                 factor * own if math.isnan(new) else new / drive.gear**2
                 for own, new in ((-drive.bias[1], kp), (-drive.bias[2], kv))

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 from xml.parsers import expat
 
 from stiffopt.files import read_bytes
@@ -15,6 +15,8 @@ from stiffopt.robot.mjcf import mjcf_parts, names_in_common_folder
 # Parents of the joints of bodies: joints also stand in classes, tendons and equalities.
 _KINEMATIC_PARENTS = ("body", "frame", "replicate")
 _START_TAG = re.compile(rb"""<[^\s/>]+(?:\s+[^\s=/>]+\s*=\s*(?:"[^"]*"|'[^']*'))*\s*/?>""")
+
+ElementKind = Literal["joint", "body", "inertial", "actuator"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,30 +41,18 @@ class MjcfSource:
     def __init__(self, path: Path) -> None:
         files = names_in_common_folder(mjcf_parts(path))
         self._content = {name: read_bytes(file) for name, file in files.items()}
-        self._joints: dict[str, MjcfElement] = {}
-        self._bodies: dict[str, MjcfElement] = {}
-        self._inertials: dict[str, MjcfElement] = {}
-        self._actuators: dict[str, MjcfElement] = {}
+        self._elements: dict[tuple[str, str], MjcfElement] = {}
         self._edits: list[tuple[MjcfElement, dict[str, str | None]]] = []
         self._added: list[tuple[MjcfElement, dict[str, str]]] = []
         for file, content in self._content.items():
             self._index_elements(file, content)
 
-    def joint(self, name: str) -> MjcfElement | None:
-        """Return the joint of this name."""
-        return self._joints.get(name)
+    def element(self, kind: ElementKind, name: str) -> MjcfElement | None:
+        """Return the element of this kind and name; None where the files have none.
 
-    def body(self, name: str) -> MjcfElement | None:
-        """Return the body of this name."""
-        return self._bodies.get(name)
-
-    def inertial(self, body: str) -> MjcfElement | None:
-        """Return the `<inertial>` of a body; None where its shapes give the mass."""
-        return self._inertials.get(body)
-
-    def actuator(self, name: str) -> MjcfElement | None:
-        """Return the actuator of this name."""
-        return self._actuators.get(name)
+        The name of an `<inertial>` is that of its body, whose shapes may give the mass instead.
+        """
+        return self._elements.get((kind, name))
 
     def change(self, element: MjcfElement, attributes: Mapping[str, str | None]) -> None:
         """Set attributes of an element; None removes one."""
@@ -116,14 +106,12 @@ class MjcfSource:
                     end=found.end(),
                     line=parser.CurrentLineNumber,
                 )
-                if tag == "body":
-                    self._bodies[name] = element
-                elif tag == "inertial":
-                    self._inertials[owner] = element
-                elif tag == "joint" and parent in _KINEMATIC_PARENTS:
-                    self._joints[name] = element
+                if tag == "inertial":
+                    self._elements[tag, owner] = element
+                elif tag == "body" or (tag == "joint" and parent in _KINEMATIC_PARENTS):
+                    self._elements[tag, name] = element
                 elif parent == "actuator":
-                    self._actuators[name] = element
+                    self._elements[parent, name] = element
             path.append((tag, name if tag == "body" else owner))
 
         parser.StartElementHandler = begin

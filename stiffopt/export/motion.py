@@ -22,15 +22,9 @@ from stiffopt.export.motion_checks import (
 )
 from stiffopt.folders import check_result
 from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result import store
 from stiffopt.result.assessment import Violation
 from stiffopt.result.compensation import COMMAND_FILE
-from stiffopt.result.store import (
-    RESULT_FILE,
-    TRAJECTORY_FILE,
-    export_times,
-    read_document,
-    read_joints,
-)
 
 Which = Literal["motor", "link"]
 
@@ -93,7 +87,7 @@ class StoredMotion:
         ends with the motion. `at_events` puts the events in place of the nearest samples.
         """
         end = float(self.curve.x[-1])
-        times = export_times(end, rate)
+        times = store.export_times(end, rate)
         if whole_steps:
             times = np.arange(math.ceil(end * rate - 1e-6) + 1) / rate
         if at_events:
@@ -171,12 +165,12 @@ def read_motion(
     `stated`: the solved problem, where it was read already. Raises `InputError`: no result, a
     motion that is not the certified one or exceeds a limit, or no link columns.
     """
-    path = folder / RESULT_FILE
-    document = read_document(path)
+    path = folder / store.RESULT_FILE
+    document = store.read_document(path)
     duration = _certified_duration(path, document)
-    names, prismatic = read_joints(document, path)
+    names, prismatic = store.read_joints(document, path)
     stated = solved_problem(path, document, problem, stated)
-    file = folder / TRAJECTORY_FILE
+    file = folder / store.TRAJECTORY_FILE
     time, rows, link = read_rows(file, path, document, stated)
     if abs(time[-1] - duration) > 1e-9 * duration:
         raise InputFileError(
@@ -186,7 +180,7 @@ def read_motion(
     judge_plan(stated, SampledRows(time, rows, link), file)
     listed, command = sealed(path, document)["files"], folder / COMMAND_FILE
     if COMMAND_FILE in listed or command.is_file():
-        check_result(folder, RESULT_FILE, COMMAND_FILE)
+        check_result(folder, store.RESULT_FILE, COMMAND_FILE)
         moved = read_rows(command, path, document, stated)
         judge_samples(stated, SampledRows(*moved), str(command))
         if which == "motor":

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +18,12 @@ from stiffopt.certificate.assess import assess, drive_violations
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.discovery.extended.planning import extended_problem, planner_model, read_model
 from stiffopt.errors import InputError, InputFileError
-from stiffopt.files import read_table
 from stiffopt.problem.cycle_files import load_cycle
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.recipe.stored_result import check_inputs, problem_file, read_changes, read_problem
 from stiffopt.result.assessment import Violation
 from stiffopt.result.cycle import leg_folder
+from stiffopt.result.motion_table import read_motion_table
 from stiffopt.result.store import RESULT_FILE, export_times, file_hash, motion_seal, read_document
 
 # Tolerance of times on the grid of 2 ms [s]: rounding of the file.
@@ -142,24 +141,20 @@ def read_rows(
     `path` is that of its result.json, `document` its content. Raises `InputFileError` where the
     table is not the certified one: another hash, missing rows, inconsistent times or columns.
     """
-    joints = problem.joints
-    names = [[f"{quantity}{j}" for j in range(1, joints + 1)] for quantity in ("q", "qd", "qdd")]
-    links = [f"link{j}" for j in range(1, joints + 1)]
-    table = read_table(file, ["t", *chain(*names)], links)
+    table = read_motion_table(file, problem.joints, ("q", "qd", "qdd"), ["link"])
     if file_hash(file) != sealed(path, document)["files"].get(file.name):
         raise InputFileError(
             file, "", f"is not the motion that was certified: {path.name} has another hash of it. "
             "Solve again."
         )  # fmt: skip
-    time = np.array(table["t"])
+    time, rows = table["t"], np.stack([table[name] for name in ("q", "qd", "qdd")])
     _check_times(file, time)
-    rows = np.array([[table[name] for name in own] for own in names]).transpose(0, 2, 1)
     _check_derivatives(file, time, rows, problem.active_limits.jerk)
-    if not all(name in table for name in links):
+    if "link" not in table:
         return time, rows, None
     # End velocities of the links are those of the motors: the wind-up is nearly constant there.
     ends = ((1, rows[1, 0]), (1, rows[1, -1]))
-    moved = CubicSpline(time, np.array([table[name] for name in links]).T, bc_type=ends)
+    moved = CubicSpline(time, table["link"], bc_type=ends)
     return time, rows, moved
 
 

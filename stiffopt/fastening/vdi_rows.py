@@ -8,15 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from stiffopt.drivetrain import catalogue
-from stiffopt.fastening.bolt_strength import (
-    BOLT_SHEAR_RATIO,
-    clamp_length,
-    endurance_limit,
-    head_bearing,
-    stress_amplitude,
-    transverse_slip_limit,
-    working_stress,
-)
+from stiffopt.fastening import bolt_strength
 from stiffopt.fastening.bolt_strength import MIN_ENDURANCE_SAFETY as ENDURANCE_SAFETY
 from stiffopt.fastening.flange_load import transverse_forces
 from stiffopt.fastening.utilisation import SafetyFactor, UtilisationRow
@@ -102,7 +94,7 @@ def _clamp_load_rows(steps: Verification, least: float) -> Iterator[UtilisationR
 def _stress_rows(steps: Verification, preload: float, least: float) -> Iterator[UtilisationRow]:
     _, case = _worst_case(steps, steps.opening.max(axis=1))
     friction = steps.tightening.thread_friction
-    stress = float(working_stress(steps.data, preload, steps.additional, friction))
+    stress = float(bolt_strength.working_stress(steps.data, preload, steps.additional, friction))
     yield UtilisationRow(
         kind="working stress",
         equation="R8/5",
@@ -119,7 +111,7 @@ def _stress_rows(steps: Verification, preload: float, least: float) -> Iterator[
         provenance="catalogue",
         remedy="a larger bolt, a higher grade or less load",
     )
-    bearing = head_bearing(steps.bolt)
+    bearing = bolt_strength.head_bearing(steps.bolt)
     force = preload + steps.additional
     yield UtilisationRow(
         kind="head pressure in service",
@@ -136,8 +128,10 @@ def _stress_rows(steps: Verification, preload: float, least: float) -> Iterator[
     )
     if steps.alternating_force > 0.0:
         mean = preload + steps.alternating_force / 2
-        limit = float(endurance_limit(steps.data, steps.bolt.rolled, mean, steps.proof_stress))
-        amplitude = stress_amplitude(steps.data, steps.alternating_force, 0.0)
+        limit = float(
+            bolt_strength.endurance_limit(steps.data, steps.bolt.rolled, mean, steps.proof_stress)
+        )
+        amplitude = bolt_strength.stress_amplitude(steps.data, steps.alternating_force, 0.0)
         yield UtilisationRow(
             kind="alternating stress",
             equation="R9/4",
@@ -166,7 +160,7 @@ def _shear_rows(steps: Verification) -> Iterator[UtilisationRow]:
     most = float(sizes[index].max())
     if most <= 0.0:
         return
-    strength = BOLT_SHEAR_RATIO * steps.grade.tensile_strength
+    strength = bolt_strength.BOLT_SHEAR_RATIO * steps.grade.tensile_strength
     stress = most / steps.data.core_area
     yield UtilisationRow(
         kind="bolt shear",
@@ -182,7 +176,7 @@ def _shear_rows(steps: Verification) -> Iterator[UtilisationRow]:
         remedy="more or larger bolts, or a larger circle",
     )
     part = catalogue.clamped_material(steps.bolt.head_material)
-    pressure = most / (steps.data.diameter * clamp_length(steps.bolt))
+    pressure = most / (steps.data.diameter * bolt_strength.clamp_length(steps.bolt))
     yield UtilisationRow(
         kind="hole bearing",
         equation="R12",
@@ -221,9 +215,9 @@ def _warning_rows(steps: Verification, least: float, shift: float) -> Iterator[U
         ),
     )
     if math.isfinite(shift):
-        limit = transverse_slip_limit(
+        limit = bolt_strength.transverse_slip_limit(
             steps.data,
-            clamp_length(steps.bolt),
+            bolt_strength.clamp_length(steps.bolt),
             max(least, 0.0),
             steps.tightening.head_friction,
             steps.grade.modulus,

@@ -14,15 +14,8 @@ import numpy as np
 from stiffopt.connection import BoltedFlange
 from stiffopt.drivetrain import catalogue
 from stiffopt.errors import InputError
-from stiffopt.fastening import bolts
+from stiffopt.fastening import bolt_strength, bolts
 from stiffopt.fastening.bolt_strength import MIN_ENDURANCE_SAFETY as ENDURANCE_SAFETY
-from stiffopt.fastening.bolt_strength import (
-    bolt_data,
-    endurance_limit,
-    head_bearing,
-    largest_working_preload,
-    stress_amplitude,
-)
 from stiffopt.fastening.compliance import LoadFactor, load_factor
 from stiffopt.fastening.elastic_ring import elastic_ring
 from stiffopt.fastening.flange_load import (
@@ -58,7 +51,7 @@ class Verification:
         self.flange, self.tightening = flange, tightening
         self.loads = loads if flange.bearing == "none" else loads.torque_only()
         self.bolt = bolts.flange_bolt(flange)
-        self.data = bolt_data(self.bolt)
+        self.data = bolt_strength.bolt_data(self.bolt)
         self.count = flange.bolt_count * flange.sectors
         if self.count < 3 and self.loads.tilting.any():
             raise InputError(
@@ -182,13 +175,15 @@ class Verification:
     def largest_preload(self) -> float:
         """Largest F_M that working stress, surface pressure and fatigue allow [N]; 0: none."""
         ends = [
-            largest_working_preload(
+            bolt_strength.largest_working_preload(
                 self.data, self.proof_stress, self.additional, self.tightening.thread_friction
             ),
-            head_bearing(self.bolt).capacity - self.additional,
+            bolt_strength.head_bearing(self.bolt).capacity - self.additional,
         ]
-        before = float(endurance_limit(self.data, "before"))
-        needed = ENDURANCE_SAFETY * stress_amplitude(self.data, self.alternating_force, 0.0)
+        before = float(bolt_strength.endurance_limit(self.data, "before"))
+        needed = ENDURANCE_SAFETY * bolt_strength.stress_amplitude(
+            self.data, self.alternating_force, 0.0
+        )
         if self.bolt.rolled == "after" and needed > before:
             share = 2.0 - needed / before
             ends.append(share * self.proof_stress * self.data.stress_area if share > 0.3 else 0.0)

@@ -15,6 +15,7 @@ from stiffopt.identification.bearing_tilt import BearingTilt
 from stiffopt.identification.static_rows import StaticRows
 from stiffopt.identification.torque_dependence import TorqueDependence
 from stiffopt.recording.static_set import StaticSet
+from stiffopt.result.motion_table import motion_columns
 
 Status = Literal["identified", "lower_bound", "not_loaded", "confounded"]
 
@@ -178,15 +179,13 @@ def _torque_dependence_entry(found: TorqueDependence) -> dict[str, Any]:
 
 
 def _write_poses(result: StaticStiffness, path: Path) -> None:
-    axes = "xyz"
-    columns = (
-        "pose",
-        *(f"measured_{axis}" for axis in axes),
-        *(f"predicted_{axis}" for axis in axes),
-        *(f"left_out_{axis}" for axis in axes),
-        "weight",
+    table = motion_columns(
+        {
+            "measured_": result.rows.displacement,
+            "predicted_": result.predicted,
+            "left_out_": result.left_out,
+            "weight": result.weight,
+        }
     )
-    table = np.column_stack(
-        [result.rows.displacement, result.predicted, result.left_out, result.weight]
-    )
-    write_csv(path, columns, [[k, *row] for k, row in enumerate(table.tolist(), start=1)])
+    rows = zip(*(column.tolist() for column in table.values()), strict=True)
+    write_csv(path, ("pose", *table), ((k, *row) for k, row in enumerate(rows, start=1)))

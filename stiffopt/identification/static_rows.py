@@ -120,6 +120,26 @@ def check_sag(rows: StaticRows, recorded: StaticSet, compliance: np.ndarray) -> 
         )  # fmt: skip
 
 
+# Halfway, in decades, to the factor of a thousand between units, beyond any error of a data sheet.
+_MAX_NOMINAL_RATIO = 1000.0**0.5
+
+
+def check_nominal(recorded: StaticSet, stiffness: np.ndarray) -> None:
+    """Raise `InputFileError` where identified joints are all far above, or below, nominal ones.
+
+    `stiffness` (n,): NaN where not identified.
+    """
+    if recorded.stiffness is None or np.isnan(stiffness).all():
+        return
+    decades = np.log10(stiffness / recorded.stiffness)
+    if max(np.nanmin(decades), -np.nanmax(decades)) > np.log10(_MAX_NOMINAL_RATIO):
+        raise InputFileError(
+            recorded.path, "force", "and displacement give every joint about "
+            f"{10.0 ** np.nanmedian(decades):.3g} times its nominal.stiffness. Check the units of "
+            'both, as scale.force = "N" in static.toml, and of nominal.stiffness [N m/rad].'
+        )  # fmt: skip
+
+
 # Columns below this share of the largest are rounding, not load; likewise residuals of
 # one column on others.
 ROUND_OFF_SHARE = 1e-6

@@ -7,22 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from stiffopt.errors import InputFileError
+from stiffopt.identification import robust_compliance
 from stiffopt.identification.bearing_tilt import identify_tilt, tilt_explanations
 from stiffopt.identification.result import Errors, JointStiffness, StaticStiffness, Status
-from stiffopt.identification.robust_compliance import (
-    CrossValidation,
-    RobustFit,
-    bootstrap,
-    bootstrap_interval,
-    cross_validate,
-    jackknife_deviation,
-    model_covariance,
-    rms,
-)
 from stiffopt.identification.static_rows import (
     MIN_LEVERAGE,
     Identifiable,
     StaticRows,
+    check_nominal,
     check_sag,
     identifiable,
     static_rows,
@@ -73,31 +65,33 @@ def identify_stiffness(
     if tilt and torque:
         laws = fit_families(rows, kept, bearings[0])
     explanations = [np.concatenate([columns[:, :, kept], each], axis=2) for each in bearings]
-    robust, *rivals = (cross_validate(each, measured) for each in explanations)
+    robust, *rivals = (robust_compliance.cross_validate(each, measured) for each in explanations)
     used, fitted = robust.columns, robust.whole
     torsion = columns[:, :, kept]
-    plain = cross_validate(torsion, measured, robust=False)
-    drawn = bootstrap(used, measured, fitted, draws, seed)
+    plain = robust_compliance.cross_validate(torsion, measured, robust=False)
+    drawn = robust_compliance.bootstrap(used, measured, fitted, draws, seed)
     joints = _joint_estimates(recorded, rows, can, (robust, *rivals), plain.whole, drawn)
     check_sag(rows, recorded, np.array([1.0 / own.upper if own.upper else 0.0 for own in joints]))
-    rigid = cross_validate(torsion, measured) if tilt else robust
+    identified = [own.stiffness if own.status == "identified" else None for own in joints]
+    check_nominal(recorded, np.array(identified, dtype=float))
+    rigid = robust_compliance.cross_validate(torsion, measured) if tilt else robust
     norm = np.linalg.norm(fitted.residual, axis=1)
     # Rounding must not make outliers of data without error.
-    outlying = max(OUTLIER_DEVIATIONS * fitted.scale, 1e-6 * rms(measured))
+    outlying = max(OUTLIER_DEVIATIONS * fitted.scale, 1e-6 * robust_compliance.rms(measured))
     return StaticStiffness(
         source=recorded,
         rows=rows,
         joints=joints,
         errors=Errors(
-            displacement=rms(measured),
-            fit=rms(fitted.residual),
-            left_out=rms(robust.error),
-            least_squares=rms(plain.whole.residual),
-            least_squares_left_out=rms(plain.error),
+            displacement=robust_compliance.rms(measured),
+            fit=robust_compliance.rms(fitted.residual),
+            left_out=robust_compliance.rms(robust.error),
+            least_squares=robust_compliance.rms(plain.whole.residual),
+            least_squares_left_out=robust_compliance.rms(plain.error),
             nominal=None
             if recorded.stiffness is None
-            else rms(measured - columns @ (1.0 / recorded.stiffness)),
-            rigid_bearings=rms(rigid.error),
+            else robust_compliance.rms(measured - columns @ (1.0 / recorded.stiffness)),
+            rigid_bearings=robust_compliance.rms(rigid.error),
         ),
         predicted=measured - fitted.residual,
         left_out=robust.predicted,
@@ -115,8 +109,8 @@ def _joint_estimates(
     recorded: StaticSet,
     rows: StaticRows,
     can: Identifiable,
-    explanations: Sequence[CrossValidation],
-    plain: RobustFit,
+    explanations: Sequence[robust_compliance.CrossValidation],
+    plain: robust_compliance.RobustFit,
     drawn: np.ndarray,
 ) -> tuple[JointStiffness, ...]:
     """Estimates of all joints; `explanations`: fits of the bearings found, then of their rivals."""
@@ -124,9 +118,14 @@ def _joint_estimates(
 
     fitted, poses = explanations[0].whole, len(explanations[0].folds)
     alike = np.array(
-        [np.sqrt(np.diag(model_covariance(each.columns, each.whole))) for each in explanations]
+        [
+            np.sqrt(np.diag(robust_compliance.model_covariance(each.columns, each.whole)))
+            for each in explanations
+        ]
     )
-    jackknife = np.array([jackknife_deviation(each.values) for each in explanations])
+    jackknife = np.array(
+        [robust_compliance.jackknife_deviation(each.values) for each in explanations]
+    )
     factor = float(t.ppf(0.5 + 0.5 * CONFIDENCE, poses - 1))
     # The interval contains that of every explanation which the poses do not tell from the first.
     apart = np.array([np.abs(each.whole.value - fitted.value) for each in explanations])
@@ -151,7 +150,7 @@ def _joint_estimates(
                     factor,
                     nominal,
                     float(plain.value[k]),
-                    bootstrap_interval(drawn[:, k], poses, CONFIDENCE),
+                    robust_compliance.bootstrap_interval(drawn[:, k], poses, CONFIDENCE),
                     float(np.std(drawn[:, k], ddof=1)),
                 )
                 estimate["compliance_sd_alike"] = float(alike[0, k])
@@ -254,9 +253,9 @@ def _invert_compliance(compliance: float) -> float | None:
 
 
 def _largest_correlation(
-    columns: np.ndarray, fitted: RobustFit, can: Identifiable, n: int
+    columns: np.ndarray, fitted: robust_compliance.RobustFit, can: Identifiable, n: int
 ) -> np.ndarray:
-    covariance = model_covariance(columns, fitted)
+    covariance = robust_compliance.model_covariance(columns, fitted)
     deviation = np.sqrt(np.diag(covariance))
     full = np.full((n, n), np.nan)
     alone = can.group[can.kept] == 0

@@ -9,13 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from stiffopt.connection import BoltedFlange
+from stiffopt.fastening import flange_load
 from stiffopt.fastening.elastic_ring import elastic_ring
-from stiffopt.fastening.flange_load import (
-    FlangeLoads,
-    axial_forces,
-    bolt_angles,
-    transverse_forces,
-)
 from stiffopt.fastening.tightening import preload_at_torque, tightening_torque
 from stiffopt.fastening.tilting import tilting_flange
 from stiffopt.fastening.utilisation import UtilisationRow
@@ -58,7 +53,7 @@ class BoltSheet:
     opening_moment: float
     tilt: float  # tilting angle under the largest tilting moment [rad]
     chance: SlipProbability  # of a bolt whose remaining preload is below its share of the load
-    loads: FlangeLoads  # loads of all load cases at the interface
+    loads: flange_load.FlangeLoads  # loads of all load cases at the interface
     # By symbol: step with the least value over required value of each safety factor.
     safety: Mapping[str, UtilisationRow]
 
@@ -72,7 +67,7 @@ def bolt_sheets(model: PreloadModel, preloads: np.ndarray) -> tuple[BoltSheet, .
         own = np.asarray(model.of_element(preloads, index))
         largest, smallest = float(own.max()), float(own.min())
         worst = int(np.argmax(steps.clamp_needed))
-        load, angles = steps.loads.values[worst], bolt_angles(steps.count)
+        load, angles = steps.loads.values[worst], flange_load.bolt_angles(steps.count)
         left = float(element.least(smallest))
         tilting = tilting_flange(steps.flange, left) if left > 0.0 else None
         found.append(
@@ -94,7 +89,7 @@ def bolt_sheets(model: PreloadModel, preloads: np.ndarray) -> tuple[BoltSheet, .
                 case=steps.loads.names[worst],
                 angles=angles,
                 axial=_bolt_axial_forces(steps, load, angles),
-                transverse=transverse_forces(
+                transverse=flange_load.transverse_forces(
                     load, steps.count, steps.flange.circle_diameter / 2, angles
                 ),
                 tilting_stiffness=tilting.closed_stiffness if tilting else 0.0,
@@ -113,7 +108,7 @@ def _bolt_axial_forces(steps: Verification, load: np.ndarray, angles: np.ndarray
     ring = elastic_ring(steps.flange)
     if ring is not None:
         return ring.bolt_forces(load)
-    return axial_forces(load, steps.count, steps.flange.circle_diameter, angles)
+    return flange_load.axial_forces(load, steps.count, steps.flange.circle_diameter, angles)
 
 
 @dataclass(frozen=True, kw_only=True)

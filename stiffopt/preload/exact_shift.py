@@ -15,8 +15,8 @@ import numpy as np
 from stiffopt.preload.model import PreloadModel
 from stiffopt.symbolic import Quantity
 
-# Relative step of finite differences: the laws vary on the scale of the preload.
-_RELATIVE_STEP = 1e-3
+# Relative step of finite differences, small beside the distance to slip of a design.
+_RELATIVE_STEP = 1e-4
 
 # Design vector -> smooth and exact values of one joint, (cases,) each.
 _Laws = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -117,11 +117,17 @@ def _linear_shift(
             laws(preloads - step),
         )
         with np.errstate(invalid="ignore"):
-            missing = (exact_up - smooth_up) - (exact_down - smooth_down)
-        # Largest relative correction of a slope: the exact slope is infinite at slip.
-        most = 0.5 * np.abs(smooth_up - smooth_down)
-        missing = np.where(np.isfinite(missing), missing, 0.0)
-        slopes.append(np.clip(missing, -most, most) / (2.0 * step[i]))
+            up, down = exact_up - smooth_up, exact_down - smooth_down
+            # Below the preload at which the connection slips the exact law has no value.
+            missing = np.where(np.isfinite(down), 0.5 * (up - down), up - (exact - smooth))
+        # A step where a contact spot yields is no slope. Too steep a slope only slows convergence,
+        # and near slip the exact one is far steeper; too flat a one makes the corrections cycle.
+        smooth_change = 0.5 * (smooth_up - smooth_down)
+        factor = np.divide(
+            missing, smooth_change, where=smooth_change != 0.0, out=np.zeros_like(missing)
+        )
+        factor = np.where(np.isfinite(factor), np.maximum(factor, -0.5), 0.0)
+        slopes.append(factor * smooth_change / step[i])
     found = np.array(slopes).reshape(-1, len(model.cases))
     return exact - smooth - preloads[own] @ found, found
 

@@ -14,10 +14,10 @@ from scipy.interpolate import make_interp_spline
 
 from stiffopt.certificate.rigid_body import RigidBodyHistory, rigid_body_history
 from stiffopt.errors import InputFileError, ProblemError
-from stiffopt.files import read_table
 from stiffopt.preload.load_case import LoadCase, LoadHistory
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
+from stiffopt.result.motion_table import read_motion_table
 from stiffopt.robot.joint_load import joint_frames, joint_wrenches
 from stiffopt.robot.robot import Robot
 
@@ -77,11 +77,12 @@ def trajectory_history(
     or one of another robot.
     """
     path = Path(path)
-    table = _TrajectoryTable(path, robot.n)
+    table = _read_trajectory(path, robot.n)
+    time, spring = table["t"], table["tau_spring"]
     source = f"trajectory {path.name}"
-    position, velocity, acceleration = table.links(robot)
+    position, velocity, acceleration = _link_motion(table, robot)
     # Accelerations of a spline through samples are less accurate than recorded ones.
-    share = _TORQUE_TOLERANCE if position is table.position else _MOTION_TORQUE_TOLERANCE
+    share = _TORQUE_TOLERANCE if position is table["q"] else _MOTION_TORQUE_TOLERANCE
     wrench = frames = arm = None
     if whole:
         if velocity is None or acceleration is None:
@@ -97,11 +98,9 @@ def trajectory_history(
         )
         frames, arm = joint_frames(robot, position)
         revolute = ~robot.prismatic
-        _check_torque(path, robot, table.spring[:, revolute], wrench[:, revolute, 5], share)
+        _check_torque(path, robot, spring[:, revolute], wrench[:, revolute, 5], share)
     if deflection is None:
-        return LoadHistory(
-            name=name, time=table.time, torque=table.spring, wrench=wrench, source=source
-        )
+        return LoadHistory(name=name, time=time, torque=spring, wrench=wrench, source=source)
     rest = np.zeros_like(position)
     known = velocity is not None and acceleration is not None
     body = rigid_body_history(
@@ -110,20 +109,20 @@ def trajectory_history(
         rest if velocity is None else velocity,
         rest if acceleration is None else acceleration,
     )
-    tool = table.get("tool")
+    tool = table.get("tool_")
     if tool is not None:
         own = body.tool
-        if position is not table.position:
-            own = rigid_body_history(robot, table.position, rest, rest).tool
+        if position is not table["q"]:
+            own = rigid_body_history(robot, table["q"], rest, rest).tool
         _check_tool(path, robot, own, tool)
     pushed = np.einsum("kin,i->kn", body.jacobian, force)
-    reference = _reference_torque(deflection, table.spring, pushed, body)
+    reference = _reference_torque(deflection, spring, pushed, body)
     if reference is not None and known:
-        _check_torque(path, robot, table.spring, body.link_torque - pushed, share)
+        _check_torque(path, robot, spring, body.link_torque - pushed, share)
     return LoadHistory(
         name=name,
-        time=table.time,
-        torque=table.spring,
+        time=time,
+        torque=spring,
         reference_torque=reference,
         jacobian=body.jacobian,
         wrench=wrench,
@@ -238,74 +237,39 @@ def _reference_wrench(
     return None
 
 
-class _TrajectoryTable:
-    """Columns of a trajectory file as arrays."""
-
-    def __init__(self, path: Path, joints: int) -> None:
-        names = {
-            quantity: [f"{quantity}{j}" for j in range(1, joints + 1)]
-            for quantity in ("q", "qd", "qdd", "tau_spring")
-        }
-        names["link"] = [f"link{j}" for j in range(1, joints + 1)]
-        names["tool"] = [f"tool_{axis}" for axis in "xyz"]
-        beyond = f"tau_spring{joints + 1}"
-        columns = read_table(
+def _read_trajectory(path: Path, joints: int) -> dict[str, np.ndarray]:
+    """Read the arrays of a trajectory file."""
+    table = read_motion_table(path, joints, ("tau_spring", "q"), ("qd", "qdd", "link", "tool_"))
+    time = table["t"]
+    for row in np.flatnonzero(np.diff(time) <= 0):
+        raise InputFileError(
             path,
-            ["t", *names["q"], *names["tau_spring"]],
-            [*names["qd"], *names["qdd"], *names["link"], *names["tool"], beyond],
+            f"row {row + 2}, t",
+            f"{time[row + 1]:g} follows {time[row]:g}; the time must increase from row to row.",
         )
-        if beyond in columns:
-            raise InputFileError(
-                path,
-                beyond,
-                f"the trajectory has more joints than the robot, {joints}. Give the trajectory of "
-                "this robot.",
-            )
-        self.time = np.array(columns["t"])
-        for row in np.flatnonzero(np.diff(self.time) <= 0):
-            raise InputFileError(
-                path,
-                f"row {row + 2}, t",
-                f"{self.time[row + 1]:g} follows {self.time[row]:g}; the time must increase from "
-                "row to row.",
-            )
-        self._quantities = {
-            quantity: np.column_stack([columns[name] for name in own])
-            for quantity, own in names.items()
-            if all(name in columns for name in own)
-        }
+    return table
 
-    @property
-    def position(self) -> np.ndarray:
-        """Joint positions (K, n) [rad] or [m]."""
-        return self._quantities["q"]
 
-    @property
-    def spring(self) -> np.ndarray:
-        """Spring torques (K, n) [N m] or [N]."""
-        return self._quantities["tau_spring"]
+def _link_motion(
+    table: dict[str, np.ndarray], robot: Robot
+) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
+    """Return position, velocity and acceleration (K, n) of the links.
 
-    def links(self, robot: Robot) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
-        """Return position, velocity and acceleration (K, n) of the links.
-
-        If the file has a link motion that differs from the joint motion, as with vibration
-        suppression, its derivatives are those of a spline.
-        """
-        link, velocity, acceleration = (self.get(each) for each in ("link", "qd", "qdd"))
-        if link is None or velocity is None or acceleration is None or len(link) <= _SPLINE_DEGREE:
-            return self.position, velocity, acceleration
-        turning = ~robot.prismatic
-        torque = joint_wrenches(robot, self.position, velocity, acceleration, np.zeros(3))[..., 5]
-        own = np.abs(torque - self.spring)[:, turning].max(initial=0.0)
-        if own <= _MOTION_TORQUE_TOLERANCE * np.abs(self.spring[:, turning]).max(initial=0.0):
-            return self.position, velocity, acceleration
-        spline = make_interp_spline(self.time, link, _SPLINE_DEGREE)
-        rate, second = (spline.derivative(order)(self.time) for order in (1, 2))
-        return link, np.asarray(rate), np.asarray(second)
-
-    def get(self, quantity: str) -> np.ndarray | None:
-        """Return a quantity (K, n or 3); None if a column is missing."""
-        return self._quantities.get(quantity)
+    If the file has a link motion that differs from the joint motion, as with vibration
+    suppression, its derivatives are those of a spline.
+    """
+    position, spring = table["q"], table["tau_spring"]
+    link, velocity, acceleration = (table.get(each) for each in ("link", "qd", "qdd"))
+    if link is None or velocity is None or acceleration is None or len(link) <= _SPLINE_DEGREE:
+        return position, velocity, acceleration
+    turning = ~robot.prismatic
+    torque = joint_wrenches(robot, position, velocity, acceleration, np.zeros(3))[..., 5]
+    own = np.abs(torque - spring)[:, turning].max(initial=0.0)
+    if own <= _MOTION_TORQUE_TOLERANCE * np.abs(spring[:, turning]).max(initial=0.0):
+        return position, velocity, acceleration
+    spline = make_interp_spline(table["t"], link, _SPLINE_DEGREE)
+    rate, second = (spline.derivative(order)(table["t"]) for order in (1, 2))
+    return link, np.asarray(rate), np.asarray(second)
 
 
 def _check_tool(path: Path, robot: Robot, own: np.ndarray, written: np.ndarray) -> None:

@@ -19,6 +19,7 @@ from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.nlp import Levels, PreloadNlp
 from stiffopt.preload.problem import PreloadProblem
 from stiffopt.preload.solution import PreloadSolution, evaluate_design
+from stiffopt.preload.utilisation import utilisation_rows
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver.ipopt import IpoptOptions, IpoptSolver, RawSolution, kkt_residual
 from stiffopt.solver.monitor import Progress
@@ -177,19 +178,23 @@ def _exact_optimum(
     lower, upper = nlp.bounds()
     preloads = lower + 0.7 * (upper - lower) if start is None else start
     x0 = np.concatenate([preloads / nlp.scale, np.full(nlp.nlp.x.numel() - size, 2.0)])
+    shifted = nlp.depends_on_stiffness or nlp.depends_on_deflection
+    parameters = nlp.parameters(preloads)
     iterations = 0
     # Corrections of the smooth law, until preloads change by less than IPOPT's accuracy.
-    for _ in range(12):
-        parameters = nlp.parameters(preloads)
+    for _ in range(20):
         raw = solver.solve(x0, parameters, report=progress)
         iterations += raw.iterations
         found = nlp.model.without_rounding(raw.x[:size] * nlp.scale)
         step = float(np.max(np.abs(found - preloads) / nlp.scale))
         preloads = found
-        shifted = nlp.depends_on_stiffness or nlp.depends_on_deflection
-        if not (raw.converged and shifted) or step < 1e-8:
+        if shifted:
+            parameters = nlp.parameters(preloads)
+        # Of the exact law at the point found, so that corrections that do not settle prove nothing.
+        result = Optimum(preloads, raw, kkt_residual(nlp.nlp, raw, parameters), iterations)
+        if not (raw.converged and shifted) or (step < 1e-8 and result.proved):
             break
-    return Optimum(preloads, raw, kkt_residual(nlp.nlp, raw, parameters), iterations)
+    return result
 
 
 def _solve_under_cases(model: PreloadModel, progress: ProgressReport | None) -> PreloadSolution:
@@ -204,10 +209,15 @@ def _solve_under_cases(model: PreloadModel, progress: ProgressReport | None) -> 
         if stoppers:
             return evaluate_design(model, upper, SolveStatus.INFEASIBLE, stoppers=stoppers)
     found = optimum(model, problem.objective, progress=progress)
+    status = found.status
+    if status is SolveStatus.INFEASIBLE and all(
+        row.satisfied for row in utilisation_rows(model, upper)
+    ):
+        status = SolveStatus.ITERATION_LIMIT
     return evaluate_design(
         model,
         found.preloads,
-        found.status,
+        status,
         kkt_residual=found.kkt_residual,
         iterations=found.iterations,
     )

@@ -15,14 +15,7 @@ import numpy as np
 from stiffopt.dynamics.inverse_kinematics import solve_pose
 from stiffopt.errors import InputFileError, ProblemError
 from stiffopt.files import load_toml, read_document
-from stiffopt.problem.branches import (
-    CostTable,
-    best_combination,
-    branch_name,
-    quintic_durations,
-    solutions_of_pose,
-    within_limits,
-)
+from stiffopt.problem import branches, schema
 from stiffopt.problem.cycle import (
     MIN_LEG_TIME,
     CarriedLoad,
@@ -45,13 +38,6 @@ from stiffopt.problem.files import (
 from stiffopt.problem.joint_lists import JointLists
 from stiffopt.problem.limit import Limits
 from stiffopt.problem.resolve import check_range
-from stiffopt.problem.schema import (
-    ExpectedSection,
-    MoveSection,
-    NamedTarget,
-    ProblemFile,
-    problem_file,
-)
 from stiffopt.problem.trajectory import Target, TrajectoryProblem
 from stiffopt.robot.clearance import ClearanceModel
 from stiffopt.robot.elements import locate_errors
@@ -65,7 +51,7 @@ class LoadedCycle:
     """Cycle of a file, with the expected value of its solution."""
 
     cycle: Cycle
-    expected: ExpectedSection | None
+    expected: schema.ExpectedSection | None
     path: Path
 
 
@@ -96,7 +82,7 @@ def load_cycle(
     Raises `InputFileError`: the file is invalid: file, key, allowed values and remedy.
     """
     path = Path(path)
-    document = read_document(path, problem_file(), "trajectory", changes)
+    document = read_document(path, schema.problem_file(), "trajectory", changes)
     with locate_errors(path, ""):
         cycle = _CycleReader(document, path, robots).read()
     check_expected_unit(document.expected, cycle.first.objectives, path)
@@ -107,7 +93,7 @@ class _CycleReader:
     """Reader of one file."""
 
     def __init__(
-        self, document: ProblemFile, path: Path, robots: Callable[[str | Path], Robot]
+        self, document: schema.ProblemFile, path: Path, robots: Callable[[str | Path], Robot]
     ) -> None:
         self._document, self._path = document, path
         self._moves = document.move
@@ -209,7 +195,7 @@ class _CycleReader:
         """Visits in order, the start first (of move 0)."""
         keys: dict[Any, int] = {}
 
-        def visit(move: int, section: NamedTarget, where: str, passed: bool) -> _Step:
+        def visit(move: int, section: schema.NamedTarget, where: str, passed: bool) -> _Step:
             target = self._poses(section, where)
             load = self._loads[max(move - 1, 0)]
             pose = keys.setdefault((section, load.tool), len(keys)) if target.fixes_pose else None
@@ -266,19 +252,19 @@ class _CycleReader:
             if before.pose == after.pose:
                 continue
             speed = self._moves[after.move - 1].speed
-            cost = quintic_durations(
+            cost = branches.quintic_durations(
                 np.stack(candidates[before.pose]),
                 np.stack(candidates[after.pose]),
                 (speed * limits.velocity, limits.acceleration, limits.jerk),
             )
-            tables.append(CostTable((before.pose, after.pose), cost))
-        best = best_combination(tables, len(candidates))
+            tables.append(branches.CostTable((before.pose, after.pose), cost))
+        best = branches.best_combination(tables, len(candidates))
         chosen = [candidates[pose][k] for pose, k in enumerate(best)]
         postures = tuple(
             Posture(
                 name=self._pose_name(visits[pose][0]),
                 joints=chosen[pose],
-                branch=branch_name(base, chosen[pose]),
+                branch=branches.branch_name(base, chosen[pose]),
                 chosen=visits[pose][0].target.joints is None
                 and visits[pose][0].target.near is None,
                 candidates=len(candidates[pose]),
@@ -309,7 +295,7 @@ class _CycleReader:
         target = step.target
         with locate_errors(self._path, step.where):
             loads = {self._loads[k] for each in visits for k in (max(each.move - 1, 0), each.move)}
-            robot = within_limits(self._robot(self._loads[max(step.move - 1, 0)]), limits)
+            robot = branches.within_limits(self._robot(self._loads[max(step.move - 1, 0)]), limits)
             if target.joints is not None:
                 check_range(robot, limits, "joints", target.joints)
                 return [target.joints]
@@ -337,7 +323,9 @@ class _CycleReader:
                     too_heavy.append((shares[heaviest], heaviest))
                 return shares[heaviest] <= 1.0
 
-            found = solutions_of_pose(robot, target.position, rotation, reference, admissible)
+            found = branches.solutions_of_pose(
+                robot, target.position, rotation, reference, admissible
+            )
             if not found and not too_heavy:
                 # States the cause where the pose is out of reach.
                 solve_pose(robot, target.position, rotation, reference)
@@ -356,7 +344,7 @@ class _CycleReader:
 
     def _pose_name(self, step: _Step) -> str:
         if step.move == 0:
-            entry: NamedTarget | None = self._document.motion.start
+            entry: schema.NamedTarget | None = self._document.motion.start
         else:
             move = self._moves[step.move - 1]
             entry = move.to if step.where.endswith(".to") else None
@@ -391,7 +379,7 @@ class _CycleReader:
         last: _Step,
         chosen: Sequence[np.ndarray],
     ) -> Leg:
-        move: MoveSection = self._moves[numbers[-1] - 1]
+        move: schema.MoveSection = self._moves[numbers[-1] - 1]
         load, after = self._loads[numbers[-1] - 1], self._loads[numbers[-1]]
         limits: Limits = self._common["limits"]
         if move.speed != 1.0:
@@ -470,7 +458,7 @@ class _CycleReader:
             leg = number[after.move]
             limits = legs[leg].problem.active_limits
             ends = (chosen[before.pose][None], chosen[after.pose][None])
-            needed[leg] += quintic_durations(
+            needed[leg] += branches.quintic_durations(
                 *ends, (limits.velocity, limits.acceleration, limits.jerk)
             )[0, 0]
         share = np.maximum(left * needed / needed.sum(), MIN_LEG_TIME)

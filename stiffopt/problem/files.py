@@ -13,21 +13,11 @@ import numpy as np
 from stiffopt.declaration import declared
 from stiffopt.errors import InputFileError, nearest
 from stiffopt.files import read_document
+from stiffopt.problem import schema
 from stiffopt.problem.joint_lists import JointLists
 from stiffopt.problem.limit import LIMITS, Limits
 from stiffopt.problem.objective import Objective
 from stiffopt.problem.path_files import on_positioner, read_tool_path
-from stiffopt.problem.schema import (
-    DutySection,
-    ExpectedSection,
-    LimitsSection,
-    NamedTarget,
-    PayloadSection,
-    PoseSection,
-    ProblemFile,
-    ToolPointSection,
-    problem_file,
-)
 from stiffopt.problem.trajectory import (
     Target,
     TrajectoryProblem,
@@ -46,7 +36,7 @@ class LoadedProblem:
     """Problem of a file, with the expected value of its solution."""
 
     problem: TrajectoryProblem
-    expected: ExpectedSection | None
+    expected: schema.ExpectedSection | None
     path: Path
 
 
@@ -64,7 +54,7 @@ def load_problem(
     result keeps it.
     """
     path = Path(path)
-    document = read_document(path, problem_file(), "trajectory", changes)
+    document = read_document(path, schema.problem_file(), "trajectory", changes)
     with locate_errors(path, ""):
         problem = _build_problem(document, path, robots, choice)
     check_expected_unit(document.expected, problem.objectives, path)
@@ -72,7 +62,7 @@ def load_problem(
 
 
 def check_expected_unit(
-    expected: ExpectedSection | None, objectives: Sequence[Objective], path: Path
+    expected: schema.ExpectedSection | None, objectives: Sequence[Objective], path: Path
 ) -> None:
     """Raise `InputFileError` where the expected value is in no unit of a single objective."""
     if expected is not None and len(objectives) == 1:
@@ -81,7 +71,7 @@ def check_expected_unit(
 
 
 def _build_problem(
-    document: ProblemFile, path: Path, robots: Callable[[str | Path], Robot], choice: object
+    document: schema.ProblemFile, path: Path, robots: Callable[[str | Path], Robot], choice: object
 ) -> TrajectoryProblem:
     if document.move:
         raise InputFileError(
@@ -150,12 +140,12 @@ def _build_problem(
         boundary_velocity=velocity,
         boundary_acceleration=motion.boundary_acceleration,
         remarks=remarks,
-        duty=None if document.duty == DutySection() else read_duty(document.duty, joints),
+        duty=None if document.duty == schema.DutySection() else read_duty(document.duty, joints),
         **fields,
     )
 
 
-def read_duration(document: ProblemFile) -> tuple[float, float]:
+def read_duration(document: schema.ProblemFile) -> tuple[float, float]:
     """Lower and upper duration [s] of a file; equal where it is fixed."""
     duration = document.motion.duration
     if isinstance(duration, float):
@@ -163,7 +153,7 @@ def read_duration(document: ProblemFile) -> tuple[float, float]:
     return duration.lower, np.inf if duration.upper is None else duration.upper
 
 
-def common_fields(document: ProblemFile, joints: JointLists) -> dict[str, Any]:
+def common_fields(document: schema.ProblemFile, joints: JointLists) -> dict[str, Any]:
     """Fields of `TrajectoryProblem` that a single motion and every leg of a cycle share."""
     limits = _read_limits(document.limits, joints)
     return {
@@ -184,7 +174,7 @@ def common_fields(document: ProblemFile, joints: JointLists) -> dict[str, Any]:
     }
 
 
-def read_duty(section: DutySection, joints: JointLists) -> DutyLimits:
+def read_duty(section: schema.DutySection, joints: JointLists) -> DutyLimits:
     """Limits of the duty of a file."""
 
     def by_joint(name: str) -> np.ndarray | None:
@@ -199,7 +189,7 @@ def read_duty(section: DutySection, joints: JointLists) -> DutyLimits:
     )
 
 
-def payload_remarks(payload: PayloadSection | None) -> tuple[str, ...]:
+def payload_remarks(payload: schema.PayloadSection | None) -> tuple[str, ...]:
     """Assumptions about the payload, repeated in results."""
     if payload is None or payload.inertia is not None or payload.mass == 0.0:
         return ()
@@ -211,8 +201,8 @@ def payload_remarks(payload: PayloadSection | None) -> tuple[str, ...]:
 
 def read_robot(
     name: str,
-    payload: PayloadSection | None,
-    tool: ToolPointSection,
+    payload: schema.PayloadSection | None,
+    tool: schema.ToolPointSection,
     path: Path,
     robots: Callable[[str | Path], Robot] = load_robot,
 ) -> Robot:
@@ -233,7 +223,7 @@ def read_robot(
 class PoseReader:
     """Targets of a file, with those of [[pose]] by their names."""
 
-    def __init__(self, joints: JointLists, poses: Sequence[PoseSection]) -> None:
+    def __init__(self, joints: JointLists, poses: Sequence[schema.PoseSection]) -> None:
         self._joints, self.named = joints, {each.name: each for each in poses}
         for number, each in enumerate(poses, start=1):
             if self.named[each.name] is not each:
@@ -242,7 +232,7 @@ class PoseReader:
                     "Rename one."
                 )  # fmt: skip
 
-    def __call__(self, section: NamedTarget, where: str) -> Target:
+    def __call__(self, section: schema.NamedTarget, where: str) -> Target:
         """Target of an entry at the key `where`."""
         if isinstance(section, str):
             if section not in self.named:
@@ -267,7 +257,7 @@ class PoseReader:
             )
 
 
-def _read_limits(section: LimitsSection, joints: JointLists) -> Limits:
+def _read_limits(section: schema.LimitsSection, joints: JointLists) -> Limits:
     values: dict[str, Any] = {}
     for kind in LIMITS.values():
         values |= kind.read(section, joints)

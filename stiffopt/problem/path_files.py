@@ -37,14 +37,9 @@ from stiffopt.problem.tool_path import (
     spline_segments,
 )
 from stiffopt.result.joint_path import JointPath
+from stiffopt.robot import frames
 from stiffopt.robot.cell import Cell
 from stiffopt.robot.elements import locate_errors
-from stiffopt.robot.frames import (
-    link_frame,
-    link_names,
-    moving_link_names,
-    rotation_from_rpy,
-)
 from stiffopt.robot.joint_load import supporting_joints
 from stiffopt.robot.robot import Robot
 from stiffopt.units import convert
@@ -73,13 +68,13 @@ def on_positioner(robot: Robot, link: str, process_force: Sequence[float]) -> Ro
     the base.
     """
     held = [each.name for each in robot.held if each.why == "not on the way to the tool"]
-    if link in link_names(robot.model) and link not in moving_link_names(robot.model):
+    if link in frames.link_names(robot.model) and link not in frames.moving_link_names(robot.model):
         raise ProblemError(
             f"the link {link!r} does not move"
             + (f": {', '.join(held)} are held. Name the joints that move it in [[joint]] sections "
                "of the robot file." if held else ". Leave path.frame.link out.")
         )  # fmt: skip
-    work = link_frame(robot.model, link)
+    work = frames.link_frame(robot.model, link)
     if robot.tool.joint in supporting_joints(robot.model, work.joint):
         raise ProblemError(
             f"the link {link!r} moves with the tool. Name a link of another branch of the URDF, or "
@@ -112,7 +107,7 @@ def read_tool_path(
     if posture is not None:
         near = joints(posture, "angle", "path.near")
     with locate_errors(joints.path, ""):
-        frame = rotation_from_rpy(section.frame.rpy), np.array(section.frame.position)
+        frame = frames.rotation_from_rpy(section.frame.rpy), np.array(section.frame.position)
         if section.table is not None:
             path, forces, at, names = _table_path(section.table, section, joints.path, frame)
         else:
@@ -180,7 +175,7 @@ ForcedPath = tuple[ToolPath, np.ndarray, np.ndarray, list[str]]
 def _segment_path(section: PathSection, frame: Frame) -> ForcedPath:
     assert section.start is not None
     turn, origin = frame
-    rotation = turn @ rotation_from_rpy(section.start.rpy)
+    rotation = turn @ frames.rotation_from_rpy(section.start.rpy)
     start = origin + turn @ np.array(section.start.position)
     segments: list[ToolSegment] = []
     at = start
@@ -217,7 +212,7 @@ def _segment(
         curve = spline.curve
     return ToolSegment(
         end=end,
-        rotation=None if each.to.rpy is None else turn @ rotation_from_rpy(each.to.rpy),
+        rotation=None if each.to.rpy is None else turn @ frames.rotation_from_rpy(each.to.rpy),
         through=None if each.through is None else origin + turn @ np.array(each.through),
         blend=each.blend,
         curve=curve,
@@ -346,4 +341,4 @@ def _table_rotations(
             file, "", "has no orientations: add the columns rx, ry, rz or qw, qx, qy, qz, or give "
             "path.table.rpy for all rows."
         )  # fmt: skip
-    return np.repeat(rotation_from_rpy(table.rpy)[None], count, axis=0)
+    return np.repeat(frames.rotation_from_rpy(table.rpy)[None], count, axis=0)

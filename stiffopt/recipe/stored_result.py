@@ -16,7 +16,6 @@ from stiffopt.command.command_search import ExistingCommand
 from stiffopt.command.simulation import PlannedMotion, rival_motions
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import InputFileError, shortened
-from stiffopt.files import read_table
 from stiffopt.folders import check_result, is_regular
 from stiffopt.problem.files import LoadedProblem, load_problem
 from stiffopt.problem.resolve import resolve
@@ -24,10 +23,11 @@ from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
 from stiffopt.result.archive import ARCHIVE_FILE, read_archive
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.compensation import COMMAND_FILE
+from stiffopt.result.motion_table import read_motion_table
 from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.simulation import PeakRms
 from stiffopt.result.solution import Solution
-from stiffopt.result.store import FORCE_COLUMNS, RESULT_FILE, TRAJECTORY_FILE, read_document
+from stiffopt.result.store import RESULT_FILE, TRAJECTORY_FILE, read_document
 from stiffopt.result.trajectory import ForceHistory, JointMotion
 from stiffopt.solver.family import WarmStart
 from stiffopt.transcription.prepared import read_prepared, write_prepared
@@ -94,7 +94,9 @@ def read_result(
         raise InputFileError(
             path, "certificate", f"has no usable numbers: {shortened(error)}. Solve again."
         ) from error
-    time, position, velocity, windup = _read_trajectory(folder / TRAJECTORY_FILE, stated.joints)
+    time, position, velocity, windup = _read_joint_table(
+        folder / TRAJECTORY_FILE, stated.joints, ("q", "qd", "windup")
+    )
     own = PlannedMotion(
         name="optimised",
         time=time,
@@ -124,11 +126,10 @@ def _named_file(path: Path, document: dict[str, Any], key: str) -> Path | None:
 
 def _read_force(path: Path) -> ForceHistory | None:
     """Read the force along the path from trajectory.csv, None where there is none."""
-    table = read_table(path, ["t"], FORCE_COLUMNS)
-    if not all(name in table for name in FORCE_COLUMNS):
+    table = read_motion_table(path, 0, (), ["force_"])
+    if "force_" not in table:
         return None
-    force = np.stack([np.array(table[name]) for name in FORCE_COLUMNS], axis=1)
-    return ForceHistory(np.array(table["t"]), force)
+    return ForceHistory(table["t"], table["force_"])
 
 
 def problem_file(path: Path, document: dict[str, Any], given: Path | None = None) -> Path:
@@ -221,28 +222,20 @@ def _read_command(
 
 def _read_planned_links(folder: Path, joints: int) -> JointMotion | None:
     """Read the planned motion of the links, None where the motors follow the plan."""
-    names = [f"link{j}" for j in range(1, joints + 1)]
-    table = read_table(folder / TRAJECTORY_FILE, ["t"], names)
-    if not all(name in table for name in names):
+    table = read_motion_table(folder / TRAJECTORY_FILE, joints, (), ["link"])
+    if "link" not in table:
         return None
-    moments = np.array(table["t"])
-    links = CubicSpline(moments, np.array([table[n] for n in names]).T, bc_type="clamped")
+    moments = table["t"]
+    links = CubicSpline(moments, table["link"], bc_type="clamped")
     return _TableMotion(moments, links(moments), links(moments, 1), links(moments, 2))
-
-
-def _read_trajectory(path: Path, joints: int) -> tuple[np.ndarray, ...]:
-    """Read times (K,), positions, velocities and wind-ups (K, n) of a trajectory.csv."""
-    return _read_joint_table(path, joints, ("q", "qd", "windup"))
 
 
 def _read_joint_table(path: Path, joints: int, quantities: Sequence[str]) -> tuple[np.ndarray, ...]:
     """Read times (K,) and joint quantities (K, n) of a table."""
-    names = [[f"{quantity}{j}" for j in range(1, joints + 1)] for quantity in quantities]
-    table = read_table(path, ["t", *(name for own in names for name in own)])
-    time = np.array(table["t"])
-    if time[0] != 0.0 or not np.all(np.diff(time) > 0.0):
+    table = read_motion_table(path, joints, quantities)
+    if table["t"][0] != 0.0 or not np.all(np.diff(table["t"]) > 0.0):
         raise InputFileError(path, "t", "the times must begin at 0 and increase.")
-    return time, *(np.array([table[name] for name in own]).T for own in names)
+    return tuple(table.values())
 
 
 def read_guess(folder: Path, problem: TrajectoryProblem) -> Assessment:
@@ -251,7 +244,9 @@ def read_guess(folder: Path, problem: TrajectoryProblem) -> Assessment:
     Raises `InputFileError`: the folder has no motion of as many joints.
     """
     check_result(folder, TRAJECTORY_FILE)
-    time, position, velocity, _ = _read_trajectory(folder / TRAJECTORY_FILE, problem.joints)
+    time, position, velocity = _read_joint_table(
+        folder / TRAJECTORY_FILE, problem.joints, ("q", "qd")
+    )
     return assess(problem, _TableMotion(time, position, velocity), times=time)
 
 

@@ -14,15 +14,8 @@ from stiffopt.connection.constant import Constant
 from stiffopt.connection.reducer import Reducer
 from stiffopt.drivetrain.chain import Chain, Stage
 from stiffopt.errors import InputFileError, nearest
+from stiffopt.recording import schema
 from stiffopt.recording.nominal import Counterbalance, Noise, Nominal, Tolerance
-from stiffopt.recording.schema import (
-    NoiseSection,
-    NominalSection,
-    RecordingsFile,
-    ReducerCurvesSection,
-    SpringSection,
-    TableSection,
-)
 from stiffopt.robot.elements import locate_errors
 from stiffopt.robot.robot import Robot
 
@@ -47,7 +40,7 @@ def per_joint(
     return numbers
 
 
-def build_nominal(section: NominalSection, joints: Sequence[str], path: Path) -> Nominal:
+def build_nominal(section: schema.NominalSection, joints: Sequence[str], path: Path) -> Nominal:
     """Nominal values of the section beside the robot, one entry per joint."""
     n = len(joints)
     lists = {key: _finite_per_joint(section, key, n, path) for key in _DRIVE_LISTS}
@@ -73,7 +66,7 @@ def build_nominal(section: NominalSection, joints: Sequence[str], path: Path) ->
     )
 
 
-def check_nominal(section: NominalSection, joints: Sequence[str], path: Path) -> None:
+def check_nominal(section: schema.NominalSection, joints: Sequence[str], path: Path) -> None:
     """Raise `InputFileError` where a list of the section does not match these joints."""
     build_nominal(section, joints, path)
     for key in _ROBOT_LISTS:
@@ -81,7 +74,7 @@ def check_nominal(section: NominalSection, joints: Sequence[str], path: Path) ->
 
 
 def build_nominal_robot(
-    described: Robot, order: np.ndarray, section: NominalSection, path: Path
+    described: Robot, order: np.ndarray, section: schema.NominalSection, path: Path
 ) -> Robot:
     """Robot of its own file with the values that the section states.
 
@@ -101,7 +94,7 @@ def build_nominal_robot(
     return replace(robot, chains=tuple(chains[j] for j in of_set))
 
 
-def missing_nominal_values(section: NominalSection, described: Robot) -> tuple[str, ...]:
+def missing_nominal_values(section: schema.NominalSection, described: Robot) -> tuple[str, ...]:
     """Keys of coulomb, viscous, rotor_inertia that neither a set nor its robot file gives."""
     return tuple(
         key
@@ -111,7 +104,7 @@ def missing_nominal_values(section: NominalSection, described: Robot) -> tuple[s
 
 
 def build_chains(
-    section: NominalSection, torque_max: np.ndarray, path: Path
+    section: schema.NominalSection, torque_max: np.ndarray, path: Path
 ) -> tuple[Chain | None, ...] | None:
     """Drivetrain of each joint: its reducer, and its contacts as one spring; None is rigid.
 
@@ -159,7 +152,7 @@ def build_joint_chain(
     return Chain(tuple(Stage(element) for element in elements)) if elements else None
 
 
-def build_noise(section: NoiseSection, n: int, path: Path) -> Noise:
+def build_noise(section: schema.NoiseSection, n: int, path: Path) -> Noise:
     """Sensor noise, one entry per joint."""
     return Noise(
         **{
@@ -169,14 +162,16 @@ def build_noise(section: NoiseSection, n: int, path: Path) -> Noise:
     )
 
 
-def _finite_per_joint(section: NominalSection, key: str, n: int, path: Path) -> np.ndarray | None:
+def _finite_per_joint(
+    section: schema.NominalSection, key: str, n: int, path: Path
+) -> np.ndarray | None:
     numbers = per_joint(getattr(section, key), n, path, f"nominal.{key}")
     if numbers is not None and not np.isfinite(numbers).all():
         raise InputFileError(path, f"nominal.{key}", f"got {list(numbers)}, not finite.")
     return numbers
 
 
-def _reducer_curves(section: ReducerCurvesSection, n: int, path: Path) -> np.ndarray:
+def _reducer_curves(section: schema.ReducerCurvesSection, n: int, path: Path) -> np.ndarray:
     """K1, K2, K3, T1, T2 of all joints (5, n)."""
     rows = []
     for key in ("K1", "K2", "K3", "T1", "T2"):
@@ -189,7 +184,7 @@ def _reducer_curves(section: ReducerCurvesSection, n: int, path: Path) -> np.nda
 
 
 def _read_counterbalance(
-    section: SpringSection | TableSection, joints: Sequence[str], path: Path
+    section: schema.SpringSection | schema.TableSection, joints: Sequence[str], path: Path
 ) -> Counterbalance:
     where = "nominal.counterbalance"
     joint = section.joint
@@ -203,7 +198,7 @@ def _read_counterbalance(
         raise InputFileError(
             path, f"{where}.joint", f"got {joint}, allowed are 1 to {len(joints)} or a name."
         )
-    if isinstance(section, SpringSection):
+    if isinstance(section, schema.SpringSection):
         return Counterbalance(joint=joint - 1, stiffness=section.stiffness, offset=section.offset)
     angle, torque = np.array(section.angle), np.array(section.torque)
     if angle.shape != torque.shape or len(angle) < 2 or not (np.diff(angle) > 0.0).all():
@@ -217,7 +212,7 @@ NO_RATIO = "nominal.gear_ratio is not given: nothing periodic in the rotor angle
 
 
 def assumptions(
-    document: RecordingsFile, described: Robot, locked: Sequence[str]
+    document: schema.RecordingsFile, described: Robot, locked: Sequence[str]
 ) -> tuple[str, ...]:
     """Assumptions in place of missing entries, one sentence each, in the order of the file.
 
@@ -246,7 +241,7 @@ def assumptions(
 
 
 def nominal_assumptions(
-    nominal: NominalSection, tolerance: Tolerance, described: Robot, *, links: bool
+    nominal: schema.NominalSection, tolerance: Tolerance, described: Robot, *, links: bool
 ) -> tuple[str, ...]:
     """Assumptions on the nominal robot and its tolerances, which an extended model replaces."""
     found = [*_list_nominal_assumptions(nominal, described, links)]
@@ -261,7 +256,7 @@ def missing_tolerances(tolerance: Tolerance) -> list[str]:
 
 
 def _list_nominal_assumptions(
-    nominal: NominalSection, described: Robot, links: bool
+    nominal: schema.NominalSection, described: Robot, links: bool
 ) -> Iterator[str]:
     if nominal.gear_ratio is None:
         yield NO_RATIO

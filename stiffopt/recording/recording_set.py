@@ -14,6 +14,7 @@ from stiffopt.actuator.law import ActuatorLaw
 from stiffopt.actuator.position_servo import PositionServo
 from stiffopt.errors import InputFileError
 from stiffopt.files import apply_changes, load_toml
+from stiffopt.recording import recorded_arm
 from stiffopt.recording.clean import clean_run
 from stiffopt.recording.nominal import Noise, Nominal, Tolerance
 from stiffopt.recording.nominal_files import (
@@ -26,13 +27,6 @@ from stiffopt.recording.nominal_files import (
     per_joint,
 )
 from stiffopt.recording.readers.read import find_set_file, read_columns
-from stiffopt.recording.recorded_arm import (
-    RecordedArm,
-    describe_arm,
-    joint_order,
-    load_arm,
-    path_inside_set,
-)
 from stiffopt.recording.run import RecordedRun, Role, derive_torque
 from stiffopt.recording.schema import NominalSection, RecordingsFile, RunSection
 from stiffopt.recording.signals import Signals, build_signals
@@ -60,7 +54,7 @@ class RunEntry:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class RecordingSet(RecordedArm):
+class RecordingSet(recorded_arm.RecordedArm):
     """Recordings of one robot and the nominal model of its simulation."""
 
     tool_frame: str | None
@@ -123,7 +117,7 @@ class RecordingSet(RecordedArm):
         Raises `InputFileError`: a file that is missing or has other columns, a clock that runs
         backwards, too few samples.
         """
-        path = path_inside_set(self.path, "runs", entry.file)
+        path = recorded_arm.path_inside_set(self.path, "runs", entry.file)
         columns = self.signals.to_si(read_columns(path, self.signals))
         run = clean_run(
             columns,
@@ -151,10 +145,10 @@ def load_recordings(path: str | os.PathLike[str], changes: Sequence[str] = ()) -
         raise InputFileError(path, "schema", f"this version reads schema = 1, {got}.")
     document = validate(RecordingsFile, data, path)
     n = len(document.joints)
-    described, locked = load_arm(
+    described, locked = recorded_arm.load_arm(
         document.robot, document.joints, path, document.tool_frame, document.gravity
     )
-    order, stated = joint_order(described, document.joints), document.nominal
+    order, stated = recorded_arm.joint_order(described, document.joints), document.nominal
     robot = build_nominal_robot(described, order, stated, path)
     nominal = build_nominal(stated, document.joints, path)
     tolerance = document.tolerance
@@ -165,7 +159,7 @@ def load_recordings(path: str | os.PathLike[str], changes: Sequence[str] = ()) -
     )
     _check_names(runs, path)
     return RecordingSet(
-        **describe_arm(document, path),
+        **recorded_arm.describe_arm(document, path),
         robot=robot,
         locked=locked,
         tool_frame=document.tool_frame,
@@ -229,7 +223,7 @@ def require_usable(recordings: RecordingSet, usable: Set[str]) -> None:
 
 
 def _run_entry(section: RunSection, n: int, number: int, path: Path) -> RunEntry:
-    path_inside_set(path, f"runs[{number + 1}].file", section.file)
+    recorded_arm.path_inside_set(path, f"runs[{number + 1}].file", section.file)
     return RunEntry(
         file=section.file,
         role=section.role,

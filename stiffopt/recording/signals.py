@@ -260,6 +260,9 @@ def entries_of_columns(entry: Any, count: int, path: Path, where: str) -> list[f
     return entries
 
 
+_COUNTS_HINT = ": of an encoder's counts 2 pi over the counts of a turn of the joint."
+
+
 def unit_factor(
     entry: float | str,
     dimension: str,
@@ -272,8 +275,8 @@ def unit_factor(
         value = convert(f"1 {entry}", dimension) if isinstance(entry, str) else entry
     except UnitError as error:
         raise InputFileError(
-            path, where, f"{error} Where no unit fits, give the number that one of it is in SI: of "
-            "an encoder's counts 2 pi over the counts of a turn of the joint."
+            path, where, f"{error} Where no unit fits, give the number that one of it is in SI"
+            + (_COUNTS_HINT if dimension.startswith("ang") else ".")
         ) from None  # fmt: skip
     if not value or not np.isfinite(value):
         raise InputFileError(path, where, f"got {entry}; a factor is finite and not 0.")

@@ -12,16 +12,9 @@ import numpy as np
 
 from stiffopt.errors import InputFileError, UnitError
 from stiffopt.files import load_toml, read_document
+from stiffopt.recording import recorded_arm
 from stiffopt.recording.nominal_files import per_joint
 from stiffopt.recording.readers.read import read_named_columns
-from stiffopt.recording.recorded_arm import (
-    RecordedArm,
-    check_range,
-    describe_arm,
-    joint_order,
-    load_arm,
-    path_inside_set,
-)
 from stiffopt.recording.schema import StaticFile
 from stiffopt.recording.signals import entries_of_columns, unit_factor
 from stiffopt.recording.stated_units import BRACKET_PATTERN, stated_unit
@@ -31,7 +24,7 @@ STATIC_FILE = "static.toml"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class StaticSet(RecordedArm):
+class StaticSet(recorded_arm.RecordedArm):
     """Measured deflections of an arm at rest."""
 
     tool_frame: str
@@ -63,13 +56,13 @@ def load_static_set(path: str | os.PathLike[str], changes: Sequence[str] = ()) -
             "position",
             f"needs one column a joint ({n}), got {len(document.position)}.",
         )
-    robot, locked = load_arm(
+    robot, locked = recorded_arm.load_arm(
         document.robot, document.joints, path, document.tool_frame, document.gravity
     )
     columns = (*document.position, *document.force, *document.displacement)
     if len(set(columns)) < len(columns):
         raise InputFileError(path, "", "one column is named for two quantities. Correct the names.")
-    poses = path_inside_set(path, "poses", document.poses)
+    poses = recorded_arm.path_inside_set(path, "poses", document.poses)
     table = read_named_columns(poses, columns)
     for name in columns:
         for place in np.flatnonzero(~np.isfinite(table[name])):
@@ -78,7 +71,7 @@ def load_static_set(path: str | os.PathLike[str], changes: Sequence[str] = ()) -
                 f"row {place + 1}, {name}",
                 "needs a finite number. Complete or delete the row.",
             )
-    order = joint_order(robot, document.joints)
+    order = recorded_arm.joint_order(robot, document.joints)
     angles = ["length" if slides else "angle" for slides in robot.prismatic[order]]
     position, force, displacement = (
         np.column_stack(
@@ -99,9 +92,9 @@ def load_static_set(path: str | os.PathLike[str], changes: Sequence[str] = ()) -
             poses, f"row {row}", "a pose without a force says nothing of stiffness. Delete it."
         )
     # Ranges of a URDF are often approximate, and encoders may be off by a turn.
-    check_range(poses, robot, position[:, np.argsort(order)], slack=2.0 * np.pi)
+    recorded_arm.check_range(poses, robot, position[:, np.argsort(order)], slack=2.0 * np.pi)
     return StaticSet(
-        **describe_arm(document, path),
+        **recorded_arm.describe_arm(document, path),
         robot=robot,
         locked=locked,
         tool_frame=document.tool_frame,

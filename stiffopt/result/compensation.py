@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from stiffopt.files import write_csv
 from stiffopt.result.assessment import Assessment, Violation
+from stiffopt.result.motion_table import write_motion_table
 from stiffopt.result.simulation import SimulatedMotion, simulated_document
 
 
@@ -222,19 +222,15 @@ def write_motors(command: Assessment | None, path: Path) -> Path | None:
     if command is None:
         path.unlink(missing_ok=True)
         return None
-    joints = range(1, command.position.shape[1] + 1)
-    names = ["t", *(f"{quantity}{j}" for quantity in ("q", "qd", "qdd", "tau") for j in joints)]
-    columns = [
-        command.time[:, None],
-        command.position,
-        command.velocity,
-        command.acceleration,
-        command.torque,
-    ]
-    if command.link is not None:
-        columns.append(command.link)
-        names += [f"link{j}" for j in joints]
-    write_csv(path, names, np.hstack(columns).tolist())
+    arrays = {
+        "t": command.time,
+        "q": command.position,
+        "qd": command.velocity,
+        "qdd": command.acceleration,
+        "tau": command.torque,
+        "link": command.link,
+    }
+    write_motion_table(path, arrays)
     return path
 
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stiffopt.files import to_json_types, write_csv, write_json
+from stiffopt.files import to_json_types, write_json
+from stiffopt.result.motion_table import write_motion_table
 from stiffopt.result.provenance import versions
 from stiffopt.result.solution import ObjectiveValue, Solution
 from stiffopt.result.status import SolveStatus
@@ -216,7 +217,7 @@ def write_cycle_simulation(found: CycleSimulation, directory: Path) -> tuple[str
     }
     names = ("simulation.json", "simulation.csv")
     write_json(directory / names[0], document)
-    columns = ["t", *(f"deviation_{axis}" for axis in "xyz"), "distance"]
-    rows = [simulated.time[:, None], simulated.error.position, simulated.distance[:, None]]
-    write_csv(directory / names[1], columns, np.hstack(rows).tolist())
+    error = simulated.error
+    arrays = {"t": error.time, "deviation_": error.position, "distance": error.distance}
+    write_motion_table(directory / names[1], arrays)
     return names

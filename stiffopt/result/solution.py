@@ -12,6 +12,7 @@ import numpy as np
 from stiffopt.errors import InputError
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.compensation import Compensation
+from stiffopt.result.motion_table import motion_columns
 from stiffopt.result.simulation import Simulation
 from stiffopt.result.status import SolveStatus
 from stiffopt.result.trajectory import Trajectory
@@ -192,21 +193,19 @@ class Solution(DisplayedResult):
         motion = self.assessment
         if motion is None:
             raise InputError(f"there is no motion: {self.message}")
-        columns = {"t": motion.time}
-        for name, values in (
-            ("q", motion.position),
-            ("qd", motion.velocity),
-            ("qdd", motion.acceleration),
-            ("tau", motion.torque),
-            ("tau_spring", motion.spring_torque),
-            ("windup", motion.windup),
-        ):
-            columns |= {f"{name}{j}": column for j, column in enumerate(values.T, start=1)}
-        for axis, column in zip("xyz", motion.tool.T, strict=True):
-            columns[f"tool_{axis}"] = column
+        arrays = {
+            "t": motion.time,
+            "q": motion.position,
+            "qd": motion.velocity,
+            "qdd": motion.acceleration,
+            "tau": motion.torque,
+            "tau_spring": motion.spring_torque,
+            "windup": motion.windup,
+            "tool_": motion.tool,
+        }
         for part, vectors in motion.deflection.items():
-            columns[f"deflection_{part}"] = np.linalg.norm(vectors, axis=1)
-        return columns
+            arrays[f"deflection_{part}"] = np.linalg.norm(vectors, axis=1)
+        return motion_columns(arrays)
 
     @property
     def duration(self) -> float | None:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stiffopt.errors import InputError, InputFileError
-from stiffopt.files import load_json, to_json_types, write_csv, write_json
+from stiffopt.files import load_json, to_json_types, write_json
 from stiffopt.folders import check_result
 from stiffopt.result.assessment import Assessment, Violation
 from stiffopt.result.compensation import (
@@ -26,6 +26,7 @@ from stiffopt.result.compensation import (
     compensation_document,
     write_motors,
 )
+from stiffopt.result.motion_table import write_motion_table
 from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.simulation import Simulation, simulation_document
 from stiffopt.result.solution import Baseline, Solution
@@ -41,7 +42,6 @@ EXPORT_RATE = 500.0
 MAX_SAMPLES = 1_000_000
 RESULT_FILE = "result.json"
 TRAJECTORY_FILE = "trajectory.csv"
-FORCE_COLUMNS = ["force_x", "force_y", "force_z"]
 SIMULATION_FILE = "simulation.json"
 
 # Columns of trajectory.csv, and of command.csv as far as it has them; N counts joints from 1.
@@ -243,16 +243,6 @@ def export_times(duration: float, rate: float | None = None) -> np.ndarray:
     return np.append(np.arange(whole + 1) / rate, duration)
 
 
-def trajectory_columns(joints: int) -> list[str]:
-    """Column names of trajectory.csv for a number of joints."""
-    names = ["t"]
-    for quantity in ("q", "qd", "qdd", "tau", "tau_spring", "k", "windup"):
-        names += [f"{quantity}{joint}" for joint in range(1, joints + 1)]
-    for vector in ("tool", "deflection", "deflection_dynamic"):
-        names += [f"{vector}_{axis}" for axis in "xyz"]
-    return names
-
-
 def write_trajectory(
     assessment: Assessment, directory: str | Path, name: str = TRAJECTORY_FILE
 ) -> Path:
@@ -262,29 +252,23 @@ def write_trajectory(
     torques are those of the links' motion (`COLUMNS`). `assessment`: evaluated at
     `export_times(duration)`. `name`: of the file.
     """
-    columns = [
-        assessment.time[:, None],
-        assessment.position,
-        assessment.velocity,
-        assessment.acceleration,
-        assessment.torque,
-        assessment.spring_torque,
-        assessment.stiffness,
-        assessment.windup,
-        assessment.tool,
-        assessment.deflection["total"],
-        assessment.deflection["dynamic"],
-    ]
+    arrays = {
+        "t": assessment.time,
+        "q": assessment.position,
+        "qd": assessment.velocity,
+        "qdd": assessment.acceleration,
+        "tau": assessment.torque,
+        "tau_spring": assessment.spring_torque,
+        "k": assessment.stiffness,
+        "windup": assessment.windup,
+        "tool_": assessment.tool,
+        "deflection_": assessment.deflection["total"],
+        "deflection_dynamic_": assessment.deflection["dynamic"],
+        "link": assessment.link,
+        "force_": assessment.force,
+    }
     path = Path(directory) / name
-    joints = assessment.position.shape[1]
-    names = trajectory_columns(joints)
-    if assessment.link is not None:
-        columns.append(assessment.link)
-        names += [f"link{joint}" for joint in range(1, joints + 1)]
-    if assessment.force is not None:
-        columns.append(assessment.force)
-        names += FORCE_COLUMNS
-    write_csv(path, names, np.hstack(columns).tolist())
+    write_motion_table(path, arrays)
     return path
 
 
@@ -313,22 +297,18 @@ def write_simulation(
         led = {**(compensation_document(compensation) or {}), "command": compensation.file}
         content["compensation"] = {**led, "servo": compensation.loop or None}
     found = simulation.optimised.simulated
-    joints = range(1, found.position.shape[1] + 1)
-    names = ["t", *(f"{error}_{axis}" for error in ("deviation", "rotation") for axis in "xyz")]
-    names += ["along", "across"]
-    names += [f"{quantity}{j}" for quantity in ("q", "qd", "tau_spring", "windup") for j in joints]
-    columns = [
-        found.time[:, None],
-        found.error.position,
-        found.error.orientation,
-        found.error.along[:, None],
-        found.error.across[:, None],
-        found.position,
-        found.velocity,
-        found.spring_torque,
-        found.windup,
-    ]
-    write_csv(folder / "simulation.csv", names, np.hstack(columns).tolist())
+    arrays = {
+        "t": found.time,
+        "deviation_": found.error.position,
+        "rotation_": found.error.orientation,
+        "along": found.error.along,
+        "across": found.error.across,
+        "q": found.position,
+        "qd": found.velocity,
+        "tau_spring": found.spring_torque,
+        "windup": found.windup,
+    }
+    write_motion_table(folder / "simulation.csv", arrays)
     write_json(folder / SIMULATION_FILE, content)
     return folder / SIMULATION_FILE
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import pinocchio as pin
@@ -82,22 +82,26 @@ def without_rotors(model: Any) -> Any:
     return bodies
 
 
-class RigidBodies:
-    """Torques, inertia and poses of links and payload; no rotors, no friction.
-
-    `model`: model of revolute and prismatic joints; copied. Joints are in the order of the model;
-    torques [N m] of prismatic joints are forces [N].
-    """
+class _Links:
+    """Own copy of a pinocchio model without its rotors."""
 
     def __init__(self, model: Any) -> None:
         self._model = without_rotors(model)
         self._data = self._model.createData()
 
-    def with_gravity(self, gravity: np.ndarray) -> RigidBodies:
+    def with_gravity(self, gravity: np.ndarray) -> Self:
         """Copy under another gravity (3,) [m/s^2], base axes."""
-        changed = RigidBodies(self._model)
+        changed = type(self)(self._model)
         changed._model.gravity.linear = np.asarray(gravity, dtype=float)
         return changed
+
+
+class RigidBodies(_Links):
+    """Torques, inertia and poses of links and payload; no rotors, no friction.
+
+    `model`: model of revolute and prismatic joints; copied. Joints are in the order of the model;
+    torques [N m] of prismatic joints are forces [N].
+    """
 
     def torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Inverse dynamics: position, velocity, acceleration (n,) -> torque (n,)."""
@@ -183,7 +187,7 @@ def inverse_dynamics_along(model: Any, q: np.ndarray, v: np.ndarray, a: np.ndarr
     return torque
 
 
-class BodiesInMotion:
+class BodiesInMotion(_Links):
     """Torques along motions and their derivatives; no rotors, no friction.
 
     `model`: model of revolute and prismatic joints; copied. The values of `RigidBodies`, without a
@@ -191,19 +195,9 @@ class BodiesInMotion:
     the order of the model; torques [N m] of prismatic joints are forces [N].
     """
 
-    def __init__(self, model: Any) -> None:
-        self._model = without_rotors(model)
-        self._data = self._model.createData()
-
     @cached_property
     def _native_bodies(self) -> NativeBodies:
         return NativeBodies(body_tree(self._model))
-
-    def with_gravity(self, gravity: np.ndarray) -> BodiesInMotion:
-        """Copy under another gravity (3,) [m/s^2], base axes."""
-        changed = BodiesInMotion(self._model)
-        changed._model.gravity.linear = np.asarray(gravity, dtype=float)
-        return changed
 
     def torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Inverse dynamics: position, velocity, acceleration (K, n) -> torque (K, n)."""

@@ -23,21 +23,8 @@ from stiffopt.recording.run import counted
 from stiffopt.robot.joint_tree import JointTree
 from stiffopt.robot.robot import Robot
 from stiffopt.robot.urdf_xml import read_urdf_tree
-from stiffopt.starter.guessing import (
-    GuessedColumns,
-    UnrecognisedError,
-    are_poses,
-    guess_columns,
-    request_factor,
-    with_time,
-)
+from stiffopt.starter import guessing, table_layouts
 from stiffopt.starter.recorded_robot import RecordedRobot, store_robot
-from stiffopt.starter.table_layouts import (
-    drop_garbled_rows,
-    join_signal_files,
-    name_blocks,
-    read_message_table,
-)
 from stiffopt.starter.writing import toml_list, toml_string, write_new
 
 # Training share of a single recording; the rest is held out. Fewest rows for training.
@@ -54,7 +41,7 @@ class StartedSet:
     """Written recording set with the guesses in it."""
 
     path: Path  # recordings.toml
-    guess: GuessedColumns
+    guess: guessing.GuessedColumns
     notes: tuple[str, ...]
 
 
@@ -80,7 +67,7 @@ def start_recording_set(
         arm = store_robot(urdf, Path(beside), tip)
         try:
             return _write_set(data, arm, Path(beside), folder, rate)
-        except UnrecognisedError as error:
+        except guessing.UnrecognisedError as error:
             which = (
                 ""
                 if tip or urdf.suffix.lower() == ".toml"
@@ -99,14 +86,14 @@ def _write_set(
     files = _find_files(data)
     tables, layout, garbled = _read_runs(files, robot)
     files = list(tables)
-    if rate is None and are_poses(tables[files[0]], robot):
+    if rate is None and guessing.are_poses(tables[files[0]], robot):
         # One pose a row: the rows are numbered.
         rate = 1.0
     if rate is not None:
         if not 0.0 < rate < 1e6:
             raise InputError(f"--rate {rate:g} must be above 0 and below 1e6 rows a second.")
-        tables = {path: with_time(table, rate) for path, table in tables.items()}
-    first = guess_columns(tables[files[0]], robot, rate)
+        tables = {path: guessing.with_time(table, rate) for path, table in tables.items()}
+    first = guessing.guess_columns(tables[files[0]], robot, rate)
     if layout:
         first = replace(first, reasons=(layout, *first.reasons))
     wanted = [first.time, *(c for columns in first.columns.values() for c in columns if c)]
@@ -174,7 +161,7 @@ def _read_runs(files: Sequence[Path], robot: Robot) -> tuple[dict[Path, Table], 
     tables: dict[Path, Table] = {}
     for path in files:
         if is_messages(path):
-            tables[path] = read_message_table(path, robot.joint_names)
+            tables[path] = table_layouts.read_message_table(path, robot.joint_names)
             continue
         for part, table in read_tables(path).items():
             own = path.with_name(f"{path.stem}_{part}{path.suffix}") if part else path
@@ -183,10 +170,10 @@ def _read_runs(files: Sequence[Path], robot: Robot) -> tuple[dict[Path, Table], 
     tables = _join_by_folder(tables, robot)
     for path, table in tables.items():
         try:
-            tables[path], layout = name_blocks(table, robot)
+            tables[path], layout = table_layouts.name_blocks(table, robot)
         except InputError as error:
             raise InputFileError(path, "", str(error)) from error
-        tables[path], garbled = drop_garbled_rows(tables[path])
+        tables[path], garbled = table_layouts.drop_garbled_rows(tables[path])
         if garbled:
             listed = ", ".join(map(str, garbled[:5])) + (", ..." if len(garbled) > 5 else "")
             notes.append(
@@ -200,11 +187,11 @@ def _join_by_folder(tables: Mapping[Path, Table], robot: Robot) -> dict[Path, Ta
     """Join the files of one signal each in every folder; of all folders, where each has one."""
     folders = [path.parent for path in tables]
     if len(set(folders)) == len(folders):
-        return join_signal_files(tables, robot)
+        return table_layouts.join_signal_files(tables, robot)
     joined: dict[Path, Table] = {}
     for folder in dict.fromkeys(folders):
         own = {path: table for path, table in tables.items() if path.parent == folder}
-        joined |= join_signal_files(own, robot)
+        joined |= table_layouts.join_signal_files(own, robot)
     return joined
 
 
@@ -298,7 +285,7 @@ def _run_name(label: str) -> str:
 
 
 def _set_text(
-    name: str, arm: RecordedRobot, found: GuessedColumns, runs: Sequence[tuple[str, str]]
+    name: str, arm: RecordedRobot, found: guessing.GuessedColumns, runs: Sequence[tuple[str, str]]
 ) -> str:
     joints = arm.robot.joint_names
 
@@ -333,7 +320,7 @@ def _set_text(
             if not isinstance(unit, str):
                 each = ("1.0" if not one else toml_string(one) for one in unit)
                 lines.append(f"{kind} = {toml_list(each)}")
-            elif request := request_factor(kind, unit):
+            elif request := guessing.request_factor(kind, unit):
                 # Not a valid entry until the user replaces it by a factor, but for torques.
                 lines.append(f"{kind} = {toml_string(unit)}  # {request} here")
             else:

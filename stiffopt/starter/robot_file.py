@@ -14,28 +14,15 @@ import numpy as np
 from stiffopt.drivetrain.catalogue import reducer, reducer_names
 from stiffopt.drivetrain.tables import with_own
 from stiffopt.errors import InputFileError, RobotError, nearest
+from stiffopt.robot import estimated_masses
 from stiffopt.robot.body_tree import Body, body_tree
-from stiffopt.robot.estimated_masses import (
-    DENSITY,
-    ROD_DENSITY,
-    EstimatedBody,
-    estimate_bodies,
-    fit_to_torque_limits,
-)
 from stiffopt.robot.files import default_tool_link
 from stiffopt.robot.frames import LinkFrame, link_frame, link_names, moving_link_names
 from stiffopt.robot.own_catalogue import read_own_catalogue
 from stiffopt.robot.rigid_body import RigidBodies
 from stiffopt.robot.urdf import UNLIMITED, LoadedUrdf, load_urdf
 from stiffopt.robot.urdf_xml import unsupported_format
-from stiffopt.starter.placeholders import (
-    Placeholder,
-    credible_torques,
-    drop_placeholders,
-    open_questions,
-    speed_placeholders,
-    torque_placeholders,
-)
+from stiffopt.starter import placeholders
 from stiffopt.starter.writing import relative_path, toml_key, toml_list, toml_number, toml_string
 
 # Time to full speed that sets an unstated acceleration limit [s].
@@ -88,18 +75,20 @@ def robot_text(
     if tip is not None and tip not in names:
         raise RobotError(f"{urdf}: there is no link {tip!r}. {nearest(tip, names)}")
     tool = link_frame(arm.model, tip or default_tool_link(arm.model))
-    bodies = estimate_bodies(arm, urdf, tool)
+    bodies = estimated_masses.estimate_bodies(arm, urdf, tool)
     if bodies:
         arm = load(bodies=bodies)
-        bodies = fit_to_torque_limits(bodies, _weight_torques(arm), credible_torques(arm))
+        bodies = estimated_masses.fit_to_torque_limits(
+            bodies, _weight_torques(arm), placeholders.credible_torques(arm)
+        )
         arm = load(bodies=bodies)
-    doubted = speed_placeholders(arm, tool)
-    arm = drop_placeholders(arm, doubted)
+    doubted = placeholders.speed_placeholders(arm, tool)
+    arm = placeholders.drop_placeholders(arm, doubted)
     speed = np.array([stated["velocity"] or _DEFAULT_SPEED for stated in arm.joints.values()])
     demands = _weight_torques(arm, speed / _ACCELERATION_TIME)
     weight = 0.0 * demands if bodies else _weight_torques(arm)
-    doubted += (further := torque_placeholders(arm, demands, weight))
-    arm = drop_placeholders(arm, further)
+    doubted += (further := placeholders.torque_placeholders(arm, demands, weight))
+    arm = placeholders.drop_placeholders(arm, further)
     lines = [
         f"# Robot file of {urdf.name}, written by `stiffopt init robot`. Position, velocity and"
         " torque",
@@ -150,9 +139,9 @@ def _check_format(urdf: Path) -> None:
 
 def _describe_guesses(
     arm: LoadedUrdf,
-    bodies: Mapping[str, EstimatedBody],
+    bodies: Mapping[str, estimated_masses.EstimatedBody],
     tool: str,
-    doubted: Sequence[Placeholder],
+    doubted: Sequence[placeholders.Placeholder],
     lines: Sequence[str],
 ) -> Iterator[str]:
     """Yield guesses, omissions and questions, a sentence each."""
@@ -205,7 +194,7 @@ def _describe_guesses(
             f"RIGID: for {len(bare)} of the joints no packaged reducer carries the torque; give"
             " yours in the file, or these joints are rigid."
         )
-    yield from open_questions(arm, _weight_torques(arm), bodies)
+    yield from placeholders.open_questions(arm, _weight_torques(arm), bodies)
 
 
 def _list_farther_links(arm: LoadedUrdf, tool: LinkFrame) -> Iterator[str]:
@@ -227,7 +216,7 @@ def _list_farther_links(arm: LoadedUrdf, tool: LinkFrame) -> Iterator[str]:
         )
 
 
-def _guessed_masses(bodies: Mapping[str, EstimatedBody]) -> Iterator[str]:
+def _guessed_masses(bodies: Mapping[str, estimated_masses.EstimatedBody]) -> Iterator[str]:
     """Yield the guessed masses, their source and their uncertainty."""
     shaped = {name: body for name, body in bodies.items() if body.shaped}
     rods = {name: body for name, body in bodies.items() if not body.shaped}
@@ -241,13 +230,13 @@ def _guessed_masses(bodies: Mapping[str, EstimatedBody]) -> Iterator[str]:
             )
 
 
-def _describe_mass_source(body: EstimatedBody) -> str:
+def _describe_mass_source(body: estimated_masses.EstimatedBody) -> str:
     """Return the source of a guessed mass."""
-    said = f"the volume of their shapes at {DENSITY:g} kg/m^3"
+    said = f"the volume of their shapes at {estimated_masses.DENSITY:g} kg/m^3"
     if not body.shaped:
         said = (
             "housings and rods from joint to joint, since the URDF has no shapes, at"
-            f" {ROD_DENSITY:g} kg/m^3"
+            f" {estimated_masses.ROD_DENSITY:g} kg/m^3"
         )
     # Least relative change of masses by torque limits that is reported [-].
     if abs(body.scale - 1.0) < 0.05:
@@ -255,7 +244,7 @@ def _describe_mass_source(body: EstimatedBody) -> str:
     return f"{said}, times {body.scale:.2g} to match the torque limits"
 
 
-def _link_lines(name: str, body: EstimatedBody) -> Iterator[str]:
+def _link_lines(name: str, body: estimated_masses.EstimatedBody) -> Iterator[str]:
     yield "[[link]]"
     yield f"name = {toml_string(name)}"
     yield f"mass = {toml_number(body.mass, 3)}  # [kg], estimated: the URDF has none"
@@ -291,7 +280,7 @@ def _joint_lines(
     j: int,
     body: Body,
     demand: float,
-    doubted: Mapping[str, Placeholder],
+    doubted: Mapping[str, placeholders.Placeholder],
     *,
     bare: bool,
 ) -> Iterator[str]:

@@ -17,15 +17,8 @@ from stiffopt.recording.run import counted
 from stiffopt.recording.signals import may_be_set_point
 from stiffopt.recording.stated_units import stated_unit
 from stiffopt.robot.robot import Robot
+from stiffopt.starter import guessing
 from stiffopt.starter.column_names import acceleration_columns, columns_of_kind
-from stiffopt.starter.guessing import (
-    MIN_ROWS,
-    SECONDS_PER_UNIT,
-    find_time_column,
-    guess_angle_unit,
-    guess_time_unit,
-    with_time,
-)
 from stiffopt.starter.table_layouts import read_message_table
 
 # Factors of angles to rad.
@@ -53,17 +46,17 @@ def read_timed_motion(path: Path, robot: Robot, rate: float | None = None) -> Ti
     if rate is not None and not 0.0 < rate < 1e6:
         raise InputError(f"--rate {rate:g} must be above 0 and below 1e6 rows a second.")
     table = _read_table(path, robot)
-    table = table if rate is None else with_time(table, rate)
+    table = table if rate is None else guessing.with_time(table, rate)
     try:
-        clock = find_time_column(table)
-        unit, why = guess_time_unit(table[clock], clock)
+        clock = guessing.find_time_column(table)
+        unit, why = guessing.guess_time_unit(table[clock], clock)
     except InputError as error:
         raise InputFileError(path, "", str(error)) from error
     if rate is not None:
         unit, why = "", f"time: counted, {rate:g} rows a second"
     names = _position_columns(path, table, clock, robot)
     values = np.column_stack([table[name] for name in names])
-    time = table[clock] * SECONDS_PER_UNIT[unit]
+    time = table[clock] * guessing.SECONDS_PER_UNIT[unit]
     velocity, acceleration = _rates(table, names, robot)
     # Loggers write a row twice; another position at the same instant is a fault.
     row = np.column_stack([time, values])
@@ -131,8 +124,10 @@ def _check_rows(
     path: Path, time: np.ndarray, values: np.ndarray, names: Sequence[str], new: np.ndarray
 ) -> None:
     """Raise `InputFileError` for a faulty row; `new` (K,) are those that do not repeat another."""
-    if new.sum() < MIN_ROWS:
-        raise InputFileError(path, "", f"has {new.sum()} row(s); a motion has {MIN_ROWS} or more.")
+    if new.sum() < guessing.MIN_ROWS:
+        raise InputFileError(
+            path, "", f"has {new.sum()} row(s); a motion has {guessing.MIN_ROWS} or more."
+        )
     for row, k in np.argwhere(~np.isfinite(values)):
         raise InputFileError(
             path, f"row {row + 1}, {names[k]}", "is no number. Complete the row, or delete it."
@@ -157,7 +152,7 @@ def _angle_factor(
     elif robot.prismatic.any():
         unit, why = "", "taken as rad and m"
     else:
-        unit, why = guess_angle_unit(values, robot)
+        unit, why = guessing.guess_angle_unit(values, robot)
     if unit not in _RADIANS_PER_UNIT:
         raise InputFileError(
             path, names[0], f"is in {unit}, which are no angles. Convert positions to rad or deg."

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from stiffopt.discovery.catalogue import effect
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.located_effect import LocatedEffect, effect_places
 from stiffopt.discovery.identifiable import EffectCheck, restrict_to_identifiable
 from stiffopt.discovery.judging.unexplained import _find_period
 from stiffopt.discovery.signals import JointConstants, RobotConstants
@@ -32,11 +32,18 @@ ROBOT = RobotConstants(
 )
 
 
-@pytest.mark.parametrize(("share", "possible"), [(0.3, False), (0.45, False), (0.5, True)])
-def test_saturation_below_measured_torque_is_refused(share: float, possible: bool) -> None:
-    """Of 60 N m measured and 120 N m at most, a limit below half was passed and is none."""
-    limit = LocatedEffect(effect=effect("saturation"), joint=0, shapes=(share,))
-    assert limit.possible(ROBOT) == possible
+def test_limits_are_sought_where_torques_are_read() -> None:
+    """A drive is asked for more than it gives, a reading ends at its largest values."""
+    asked = [place.shapes[0] for place in _places("saturation")]
+    read = [place.shapes[0] for place in _places("reading_limit")]
+    # Of 60 N m read and 120 N m at most.
+    assert all(0.2 < share < 0.5 for share in asked)
+    assert read == [1.0]
+    assert effect("reading_limit").shapes[0].lower > 0.9
+
+
+def _places(name: str) -> list[LocatedEffect]:
+    return [each for each in effect_places(effect(name), ROBOT, ["run"]) if each.joint == 0]
 
 
 @pytest.mark.parametrize(

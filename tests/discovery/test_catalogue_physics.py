@@ -258,17 +258,27 @@ def test_coupled_drive_power_balance():
     np.testing.assert_allclose(power[fast], wanted[fast], rtol=1e-3, atol=1e-9)
 
 
-def test_saturation_clips_reading_and_raises_demand():
+def test_saturated_drive_gives_its_limit_of_the_recorded_demand():
     asked = np.linspace(-120.0, 120.0, 60)
-    signals = replace(ROBOT.of_joint(4), drive_torque=asked)
+    signals = replace(ROBOT.of_joint(4), asked_torque=asked)
     entry = effect("saturation")
-    real = asked + entry.term(signals, [-1.0], [0.5]).drive_torque
-    np.testing.assert_allclose(real, np.clip(asked, -60.0, 60.0), atol=1.0)
-    assert np.abs(real).max() <= 60.0 + 1e-6
-    more = entry.term(signals, [30.0], [0.5]).drive_torque
-    assert np.abs(more[np.abs(asked) < 50.0]).max() < 0.05
-    assert np.all(more[asked > 63.0] > 30.0)
-    assert entry.parameters([1.0], [0.5], signals.constants) == {"limit": 60.0}
+    soft, hard = (
+        asked - entry.term(signals, [1.0], [0.5, sharpness]).drive_torque
+        for sharpness in (14.0, 200.0)
+    )
+    np.testing.assert_allclose(hard, np.clip(asked, -60.0, 60.0), atol=0.3)
+    np.testing.assert_allclose(soft, asked / (1.0 + np.abs(asked / 60.0) ** 14.0) ** (1.0 / 14.0))
+    assert entry.parameters([1.0], [0.5, 14.0], signals.constants) == {"limit": 60.0}
+
+
+def test_reading_beyond_its_limit_stays_there():
+    needed = np.linspace(-120.0, 120.0, 60)
+    constants = replace(ROBOT.of_joint(4).constants, measured_torque=60.0)
+    signals = replace(ROBOT.of_joint(4), drive_torque=needed, constants=constants)
+    entry = effect("reading_limit")
+    read = needed + entry.term(signals, [1.0], [1.0]).drive_torque
+    np.testing.assert_allclose(read, np.clip(needed, -60.0, 60.0), atol=1.0)
+    assert np.abs(read).max() < 60.0 + 1e-9
 
 
 def test_external_contact_acts_only_below_its_height():

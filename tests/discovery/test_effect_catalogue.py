@@ -66,6 +66,7 @@ REPORTED = {
     "encoder_offset": {"off": "rad"},
     "time_delay": {"d": "s"},
     "saturation": {"limit": "N m"},
+    "reading_limit": {"limit": "N m"},
     "clock_drift": {"e": "", "d": "s"},
     "run_clock": {"d": "s"},
     "common_gain_drift": {"per_run": "", "spread": ""},
@@ -232,6 +233,8 @@ def test_effect_applies_only_to_suitable_joints():
         "wrist_coupling",
         "coupled_drive",
         "crosstalk",
+        "saturation",
+        "reading_limit",
     }
     for entry in CATALOGUE:
         if entry.scope in ("joint", "run") and entry.name not in left_out:

@@ -38,6 +38,7 @@ def _interval(rng: np.random.Generator, *, tolerance: float, differs: float) -> 
         effect=SimpleNamespace(
             amplitudes=("A",),
             drawn=None,
+            takes_recorded=False,
             parameters=lambda amplitudes, shapes, constants: {"A": float(amplitudes[0])},
         ),
     )

@@ -44,7 +44,8 @@ def _opened(spec, folder):
     entries = (*recordings.with_role("train"), *recordings.with_role("test"))
     runs = {entry.file: recordings.open(entry) for entry in entries}
     ranged = robot.constants_over(
-        [prepare_run(robot, run, 0, None, Settings()).signals for run in runs.values()]
+        [prepare_run(robot, run, 0, None, Settings()).signals for run in runs.values()],
+        np.zeros(robot.n),
     )
     return recordings, robot, runs, ranged
 

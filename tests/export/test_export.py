@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from scipy.interpolate import BPoly
-from synthetic_solution import assessment, solution
+from synthetic_solution import assessment, solution, trajectory_columns
 
 from stiffopt.cli import run
 from stiffopt.export.format import FORMATS, read_seal
@@ -21,7 +21,7 @@ from stiffopt.export.motion import MotionEvent, read_motion
 from stiffopt.files import write_csv
 from stiffopt.problem.files import load_problem
 from stiffopt.result.provenance import inputs_hash
-from stiffopt.result.store import export_times, trajectory_columns, write_result
+from stiffopt.result.store import export_times, write_result
 
 DURATION = 0.4507
 

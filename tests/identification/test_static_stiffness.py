@@ -315,6 +315,16 @@ def test_units_that_no_arm_can_have_are_refused(tmp_path, changed, says):
     assert [joint.status for joint in found.joints] == ["identified"] * 3
 
 
+@pytest.mark.parametrize(("factor", "says"), [(1e3, "8[0-9]{2}"), (1e-3, "0.0008[0-9]+")])
+def test_units_that_nominal_stiffness_contradicts_are_refused(tmp_path, factor, says):
+    whole = replace(measure(THREE, 20, 4), nominal=tuple(1.2 * np.array(THREE.stiffness)))
+    wrong = replace(whole, force=factor * whole.force)
+    with pytest.raises(InputFileError, match=f"about {says} times its nominal.stiffness"):
+        identify(wrong, tmp_path / "wrong")
+    found = identify(replace(wrong, extra={"scale.force": str(1.0 / factor)}), tmp_path / "scaled")
+    assert [joint.status for joint in found.joints] == ["identified"] * 3
+
+
 def test_folder_without_static_set_is_refused(tmp_path, capsys):
     assert run(["identify-stiffness", str(tmp_path)]) == 2
     assert "static.toml" in capsys.readouterr().err

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from preload_studies import JACOBIAN, Ring, case, er3a, study, with_elements
+from small_arms import ROOT
 
 from stiffopt.cli import run
 from stiffopt.errors import NoSolutionFound
@@ -507,3 +508,29 @@ def test_unloaded_flange_preload_allows_low_utilisation(tmp_path):
     solution = optimise_preloads(replace(problem, requirements=requirements))
     assert solution.status is SolveStatus.OPTIMAL
     assert float(element.least(solution.preloads[element.key])) > 0.0
+
+
+SHIPPED = "problems/er3a_preload_j2_flexspline.toml"
+
+
+@pytest.mark.parametrize(("torque", "share"), [(110.0, 0.98), (60.0, 0.99), (60.0, 0.97)])
+def test_stiffness_required_close_to_slip_is_met(torque, share):
+    """Where a connection is about to slip the exact law falls to zero within newtons."""
+    load = f"load_case[1].torque=[0.0, {torque}, 0.0, 0.0, 0.0, 0.0]"
+    given = [load, "require.least_preload=0.01"]
+    easy = ["require.slip_safety=1.05", "require.joint_stiffness={}"]
+    easier = optimise_preloads(load_study(ROOT / SHIPPED, [*given, *easy]).problem)
+    needed = share * float(easier.stiffness[0, 0])
+    close = ["require.slip_safety=1.0", f"require.joint_stiffness={{ 2 = {needed} }}"]
+    found = optimise_preloads(load_study(ROOT / SHIPPED, [*given, *close]).problem)
+    assert found.status is SolveStatus.OPTIMAL
+    assert found.kkt_residual < KKT
+    assert found.stiffness[0, 0] == pytest.approx(needed, rel=1e-6)
+    assert found.total_preload < easier.total_preload
+
+
+def test_solver_that_fails_on_a_feasible_study_calls_no_requirement_impossible():
+    """Two rings about to slip: corrections do not settle, yet the largest preloads are enough."""
+    needs = {"slip_safety": 1.0, "joint_stiffness": {2: 5.4e4}}
+    found = optimise_preloads(study(case(j2=110.0), needs=needs), throw=False)
+    assert found.status is not SolveStatus.INFEASIBLE

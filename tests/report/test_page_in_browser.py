@@ -129,6 +129,11 @@ def test_page_fits_the_window_without_console_errors(shown, size, dark):
         "&& cell.clientHeight > 6 * cell.clientWidth).length"
     )
     assert narrow == 0
+    cut = browser.value(
+        "[...document.querySelectorAll('table')]"
+        ".filter(e => e.getBoundingClientRect().right > innerWidth).map(e => e.textContent)"
+    )
+    assert cut == []
     assert browser.console == []
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic_solution import assessment, no_motion, solution
+from synthetic_solution import assessment, no_motion, solution, trajectory_columns
 
 from stiffopt import files
 from stiffopt.errors import InputFileError
@@ -13,7 +13,6 @@ from stiffopt.result.assessment import LowestStiffness
 from stiffopt.result.store import (
     export_times,
     result_document,
-    trajectory_columns,
     write_result,
     write_trajectory,
 )

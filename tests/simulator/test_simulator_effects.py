@@ -39,6 +39,7 @@ DRIVE = {
     "torque_gain",
     "torque_offset",
     "saturation",
+    "reading_limit",
     "slew_limit",
     "torque_sensor_drift",
     "gain_drift",

@@ -1,20 +1,21 @@
 """Errors of sensors and drives: gain, offset and saturation of readings.
 
-Readings: torque reading = (1 + eps) drive torque + off; link reading = link angle + off.
+Readings: torque reading = (1 + eps) drive torque + off, within its range;
+link reading = link angle + off.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from stiffopt.discovery.catalogue.common import CHANGED_SCALE_RATIO, dry_friction, viscous_friction
+from stiffopt.discovery.catalogue.common import CHANGED_SCALE_RATIO
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term, Values
 from stiffopt.discovery.signals import JointConstants, JointSignals, RobotSignals
-from stiffopt.symbolic import softplus
+from stiffopt.symbolic import Quantity
 
-# Rounding of a drive's torque limit over the highest torque.
-_LIMIT_ROUNDING = 0.01
-# Smallest torque limit over the largest filtered torque: a filter overshoots.
+# Initial values: limits over the largest torque asked for, and sharpness of soft and hard limits.
+_LIMIT_SHARES, _SOFT_KNEE, _HARD_KNEE = (0.5, 0.65, 0.8, 0.9, 0.97), 14.0, 60.0
+# Smallest limit of a reading over the largest filtered one: a filter overshoots.
 _MIN_LIMIT_RATIO = 0.97
 
 
@@ -24,25 +25,36 @@ def encoder_offset_term(signals: JointSignals, amplitudes: Values, shapes: Value
 
 
 def saturation_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
-    """Return the demanded torque beyond a drive's limit, or the part clipped in a reading.
+    """Return the demanded torque beyond a drive's limit, which the drive does not give.
 
-    Torque by an actuator's law is what it asks for: what lies beyond the limit is not given.
-    Recorded motions need only the torque that the drive gives, so a demanded torque leaves the
-    predicted one steeply near the limit.
+    A motion needs the torque that is given, and tells nothing of the demand beyond it: that is
+    taken as recorded, or as an actuator's law asks for it.
     """
-    highest = signals.constants.torque_max
-    rounding = _LIMIT_ROUNDING * highest
-    limit, asked = shapes[0] * highest, signals.drive_torque
-    if signals.asked_torque is not None:
-        asked = signals.asked_torque
-    beyond = softplus((asked - limit) / rounding) - softplus((-asked - limit) / rounding)
-    return Term(drive_torque=amplitudes[0] * rounding * beyond)
+    asked = signals.drive_torque if signals.asked_torque is None else signals.asked_torque
+    limit = shapes[0] * signals.constants.torque_max
+    return Term(drive_torque=amplitudes[0] * _beyond(asked, limit, shapes[1]))
+
+
+def reading_limit_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
+    """Return the torque that lies beyond the range of its reading, negative."""
+    limit = shapes[0] * signals.constants.measured_torque
+    return Term(drive_torque=-amplitudes[0] * _beyond(signals.drive_torque, limit, _HARD_KNEE))
+
+
+def _beyond(torque: Quantity, limit: float, sharpness: float) -> Quantity:
+    """Return the part of a torque beyond a limit, to which the rest bends.
+
+    Rapp's model of a saturating amplifier: x / (1 + |x / limit|^k)^(1/k).
+    """
+    above = np.fmax(np.abs(torque / limit), 1.0)  # its power would overflow
+    power = above**-sharpness + np.abs(torque / limit / above) ** sharpness
+    return torque * (1.0 - 1.0 / (above * power ** (1.0 / sharpness)))
 
 
 def _start_limits(constants: JointConstants) -> tuple[float, ...]:
-    friction = dry_friction(constants) + viscous_friction(constants) * constants.fastest
-    asked = min(1.0, (constants.largest_torque + friction) / constants.torque_max)
-    return tuple(max(0.1, share * asked) for share in (0.4, 0.55, 0.7, 0.85, 0.97))
+    return tuple(
+        share * constants.measured_torque / constants.torque_max for share in _LIMIT_SHARES
+    )
 
 
 _READING_ZERO = Amplitude("off", "rad", 1e-3, -10.0, 10.0)
@@ -149,17 +161,39 @@ SATURATION = Effect(
     " the drive's current limit.",
     needs=("torque", "moves"),
     limits_drive=True,
+    takes_recorded=True,
+    applies=lambda constants: constants.measured_torque > 0.0,
     term=saturation_term,
-    # -1 is a clipped reading; a saturated drive demands many times the torque beyond the limit.
-    amplitudes=(Amplitude("steepness", "", 10.0, -0.15, 20.0),),
-    shapes=(Shape("share", "", _start_limits, 0.05, 1.2),),
+    amplitudes=(Amplitude("missing", "", 1.0, 0.0, 1.5),),
+    shapes=(
+        Shape("share", "", _start_limits, 0.01, 2.0),
+        Shape("knee", "", (_SOFT_KNEE, _HARD_KNEE), 4.0, 200.0, reported=False),
+    ),
     report=lambda a, s, constants: {"limit": s[0] * constants.torque_max},
     units={"limit": "N m"},
-    possible=lambda shapes, constants: bool(
-        shapes[0] * constants.torque_max >= _MIN_LIMIT_RATIO * constants.measured_torque
-    ),
     separate="Ask for the highest torque several times: below the limit nothing is missing, a gain"
     " error shows at every torque.",
+)
+
+READING_LIMIT = Effect(
+    name="reading_limit",
+    family="sensor",
+    scope="joint",
+    equation="tau = clip(tau, -limit, limit)",
+    signature="motor torque that stays at one level where the model needs more",
+    phrase="a torque reading that ends at {limit}",
+    remedy="Extend the range of the torque reading of {where} beyond {limit}, or leave its samples"
+    " at that level out.",
+    needs=("torque", "moves"),
+    confused_with=("saturation",),
+    term=reading_limit_term,
+    amplitudes=(Amplitude("missing", "", 1.0, 0.0, 1.5),),
+    shapes=(Shape("share", "", (1.0,), _MIN_LIMIT_RATIO, 2.0),),
+    applies=lambda constants: constants.measured_torque > 0.0,
+    report=lambda a, s, constants: {"limit": s[0] * constants.measured_torque},
+    units={"limit": "N m"},
+    separate="Hold a load that needs more torque than that level: a reading that ends there does"
+    " not move.",
 )
 
 SENSORS = (
@@ -167,6 +201,7 @@ SENSORS = (
     TORQUE_OFFSET,
     ENCODER_OFFSET,
     SATURATION,
+    READING_LIMIT,
     ENCODER_SKEW,
     ENCODER_ZERO_CHANGE,
 )

@@ -132,6 +132,11 @@ class AddedPosterior:
     log_evidence: float  # log evidence with all parameters, as of a `Posterior`
     base: Callable[[], np.ndarray]  # -> posterior mean (p,) of the other parameters
 
+    def log_likelihood_at(self, values: np.ndarray) -> float:
+        """Gain of the log likelihood by given values (k,) over zeros."""
+        own = self.precision - np.eye(len(values))
+        return float(values @ (self.precision @ self.mean - 0.5 * own @ values))
+
 
 class AddedColumnsPosterior:
     """Posteriors with a few more parameters of unit prior, at the cost of those alone.

@@ -92,7 +92,7 @@ class RobotModel:
         )
 
     def constants_over(
-        self, signals: Sequence[RobotSignals], measured: np.ndarray | None = None
+        self, signals: Sequence[RobotSignals], measured: np.ndarray
     ) -> RobotConstants:
         """Return constants with the ranges of some runs, which also bound unknown torques.
 
@@ -117,7 +117,7 @@ class RobotModel:
                     torque_rated=own.torque_rated if known else max(largest / 2.0, 1e-6),
                     stroke=(float(motor[:, j].min()), float(motor[:, j].max())),
                     fastest=max(float(speed[:, j].max()), 1e-6),
-                    measured_torque=0.0 if measured is None else float(measured[j]),
+                    measured_torque=float(measured[j]),
                     largest_torque=max(float(spring[:, j].max()), 1e-9),
                 )
             )

@@ -263,7 +263,6 @@ def prepare_run(
     if vibration is not None:
         friction = wide(friction)
     drive = robot.rotor_inertia * acceleration + links.torque + friction
-    derived = robot.recordings.signals.commanded
     signals = _nominal_signals(
         robot, run, constants, time, dt, (motor, velocity, acceleration), links
     )
@@ -272,7 +271,7 @@ def prepare_run(
         motor_direction=direction,
         drive_torque=drive,
         drive_torque_rate=derivative(low_pass(drive), dt),
-        asked_torque=np.where(np.isfinite(torque), torque, drive) if derived else None,
+        asked_torque=np.where(np.isfinite(torque), torque, drive),
     )
     if (law := robot.recordings.actuator) is not None and law.known and run.command is not None:
         sent = np.nan_to_num(bridge_gaps(delayed_command(run, law.delay)))

@@ -23,6 +23,8 @@ from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.progress import RoundProgress, Say
 from stiffopt.discovery.thresholds import MIN_ACTIVE_SHARE, NAMED_DEVIATIONS, NAMED_EVIDENCE
 
+# Entropy of an exponential distribution of unit mean less the normal one's log density at its peak.
+_EXPONENTIAL_COST = 1.0 - 0.5 * math.log(2.0 * math.pi)
 # Nelder-Mead evaluations per shape.
 _MAX_REFINEMENT_STEPS = 40
 # Fits of a secant, and the change of its shapes that ends them, relative and in their unit.
@@ -126,17 +128,37 @@ class Scorer:
         covariance = np.zeros((len(size),) * 2)
         mean[kept] = found.mean
         covariance[kept[:, None], kept] = found.covariance
+        evidence = found.log_evidence - self.start.log_evidence
+        if located.effect.takes_recorded:
+            evidence = found.log_likelihood_at(np.ones(1)) - self._cost_of_taken(located, found)
         return Candidate(
             located=located,
             amplitudes=mean,
             covariance=covariance,
-            evidence=found.log_evidence
-            - self.start.log_evidence
-            - price
-            - self.comparison.inherited_evidence(located),
+            evidence=evidence - price - self.comparison.inherited_evidence(located),
             deviations=math.sqrt(max(float(found.mean @ found.precision @ found.mean), 0.0)),
             gained=lambda: self._beside.log_predictive(sums, kept) - float(np.sum(self.by_block)),
             change=lambda: self._most_changed_channel(located, found.base(), mean),
+        )
+
+    def _cost_of_taken(self, located: LocatedEffect, found: AddedPosterior) -> float:
+        """Return the log density that samples lose which an effect takes from the recording.
+
+        They are predicted as an exponential distribution of their own mean, in place of the
+        noise's normal one. What the effect leaves of them has to be noise as stated: any law
+        that nobody knows is smaller in the rest of a sample than in all of it.
+        """
+        comparison = self.comparison
+        columns = comparison.effect_columns(located)
+        size = np.abs(columns).sum(axis=1)
+        taken = size > 1.0
+        if not taken.any():
+            return 0.0
+        rest = (self._residual_beside(found.base()) - columns.sum(axis=1))[taken]
+        unexplained = (comparison.inflation / comparison.least)[comparison.rows.channel[taken]]
+        return float(
+            np.sum(np.log(size[taken].mean()) + _EXPONENTIAL_COST)
+            + 0.5 * np.sum(rest**2 * (unexplained**2 - 1.0))
         )
 
     def unbounded(self, located: LocatedEffect) -> AddedPosterior | None:

@@ -71,13 +71,22 @@ class Estimate:
         rows, _ = self._parameter_rows(index)
         values, slopes = self._reported_values(index, constants)
         scatter = [_small_sample_factor(n) ** 2 * each for each, n in self._jackknives(index)]
-        variances = [
-            np.einsum("ij,jk,ik->i", slopes, matrix[np.ix_(rows, rows)], slopes)
+        covariances = [
+            matrix[np.ix_(rows, rows)]
             for matrix in (
                 self.covariance + self.added,
                 *(each + self.common + self.added for each in scatter),
             )
         ]
+        if effect.takes_recorded:  # the amplitude is known
+            shapes = np.arange(len(found.amplitudes), len(rows))
+            order = np.concatenate([shapes, np.arange(len(found.amplitudes))])
+            slopes = slopes[:, shapes]
+            covariances = [
+                _conditional_covariance(each[np.ix_(order, order)], len(shapes))
+                for each in covariances
+            ]
+        variances = [np.einsum("ij,jk,ik->i", slopes, each, slopes) for each in covariances]
         variance = np.max(variances, axis=0)
         if effect.drawn is not None:
             few = effect.drawn(found.amplitudes, found.located.shapes, constants)

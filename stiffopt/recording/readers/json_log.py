@@ -9,26 +9,20 @@ from typing import Any
 
 from stiffopt.errors import InputFileError, shortened
 from stiffopt.files import read_text
+from stiffopt.recording.readers import columns
 from stiffopt.recording.readers.checks import MAX_BYTES
-from stiffopt.recording.readers.columns import (
-    Table,
-    columns_of_arrays,
-    columns_of_records,
-    flatten_mapping,
-    unnamed_columns,
-)
 from stiffopt.recording.readers.joint_trajectory import (
     columns_of_trajectory,
     find_joint_trajectory,
 )
 
 
-def read_tables(path: Path) -> dict[str, Table]:
+def read_tables(path: Path) -> dict[str, columns.Table]:
     """Read the table of a JSON or JSON lines file."""
     return {"": read_text_table(read_text(path, MAX_BYTES), path)}
 
 
-def read_text_table(text: str, path: Path) -> Table:
+def read_text_table(text: str, path: Path) -> columns.Table:
     """Return the columns of a JSON document, or of one record a line."""
     try:
         return _columns_of_document(json.loads(text), path)
@@ -38,7 +32,7 @@ def read_text_table(text: str, path: Path) -> Table:
             raise _invalid_json(path, error, error.lineno) from error
     except RecursionError as error:
         raise InputFileError(path, "", "is nested too deeply to be a recording.") from error
-    return columns_of_records(_iterate_lines(text, path), path)
+    return columns.columns_of_records(_iterate_lines(text, path), path)
 
 
 def _iterate_lines(text: str, path: Path) -> Iterator[Any]:
@@ -60,22 +54,22 @@ def _invalid_json(path: Path, error: json.JSONDecodeError, line: int) -> InputFi
     )  # fmt: skip
 
 
-def _columns_of_document(document: Any, path: Path) -> Table:
+def _columns_of_document(document: Any, path: Path) -> columns.Table:
     planned = find_joint_trajectory(document)
     if planned is not None:
         return columns_of_trajectory(planned, path)
     if isinstance(document, Mapping):
-        leaves = dict(flatten_mapping(_arrays_of_data_frame(document)))
+        leaves = dict(columns.flatten_mapping(_arrays_of_data_frame(document)))
         records: list[list[Any]] = [each for each in leaves.values() if _is_records(each)]
         if records:
             longest: list[Any] = max(records, key=len)
-            return columns_of_records(longest, path)
-        return columns_of_arrays(leaves)
+            return columns.columns_of_records(longest, path)
+        return columns.columns_of_arrays(leaves)
     if _is_records(document):
-        return columns_of_records(document, path)
+        return columns.columns_of_records(document, path)
     if isinstance(document, list) and document and isinstance(document[0], list):
-        table = columns_of_records(document, path)
-        return dict(zip(unnamed_columns(len(table)), table.values(), strict=True))
+        table = columns.columns_of_records(document, path)
+        return dict(zip(columns.unnamed_columns(len(table)), table.values(), strict=True))
     raise InputFileError(path, "", "holds no arrays or records of numbers.")
 
 

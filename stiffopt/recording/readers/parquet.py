@@ -13,13 +13,7 @@ import pyarrow.parquet as parquet
 
 from stiffopt.errors import InputFileError, nearest
 from stiffopt.files import load_json
-from stiffopt.recording.readers.checks import (
-    check_columns,
-    check_numbers,
-    find_dataset_info,
-    require_time,
-    split_part,
-)
+from stiffopt.recording.readers import checks
 from stiffopt.recording.readers.columns import MAX_ENTRIES, Table, expand_vectors
 from stiffopt.recording.signals import Signals
 
@@ -34,17 +28,17 @@ def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
     "observation.state[0]", "observation.state[shoulder_pan.pos]". Time stamps become seconds after
     the first.
     """
-    require_time(signals, path)
-    file, part = split_part(path)
+    checks.require_time(signals, path)
+    file, part = checks.split_part(path)
     episode = _episode_number(path, part)
     wanted = (signals.time, *signals.wanted)
     entries = {name: _ENTRY_PATTERN.fullmatch(name) for name in wanted}
     needed = [name if match is None else match[1] for name, match in entries.items()]
     with parquet.ParquetFile(file) as source:
         there = source.schema_arrow.names
-        check_columns(path, needed, there)
-        check_numbers(path, source.metadata.num_rows, len(wanted))
-        dataset = episode is not None or find_dataset_info(file) is not None
+        checks.check_columns(path, needed, there)
+        checks.check_numbers(path, source.metadata.num_rows, len(wanted))
+        dataset = episode is not None or checks.find_dataset_info(file) is not None
         index = [_EPISODE_COLUMN] if dataset and _EPISODE_COLUMN in there else []
         table = source.read(columns=list(dict.fromkeys([*needed, *index])), use_threads=False)
     if index:
@@ -172,7 +166,7 @@ def _entry_names(feature: Any) -> list[str]:
 
 
 def _dataset_features(path: Path) -> dict[str, Any]:
-    found = find_dataset_info(path)
+    found = checks.find_dataset_info(path)
     document = {} if found is None else load_json(found)
     features = document.get("features") if isinstance(document, dict) else None
     return features if isinstance(features, dict) else {}

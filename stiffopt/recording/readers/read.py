@@ -13,17 +13,7 @@ import numpy as np
 
 from stiffopt.errors import InputError, InputFileError, shortened
 from stiffopt.files import check_file
-from stiffopt.recording.readers import kuka_trace
-from stiffopt.recording.readers.checks import (
-    MAX_MEMORY,
-    MAX_SECONDS,
-    ReadTimeout,
-    bounded_memory,
-    bounded_time,
-    check_columns,
-    find_dataset_info,
-    split_part,
-)
+from stiffopt.recording.readers import checks, kuka_trace
 from stiffopt.recording.readers.columns import select_columns
 from stiffopt.recording.readers.messages import Message
 from stiffopt.recording.signals import Signals
@@ -109,10 +99,9 @@ def read_columns(path: str | os.PathLike[str], signals: Signals) -> Columns:
     numbers. Raises `InputError`: the format needs libraries that are not installed.
     """
     path = Path(path)
-    module = _select_reader(path)
-    reader = _import_reader(module, path)
+    reader, form = _import_reader(path)
     read = reader.read if hasattr(reader, "read") else _reader_of_tables(reader)
-    columns: Columns = read_bounded(lambda: read(path, signals), path, _FORMAT_NAMES[module])
+    columns: Columns = read_bounded(lambda: read(path, signals), path, form)
     lengths = {name: len(column) for name, column in columns.items()}
     if len(set(lengths.values())) > 1:
         listed = ", ".join(f"{name}: {count}" for name, count in lengths.items())
@@ -135,29 +124,23 @@ def read_tables(path: Path) -> dict[str, Columns]:
 
     Raises `InputFileError` or `InputError`: see `read_columns`.
     """
-    module = _select_reader(path)
-    reader = _import_reader(module, path)
-    tables: dict[str, Columns] = read_bounded(
-        lambda: reader.read_tables(path), path, _FORMAT_NAMES[module]
-    )
+    reader, form = _import_reader(path)
+    tables: dict[str, Columns] = read_bounded(lambda: reader.read_tables(path), path, form)
     if not all(tables.values()):
-        raise InputFileError(
-            path, "", f"was read as {_FORMAT_NAMES[module]} and holds no columns of numbers."
-        )
+        raise InputFileError(path, "", f"was read as {form} and holds no columns of numbers.")
     return tables
 
 
 def read_named_columns(path: Path, names: Sequence[str]) -> Columns:
     """Read columns (R,) of a file of one table, or of "FILE#PART"; errors as of `read_columns`."""
-    module = _select_reader(path)
-    reader = _import_reader(module, path)
+    reader, form = _import_reader(path)
 
     def read() -> Columns:
         table = _table_of_part(reader, path)
-        check_columns(path, names, table, "the set")
+        checks.check_columns(path, names, table, "the set")
         return {name: np.asarray(table[name], dtype=float) for name in names}
 
-    return read_bounded(read, path, _FORMAT_NAMES[module])
+    return read_bounded(read, path, form)
 
 
 def _reader_of_tables(reader: Any) -> Callable[[Path, Signals], Columns]:
@@ -166,7 +149,7 @@ def _reader_of_tables(reader: Any) -> Callable[[Path, Signals], Columns]:
 
 
 def _table_of_part(reader: Any, path: Path) -> Columns:
-    file, part = split_part(path)
+    file, part = checks.split_part(path)
     tables: dict[str, Columns] = reader.read_tables(file)
     if part is None and len(tables) == 1:
         (part,) = tables
@@ -185,10 +168,10 @@ def files_of(path: Path) -> list[Path]:
     if path.is_dir():
         found = sorted(path.iterdir())
     else:
-        file, _ = split_part(path)
+        file, _ = checks.split_part(path)
         found = [file]
         if _READER_OF_ENDING.get(file.suffix.lower()) == "parquet":
-            found += filter(None, [find_dataset_info(file)])
+            found += filter(None, [checks.find_dataset_info(file)])
         if file.suffix.lower() == _TRACE_ENDING:
             found = kuka_trace.files_of(file)
     return [each for each in found if each.is_file()]
@@ -204,16 +187,15 @@ def is_messages(path: Path) -> bool:
 
 def first_messages(path: Path, count: int) -> list[Message]:
     """Read the first messages of an MCAP file or a rosbag2: topic, log time [ns], content."""
-    module = _select_reader(path)
-    reader = _import_reader(module, path)
-    return read_bounded(lambda: list(islice(reader.peek(path), count)), path, _FORMAT_NAMES[module])
+    reader, form = _import_reader(path)
+    return read_bounded(lambda: list(islice(reader.peek(path), count)), path, form)
 
 
 def _select_reader(path: Path) -> str:
     """Return the name of the module that reads a file."""
     if path.is_dir() and (path / "metadata.yaml").is_file():
         return _BAG_READER
-    file, _ = split_part(path)
+    file, _ = checks.split_part(path)
     check_file(file)
     ending = file.suffix.lower()
     if ending in _CONVERSION_ADVICE:
@@ -236,9 +218,11 @@ def _is_trace(path: Path) -> bool:
         return _TRACE_MARK in stream.read(4096)
 
 
-def _import_reader(module: str, path: Path) -> Any:
+def _import_reader(path: Path) -> tuple[Any, str]:
+    """Return the module that reads a file, and the name of its format."""
+    module = _select_reader(path)
     try:
-        return import_module(f"stiffopt.recording.readers.{module}")
+        return import_module(f"stiffopt.recording.readers.{module}"), _FORMAT_NAMES[module]
     except ModuleNotFoundError as error:
         raise InputError(
             f"{path}: reading it needs the package {error.name!r}. "
@@ -249,19 +233,19 @@ def _import_reader(module: str, path: Path) -> Any:
 def read_bounded(read: Callable[[], Read], path: Path, name: str) -> Read:
     """Run a reader within bounds of time and memory; its errors become an `InputFileError`."""
     try:
-        with bounded_memory(), bounded_time():
+        with checks.bounded_memory(), checks.bounded_time():
             return read()
     except InputError:
         raise
-    except ReadTimeout as error:
+    except checks.ReadTimeout as error:
         raise InputFileError(
-            path, "", f"cannot be read as {name} within {MAX_SECONDS:g} s. Split it, or check "
-            "that it is whole."
+            path, "", f"cannot be read as {name} within {checks.MAX_SECONDS:g} s. Split it, or "
+            "check that it is whole."
         ) from error  # fmt: skip
     except MemoryError as error:
         raise InputFileError(
             path, "", f"cannot be read as {name}: it needs more than "
-            f"{MAX_MEMORY / 2**30:.1f} GiB of memory. Split it, or check that it is whole."
+            f"{checks.MAX_MEMORY / 2**30:.1f} GiB of memory. Split it, or check that it is whole."
         ) from error  # fmt: skip
     except Exception as error:  # libraries raise errors of many kinds
         reason = shortened(error) or type(error).__name__

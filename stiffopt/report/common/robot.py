@@ -21,38 +21,18 @@ class JointUnits:
     """Label of a joint on a page and the units in which its quantities are shown."""
 
     label: str
-    prismatic: bool
-
-    @property
-    def position(self) -> str:
-        """Degrees or millimetres."""
-        return joint_unit("deg", self.prismatic)
-
-    @property
-    def windup(self) -> str:
-        """Milliradians or millimetres."""
-        return joint_unit("mrad", self.prismatic)
-
-    @property
-    def rate(self) -> str:
-        """Unit of acceleration and jerk without the seconds; shown in SI."""
-        return joint_unit("rad", self.prismatic)
-
-    @property
-    def torque(self) -> str:
-        """Unit of torque or force."""
-        return joint_unit("N m", self.prismatic)
-
-    @property
-    def stiffness(self) -> str:
-        """Unit of stiffness."""
-        return joint_unit("N m/rad", self.prismatic)
+    position: str  # degrees or millimetres
+    windup: str  # milliradians or millimetres
+    rate: str  # of acceleration and jerk without the seconds; shown in SI
+    torque: str  # or force
+    stiffness: str
 
 
 def joint_units(robot: Robot) -> list[JointUnits]:
     """Return labels J1.. and units of a robot's joints."""
+    quantities = ("deg", "mrad", "rad", "N m", "N m/rad")
     return [
-        JointUnits(f"J{number}", bool(prismatic))
+        JointUnits(f"J{number}", *(joint_unit(unit, bool(prismatic)) for unit in quantities))
         for number, prismatic in enumerate(robot.prismatic, start=1)
     ]
 

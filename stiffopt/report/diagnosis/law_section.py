@@ -16,14 +16,7 @@ from stiffopt.discovery.laws.law import Law, describe_test, law_of, resembled
 from stiffopt.discovery.laws.sources import LawSource
 from stiffopt.report.common.svg import PALE, WIDTH, figure_style, panels
 from stiffopt.report.common.text import scale
-from stiffopt.report.diagnosis.regimes import (
-    DIRECTION_STYLES,
-    ChannelResiduals,
-    Regime,
-    draw_direction,
-    finding_contribution,
-    motion_direction,
-)
+from stiffopt.report.diagnosis import regimes
 from stiffopt.report.diagnosis.words import channel_words
 
 # Definitions of what an equation of a law may contain, for samples x_0, x_1, ... every dt seconds.
@@ -137,7 +130,9 @@ def _signal_of(source: LawSource, run: PreparedRun) -> np.ndarray:
 
 
 @figure_style()
-def law_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding) -> Figure | None:
+def law_figure(
+    diagnosis: Diagnosis, rows: regimes.ChannelResiduals, finding: Finding
+) -> Figure | None:
     """Plot the residual without a law over each of its signals, with the law through it."""
     law = law_of(finding.effect)
     if law is None:
@@ -145,23 +140,23 @@ def law_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding) -
     sources = [f.source for f in law.factors if f.source.kind != "direction"] or [
         LawSource("position", law.joint)
     ]
-    added = finding_contribution(diagnosis, finding, rows)
+    added = regimes.finding_contribution(diagnosis, finding, rows)
     residual = rows.after + added
     factor, unit = scale(float(np.quantile(np.abs(residual), 0.95)), rows.unit)
-    sides = motion_direction(diagnosis, rows)
+    sides = regimes.motion_direction(diagnosis, rows)
     sampled = diagnosis.search.comparison.rows.sample_signal
     figure, grid = panels(len(sources), len(sources), (WIDTH, 3.2), sharey=True)
     for axes, source in zip(grid, dict.fromkeys(sources), strict=False):
         values = sampled(partial(_signal_of, source))
         label = f"{source.words} [{source.own.unit}]" if source.own.unit else source.words
-        regime = Regime(source.symbol, label, values[rows.chosen])
+        regime = regimes.Regime(source.symbol, label, values[rows.chosen])
         noise = factor * float(np.median(rows.noise))
         axes.axhspan(-noise, noise, color=PALE, alpha=0.55, zorder=0, linewidth=0)
-        for side, colour, words in DIRECTION_STYLES:
+        for side, colour, words in regimes.DIRECTION_STYLES:
             own = sides == side
             if own.sum() > 1:
                 parts = factor * residual, factor * added
-                draw_direction(axes, regime, own, *parts, rows.run, colour)
+                regimes.draw_direction(axes, regime, own, *parts, rows.run, colour)
                 axes.plot([], [], "o", color=colour, label=words)
         axes.set_xlabel(label)
     grid[0].set_ylabel(f"residual without the law [{unit}]")

@@ -16,14 +16,7 @@ from stiffopt.recording.run import counted
 from stiffopt.report.common.citations import diagnosis_references
 from stiffopt.report.common.page import Filters, PageFigures, write_page
 from stiffopt.report.common.text import capital
-from stiffopt.report.diagnosis.changes import (
-    CHANGE_COLUMNS,
-    change_headline,
-    change_lead,
-    change_rows,
-    change_verdict,
-    unchanged_rows,
-)
+from stiffopt.report.diagnosis import changes, overview, words
 from stiffopt.report.diagnosis.figures import (
     Trace,
     channel_ratio,
@@ -39,14 +32,6 @@ from stiffopt.report.diagnosis.figures import (
 )
 from stiffopt.report.diagnosis.law_section import law_figure, laws_on_page
 from stiffopt.report.diagnosis.mismatch import mismatches
-from stiffopt.report.diagnosis.overview import (
-    candidates,
-    limits_by_effect,
-    moved_bodies,
-    moved_values,
-    sharpest_limits,
-    undetectable_effects,
-)
 from stiffopt.report.diagnosis.positions import position_section, value_section
 from stiffopt.report.diagnosis.regimes import (
     channel_residuals,
@@ -56,18 +41,6 @@ from stiffopt.report.diagnosis.regimes import (
     spectrum_figure,
 )
 from stiffopt.report.diagnosis.sections import answer_sections
-from stiffopt.report.diagnosis.words import (
-    CHANNEL_OUTCOMES,
-    channel_words,
-    channels_in_words,
-    headline,
-    new_and_unstated,
-    paragraph,
-    unexplained_sentence,
-    verdict_words,
-    worst_channel,
-    worst_ratio,
-)
 
 PAGE_FILE = "report.html"
 # Findings with their own figures, and samples of a channel that these need.
@@ -108,8 +81,8 @@ def write_diagnosis_report(
         run, curve = leading
         figures.draw("proof", proof_figure(curve), "Residual of a held-out run, before and after")
         caption = (
-            f"{capital(channel_words(curve.error.name))} in {run}, a run that no fit has seen:"
-            " what the prediction leaves. The closer to zero, the better the model."
+            f"{capital(words.channel_words(curve.error.name))} in {run}, a run that no fit has "
+            "seen: what the prediction leaves. The closer to zero, the better the model."
         )
     for role, (_, curve) in overlays.items():
         figures.draw(role, overlay_figure(curve), "Measured and predicted, before and after")
@@ -120,19 +93,19 @@ def write_diagnosis_report(
         "diagnosis": diagnosis,
         "title": f"{recordings.title}: "
         + ("changes between two states" if pair else "diagnosis of the nominal model"),
-        "headline": change_headline(diagnosis) if pair else headline(diagnosis),
+        "headline": changes.change_headline(diagnosis) if pair else words.headline(diagnosis),
         "action": action(diagnosis),
-        "paragraph": change_lead(diagnosis) if pair else paragraph(diagnosis),
-        "verdict": change_verdict(diagnosis) if pair else verdict_words(diagnosis),
+        "paragraph": changes.change_lead(diagnosis) if pair else words.paragraph(diagnosis),
+        "verdict": changes.change_verdict(diagnosis) if pair else words.verdict_words(diagnosis),
         "steady": not diagnosis.changes and diagnosis.verdict != "outside_catalogue"
         if pair
         else diagnosis.verdict == "nothing_missing",
         "pair": pair,
-        "channel_outcomes": CHANNEL_OUTCOMES,
-        "change_columns": CHANGE_COLUMNS,
-        "change_rows": change_rows(diagnosis),
-        "unchanged_rows": unchanged_rows(diagnosis),
-        "unexplained": unexplained_sentence(diagnosis),
+        "channel_outcomes": words.CHANNEL_OUTCOMES,
+        "change_columns": changes.CHANGE_COLUMNS,
+        "change_rows": changes.change_rows(diagnosis),
+        "unchanged_rows": changes.unchanged_rows(diagnosis),
+        "unexplained": words.unexplained_sentence(diagnosis),
         "mismatches": mismatches(diagnosis),
         "sections": answer_sections(diagnosis),
         "proof_caption": caption,
@@ -142,19 +115,21 @@ def write_diagnosis_report(
         "shown": shown,
         "laws": laws_on_page(diagnosis),
         "overlays": overlays,
-        "worst": worst_channel(diagnosis, search.after) if _has_residuals(search.after) else None,
-        "worst_ratio": worst_ratio(search.after),
+        "worst": words.worst_channel(diagnosis, search.after)
+        if _has_residuals(search.after)
+        else None,
+        "worst_ratio": words.worst_ratio(search.after),
         "encoders": sum(bool(name) for name in recordings.signals.link_position or ()),
         "channel_ratio": lambda role, name: channel_ratio(diagnosis.proofs(role), name),
         "windows": worst_windows(diagnosis),
-        "limits": limits_by_effect(diagnosis),
-        "sharpest": sharpest_limits(diagnosis),
-        "moved": moved_values(diagnosis),
-        "bodies": moved_bodies(diagnosis),
+        "limits": overview.limits_by_effect(diagnosis),
+        "sharpest": overview.sharpest_limits(diagnosis),
+        "moved": overview.moved_values(diagnosis),
+        "bodies": overview.moved_bodies(diagnosis),
         "missing": missing_signals(
             recordings, [*trained, *(proof.run for proof in diagnosis.held_out)]
         ),
-        "undetectable": undetectable_effects(
+        "undetectable": overview.undetectable_effects(
             effect_checks(
                 recordings, joint_facts(recordings, trained), len(trained), diagnosis.catalogue
             )
@@ -163,9 +138,9 @@ def write_diagnosis_report(
     }
     filters: Filters = {
         "place": partial(place, diagnosis),
-        "candidates": candidates,
-        "channel": channel_words,
-        "channels": channels_in_words,
+        "candidates": overview.candidates,
+        "channel": words.channel_words,
+        "channels": words.channels_in_words,
         "sure": format_probability,
         "counted": counted,
     }
@@ -206,19 +181,19 @@ def _draw_unexplained(figures: PageFigures, diagnosis: Diagnosis) -> None:
             "outside", regime_figure(diagnosis, rows, None), "Unexplained residual by regime"
         )
     if diagnosis.verdict == "nothing_missing" and _has_residuals(after):
-        rows = channel_residuals(diagnosis, worst_channel(diagnosis, after))
+        rows = channel_residuals(diagnosis, words.worst_channel(diagnosis, after))
         figures.draw("quiet", regime_figure(diagnosis, rows, None), "The worst channel by regime")
 
 
 def _overlay_traces(diagnosis: Diagnosis) -> dict[str, tuple[str, Trace]]:
     """Return by role the first run that has the leading channel."""
-    new, _ = new_and_unstated(diagnosis)
+    new, _ = words.new_and_unstated(diagnosis)
     if diagnosis.unexplained is not None and not new:
         name = diagnosis.unexplained.channels[0]
     elif found := statements(diagnosis):
         name = found[0].finding.channel
     else:
-        name = worst_channel(diagnosis, diagnosis.search.before)
+        name = words.worst_channel(diagnosis, diagnosis.search.before)
     traces: dict[str, tuple[str, Trace]] = {}
     for role in ("test", "extrapolate"):
         for proof in diagnosis.proofs(role):

@@ -24,31 +24,10 @@ from stiffopt.report.common.text import (
     pm,
     significant,
 )
+from stiffopt.report.diagnosis import mismatch, words
 from stiffopt.report.diagnosis.changes import terminal_lines
-from stiffopt.report.diagnosis.mismatch import (
-    counterbalance_sentences,
-    episode_sentences,
-    format_probability_range,
-    format_share_range,
-    mismatches,
-    noise_ceiling_sentence,
-    transfer_sentences,
-)
 from stiffopt.report.diagnosis.positions import position_section, value_section
 from stiffopt.report.diagnosis.values_to_enter import mass_sentences, value_sentences
-from stiffopt.report.diagnosis.words import (
-    channel_words,
-    channels_in_words,
-    headline,
-    joints_in_words,
-    new_and_unstated,
-    proof_sentence,
-    saturation_sentences,
-    unassessed_joint_sentences,
-    unexplained_sentence,
-    unstated_groups,
-    value_name,
-)
 
 _FINDING_COLUMNS = ("finding", "probability", "value ± standard deviation", "explains", "or else")
 _CHANGE_COLUMNS = ("changed value", "from", "to", "cause")
@@ -81,10 +60,10 @@ def _changes_section(diagnosis: Diagnosis) -> ReportSection:
 
 def finding_rows(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
     """Return a row of every finding, those without nominal value by kind and last."""
-    _, unstated = new_and_unstated(diagnosis)
+    _, unstated = words.new_and_unstated(diagnosis)
     rows = [_state_row(each) for each in statements(diagnosis) if each.finding not in unstated]
     shown = [each for each in unstated if each.probability >= MIN_LISTED_PROBABILITY]
-    return rows + [_unstated_row(diagnosis, own) for own in unstated_groups(shown)]
+    return rows + [_unstated_row(diagnosis, own) for own in words.unstated_groups(shown)]
 
 
 def change_rows(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
@@ -104,15 +83,15 @@ def change_rows(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
 def mismatch_lines(diagnosis: Diagnosis) -> list[str]:
     """Return sentences on what explains the mismatch, and on what was left out or differs."""
     lines = [
-        *(each.sentence for each in mismatches(diagnosis)),
+        *(each.sentence for each in mismatch.mismatches(diagnosis)),
         *value_sentences(diagnosis),
         *mass_sentences(diagnosis),
-        *counterbalance_sentences(diagnosis),
-        *unassessed_joint_sentences(diagnosis),
-        *saturation_sentences(diagnosis),
-        *episode_sentences(diagnosis),
-        noise_ceiling_sentence(diagnosis),
-        *transfer_sentences(diagnosis),
+        *mismatch.counterbalance_sentences(diagnosis),
+        *words.unassessed_joint_sentences(diagnosis),
+        *words.saturation_sentences(diagnosis),
+        *mismatch.episode_sentences(diagnosis),
+        mismatch.noise_ceiling_sentence(diagnosis),
+        *mismatch.transfer_sentences(diagnosis),
     ]
     return [line for line in lines if line]
 
@@ -123,7 +102,7 @@ def _state_row(each: Statement) -> tuple[str, ...]:
         f"{each.place}: {finding.effect.title}",
         f"{each.probability}, {each.certainty}",
         "\n".join(each.values),
-        f"{100 * finding.variance_explained:.0f} % of {channel_words(finding.channel)}",
+        f"{100 * finding.variance_explained:.0f} % of {words.channel_words(finding.channel)}",
         "\n".join(each.rivals) or DASH,
     )
 
@@ -137,12 +116,12 @@ def _unstated_row(diagnosis: Diagnosis, own: Sequence[Finding]) -> tuple[str, ..
         return f"joint {each.joint}: {pm(first.value, first.sd, unit)}"
 
     shares = [each.variance_explained for each in own]
-    where = joints_in_words([each.joint for each in own if each.joint is not None])
+    where = words.joints_in_words([each.joint for each in own if each.joint is not None])
     return (
-        capital(f"{value_name(own[0].effect)} of {where} (no nominal value)"),
-        format_probability_range([each.probability for each in own]),
+        capital(f"{words.value_name(own[0].effect)} of {where} (no nominal value)"),
+        mismatch.format_probability_range([each.probability for each in own]),
         "\n".join(map(value, own)),
-        format_share_range(min(shares), max(shares)),
+        mismatch.format_share_range(min(shares), max(shares)),
         DASH,
     )
 
@@ -158,12 +137,12 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
             *(
                 terminal_lines(diagnosis)
                 if diagnosis.compares_states
-                else [f"{diagnosis.verdict}: {headline(diagnosis)}."]
+                else [f"{diagnosis.verdict}: {words.headline(diagnosis)}."]
             ),
             f"To do: {action(diagnosis)}" if action(diagnosis) else None,
             *(
                 line
-                for line in (proof_sentence(diagnosis), unexplained_sentence(diagnosis))
+                for line in (words.proof_sentence(diagnosis), words.unexplained_sentence(diagnosis))
                 if line
             ),
         ]
@@ -186,8 +165,8 @@ def outside_lines(diagnosis: Diagnosis) -> list[str]:
     if not left or not diagnosis.findings:
         return []
     named = [each.channel for each in diagnosis.channel_verdicts if each.verdict == "named"]
-    text = f"By channel: outside the catalogue in {channels_in_words(left)}"
-    return [text + (f"; explained in {channels_in_words(named)}." if named else ".")]
+    text = f"By channel: outside the catalogue in {words.channels_in_words(left)}"
+    return [text + (f"; explained in {words.channels_in_words(named)}." if named else ".")]
 
 
 def fault_lines(diagnosis: Diagnosis) -> list[str]:

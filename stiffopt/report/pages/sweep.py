@@ -5,17 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from stiffopt.report.common import svg
 from stiffopt.report.common.page import PageFigures, write_page
-from stiffopt.report.common.svg import BLUE, GREY, VERMILLION, WIDTH, figure_style, panels, subplots
 from stiffopt.report.common.text import scale, si, words
-from stiffopt.report.pages.sweep_terminal import (
-    headline,
-    knee_sentence,
-    shared_section,
-    spread_sentence,
-)
+from stiffopt.report.pages import sweep_terminal
 from stiffopt.sweep.run import is_unusable
 from stiffopt.sweep.summary import Front, SweepSummary
 from stiffopt.units import number_and_unit
@@ -43,10 +39,10 @@ def write_sweep_report(summary: SweepSummary, folder: Path) -> Path:
     rows = list(zip(*(columns[name] for name in shown), strict=True))
     context = {
         "title": f"Sweep: {summary.sweep.title}",
-        "headline": headline(summary),
-        "knee": knee_sentence(summary),
-        "spread": spread_sentence(summary),
-        "shared": shared_section(summary),
+        "headline": sweep_terminal.headline(summary),
+        "knee": sweep_terminal.knee_sentence(summary),
+        "spread": sweep_terminal.spread_sentence(summary),
+        "shared": sweep_terminal.shared_section(summary),
         "head": [name if name in summary.sweep.places else words(name) for name in shown],
         "rows": [
             [
@@ -60,7 +56,7 @@ def write_sweep_report(summary: SweepSummary, folder: Path) -> Path:
     return write_page("pages/sweep.html.j2", folder / PAGE_FILE, context, figures)
 
 
-@figure_style()
+@svg.figure_style()
 def axes_figure(summary: SweepSummary) -> Figure | None:
     """Plot the result over each numeric entry; None without such an entry or result."""
     name = ANSWERS[summary.sweep.kind]
@@ -82,13 +78,13 @@ def axes_figure(summary: SweepSummary) -> Figure | None:
         return None
     factor, unit = scale(float(np.nanmax(np.abs(held))), summary.units[name])
     columns = min(3, len(drawn))
-    size = WIDTH, 0.9 + 2.4 * -(-len(drawn) // columns)
-    figure, grid = panels(len(drawn), columns, size, sharey=True)
+    size = svg.WIDTH, 0.9 + 2.4 * -(-len(drawn) // columns)
+    figure, grid = svg.panels(len(drawn), columns, size, sharey=True)
     lost = ~np.isfinite(held)
     for axes, (place, (values, kind)) in zip(grid, drawn.items(), strict=True):
-        axes.plot(values, factor * held, "o", color=BLUE, markersize=3.5, alpha=0.7)
+        _draw_curves(axes, summary, place, values, factor * held)
         floor = np.full(lost.sum(), factor * np.nanmin(held))
-        axes.plot(values[lost], floor, "x", color=VERMILLION, markersize=5.0)
+        axes.plot(values[lost], floor, "x", color=svg.VERMILLION, markersize=5.0)
         axes.set_xlabel(f"{place} [{kind}]")
     for axes in grid[::columns]:
         axes.set_ylabel(f"{words(name)} [{unit}]" if unit else words(name))
@@ -96,15 +92,43 @@ def axes_figure(summary: SweepSummary) -> Figure | None:
     return figure
 
 
-@figure_style()
+def _draw_curves(
+    axes: Axes, summary: SweepSummary, place: str, values: np.ndarray, held: np.ndarray
+) -> None:
+    """Plot results over one entry; a line joins cases that share all others, at their best start.
+
+    `values`, `held` (n,): entry and result of each finished case.
+    """
+    curves: dict[tuple[str, ...], list[int]] = {}
+    for index, (case, _) in enumerate(summary.done):
+        others = (f"{name} = {value}" for name, value in case.changes if name != place)
+        bases = [summary.sweep.base_names[case.base]] * (len(summary.sweep.base_names) > 1)
+        curves.setdefault((*bases, *others), []).append(index)
+    # Longer keys than one entry would cover the curves.
+    told = 1 < len(curves) <= min(len(svg.PALETTE), len(held) - 1) and all(
+        len(names) == 1 for names in curves
+    )
+    cost = -held if summary.maximised else held
+    for index, (names, members) in enumerate(curves.items()):
+        style = svg.line_style(index) if told else {"color": svg.BLUE, "linestyle": "-"}
+        own = np.array(members)
+        axes.plot(values[own], held[own], "o", color=style["color"], markersize=3.5, alpha=0.7)
+        own = own[np.lexsort((cost[own], values[own]))]
+        best = own[np.unique(values[own], return_index=True)[1]]
+        axes.plot(values[best], held[best], label=" ".join(names), linewidth=1.0, **style)
+    if told:
+        axes.legend()
+
+
+@svg.figure_style()
 def front_figure(front: Front, unit: str) -> Figure:
     """Plot the Pareto front with its knee."""
     factor, shown = scale(float(np.abs(front.objectives).max()), unit)
-    figure, axes = subplots(3.2)
-    axes.plot(front.values, factor * front.objectives, "o-", color=BLUE, markersize=4.0)
+    figure, axes = svg.subplots(3.2)
+    axes.plot(front.values, factor * front.objectives, "o-", color=svg.BLUE, markersize=4.0)
     if front.knee is not None:
         at, value = front.values[front.knee], factor * front.objectives[front.knee]
-        axes.plot([at], [value], "o", color=VERMILLION, markersize=8.0)
+        axes.plot([at], [value], "o", color=svg.VERMILLION, markersize=8.0)
         axes.annotate("knee", (at, value), (6, 6), textcoords="offset points")
     axes.set_xlabel(f"{front.over} [{front.unit}]" if front.unit else front.over)
     axes.set_ylabel(f"objective [{shown}]" if shown else "objective")
@@ -112,14 +136,14 @@ def front_figure(front: Front, unit: str) -> Figure:
     return figure
 
 
-@figure_style()
+@svg.figure_style()
 def spread_figure(summary: SweepSummary) -> Figure:
     """Plot the worst over the best optimum of each case among its starts."""
     spreads = summary.spreads()
-    figure, axes = subplots(3.0)
+    figure, axes = svg.subplots(3.0)
     ratios = [each.worst / each.best for each in spreads.values() if each.best]
-    axes.bar(np.arange(1, len(ratios) + 1), ratios, color=GREY, width=0.7)
-    axes.axhline(1.0, color=BLUE)
+    axes.bar(np.arange(1, len(ratios) + 1), ratios, color=svg.GREY, width=0.7)
+    axes.axhline(1.0, color=svg.BLUE)
     axes.set_xlabel("case")
     axes.set_ylabel("worst over best optimum")
     figure.tight_layout()

@@ -6,8 +6,7 @@ diagrams of VDI 2230; flanges show the load of each bolt.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -53,23 +52,15 @@ def front_figure(front: ParetoFront, units: Sequence[JointUnits], joints: Sequen
     _level_if_flat(axes)
     axes.set_xlabel("total preload of all bolts and pins [kN]")
     axes.set_ylabel(label)
-    beside = axes.secondary_yaxis("right", functions=_percent_above(float(value[0])))
+    least = float(value[0])
+    beside = axes.secondary_yaxis(
+        "right",
+        functions=(lambda x: 100 * (x / least - 1), lambda share: least * (1 + share / 100)),
+    )
     beside.set_ylabel("more than with the least preload [%]")
     beside.spines["right"].set_visible(True)
     figure.subplots_adjust(left=0.12, right=0.9)
     return figure
-
-
-def _percent_above(first: float) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
-    """Return conversions of a value to per cent above `first` and back."""
-
-    def above(value: Any) -> Any:
-        return 100 * (value / first - 1)
-
-    def back(percent: Any) -> Any:
-        return first * (1 + percent / 100)
-
-    return above, back
 
 
 def _level_if_flat(axes: Axes) -> None:

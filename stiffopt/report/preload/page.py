@@ -15,6 +15,7 @@ from stiffopt.report.common.page import Filters, PageFigures, write_page
 from stiffopt.report.common.robot import joint_units
 from stiffopt.report.common.terminal import print_lines, print_table
 from stiffopt.report.common.text import DASH, si, significant
+from stiffopt.report.preload import overview, words
 from stiffopt.report.preload.curves_figure import curves_figure
 from stiffopt.report.preload.figures import (
     flange_drawings,
@@ -22,35 +23,6 @@ from stiffopt.report.preload.figures import (
     joint_diagrams,
     loosening_figure,
     shares_figure,
-)
-from stiffopt.report.preload.overview import (
-    EstimateMarks,
-    limit_sources,
-    loosened_connections,
-    most_used,
-    preload_worth,
-    shares_by_joint,
-    shown_sheets,
-    stiffness_changes,
-    study_estimates,
-    utilisation_matrix,
-    vdi_steps,
-)
-from stiffopt.report.preload.words import (
-    METHOD_WORDS,
-    OBJECTIVE_WORDS,
-    active_limits_sentence,
-    active_limits_text,
-    amount,
-    cautions,
-    fastener_words,
-    fasteners,
-    headline,
-    owner_name,
-    prose,
-    readable,
-    stiffness_sentence,
-    weakest_sentence,
 )
 
 REPORT_FILE = "report.html"
@@ -76,7 +48,7 @@ def write_preload_report(study: PreloadStudy, directory: str | Path) -> Path:
     with with_own(study.problem.robot.own):
         problem, solution = study.problem, study.solution
         units = joint_units(problem.robot)
-        shares = shares_by_joint(study.sensitivity, problem, solution)
+        shares = overview.shares_by_joint(study.sensitivity, problem, solution)
         free = [element.name for element in problem.elements]
         figures = PageFigures("preload")
         figures.draw(
@@ -88,7 +60,7 @@ def write_preload_report(study: PreloadStudy, directory: str | Path) -> Path:
             front = front_figure(study.front, units, problem.joints)
             figures.draw("front", front, "Total preload against stiffness")
         sheets = bolt_sheets(PreloadModel(problem, solution.cases), solution.vector)
-        drawn = shown_sheets(sheets, solution)
+        drawn = overview.shown_sheets(sheets, solution)
         if drawn:
             figures.draw("diagram", joint_diagrams(drawn), "Joint diagram")
             figures.draw("flanges", flange_drawings(drawn), "Load of each bolt")
@@ -106,37 +78,39 @@ def write_preload_report(study: PreloadStudy, directory: str | Path) -> Path:
             "units": units,
             "unit": OBJECTIVES[problem.objective],
             "title": problem.title or f"Preloads of {problem.robot.title or problem.robot.name}",
-            "headline": headline(study),
-            "lead": active_limits_sentence(problem, solution),
-            "gain": stiffness_sentence(problem, solution, study.front),
-            "weakest": weakest_sentence(shares, free),
-            "mark": EstimateMarks(problem).of,
-            "changes": stiffness_changes(problem, solution),
+            "headline": words.headline(study),
+            "lead": words.active_limits_sentence(problem, solution),
+            "gain": words.stiffness_sentence(problem, solution, study.front),
+            "weakest": words.weakest_sentence(shares, free),
+            "mark": overview.EstimateMarks(problem).of,
+            "changes": overview.stiffness_changes(problem, solution),
             "posed": any(case.jacobian is not None for case in solution.cases),
-            "cautions": cautions(problem, solution),
-            "most_used": most_used(solution.rows),
-            "matrix": utilisation_matrix(solution.rows),
-            "loosened": loosened_connections(study.loosening),
-            "worth": preload_worth(study.sensitivity),
+            "cautions": words.cautions(problem, solution),
+            "most_used": overview.most_used(solution.rows),
+            "matrix": overview.utilisation_matrix(solution.rows),
+            "loosened": overview.loosened_connections(study.loosening),
+            "worth": overview.preload_worth(study.sensitivity),
             "sheets": sheets,
             "drawn": [sheet.key for sheet in drawn],
-            "steps": vdi_steps(solution.rows),
+            "steps": overview.vdi_steps(solution.rows),
             "safety_factors": SAFETY_FACTORS,
-            "limit_sources": limit_sources(solution.rows),
-            "estimated": study_estimates(problem),
+            "limit_sources": overview.limit_sources(solution.rows),
+            "estimated": overview.study_estimates(problem),
             "references": preload_references(study),
-            "objective_words": OBJECTIVE_WORDS,
-            "method_words": METHOD_WORDS,
+            "objective_words": words.OBJECTIVE_WORDS,
+            "method_words": words.METHOD_WORDS,
             "priced": problem.choose is not None and problem.choose.cost is not None,
         }
         filters: Filters = {
-            "readable": readable,
-            "prose": prose,
-            "amount": amount,
-            "fasteners": fasteners,
-            "fastener_words": fastener_words,
-            "owner": owner_name,
-            "set_by": lambda element: active_limits_text(solution, element.key, element.joint),
+            "readable": words.readable,
+            "prose": words.prose,
+            "amount": words.amount,
+            "fasteners": words.fasteners,
+            "fastener_words": words.fastener_words,
+            "owner": words.owner_name,
+            "set_by": lambda element: words.active_limits_text(
+                solution, element.key, element.joint
+            ),
         }
         path = Path(directory) / REPORT_FILE
         return write_page("preload/page.html.j2", path, context, figures, filters)
@@ -148,23 +122,23 @@ def print_study(study: PreloadStudy, folder: Path) -> None:
     if solution.status.usable:
         print_lines(
             (
-                f"{solution.status}: {headline(study)}.",
-                active_limits_sentence(problem, solution) or None,
-                stiffness_sentence(problem, solution) or None,
+                f"{solution.status}: {words.headline(study)}.",
+                words.active_limits_sentence(problem, solution) or None,
+                words.stiffness_sentence(problem, solution) or None,
             )
         )
         print_table(
             _CONNECTION_COLUMNS, [_connection_row(study, element) for element in problem.elements]
         )
     else:
-        chosen = f"{headline(study)}. " if study.choice is not None else ""
+        chosen = f"{words.headline(study)}. " if study.choice is not None else ""
         print_lines([f"{solution.status}: {chosen}{solution.message}"])
     print_lines(
         (
             f"Catalogue: {study.choice.message}" if study.choice is not None else None,
             study.motion.note if study.motion is not None else None,
             *(f"Note: {note}" for note in study.notes),
-            *(f"Warning: {each}" for each in cautions(problem, solution)),
+            *(f"Warning: {each}" for each in words.cautions(problem, solution)),
             f"Report: {folder / 'report.html'}",
         )
     )
@@ -179,13 +153,13 @@ def _connection_row(study: PreloadStudy, element: FreeElement) -> tuple[str, ...
     own = [r for r in solution.rows if r.element == key and r.binding and r.kind not in fixed]
     used = max(own, key=lambda r: r.utilisation)
     return (
-        readable(key),
-        fasteners(element),
+        words.readable(key),
+        words.fasteners(element),
         si(preload, "kN"),
         si(float(element.least(preload)), "kN"),
         DASH
         if torque is None
         else f"{si(torque.nominal, 'N m', 3)} ({significant(torque.lower, 3)} at least)",
         f"{100 * used.utilisation:.0f} % of {used.kind}",
-        active_limits_text(solution, key, element.joint),
+        words.active_limits_text(solution, key, element.joint),
     )

@@ -15,11 +15,7 @@ from stiffopt.report.common.robot import estimated_inputs, joint_units
 from stiffopt.report.common.text import capital, scale, words
 from stiffopt.report.scene.poses import poses_along
 from stiffopt.report.scene.still import ArmInSpace, embedded_scene
-from stiffopt.report.solve.compensation import (
-    COMPENSATED,
-    COMPENSATION_FILTERS,
-    compensation_figure,
-)
+from stiffopt.report.solve import compensation, wording
 from stiffopt.report.solve.figures import (
     PARTS,
     ComparedMotion,
@@ -32,16 +28,6 @@ from stiffopt.report.solve.figures import (
 )
 from stiffopt.report.solve.simulation import deviation_figure
 from stiffopt.report.solve.space_figures import path_figure, windup_figure
-from stiffopt.report.solve.wording import (
-    comparison,
-    difference_text,
-    headline_text,
-    limit_text,
-    objective_amount,
-    objective_phrase,
-    simulation_section,
-    violation_text,
-)
 from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.solution import Baseline, Solution
 
@@ -71,11 +57,11 @@ def write_solve_report(
         "solution": solution,
         "title": problem.title or f"Motion of {problem.robot.name}",
         "headline": _page_headline(solution),
-        "comparison": comparison(problem, solution),
+        "comparison": wording.comparison(problem, solution),
         "read_first": [
-            text for text in (difference_text(problem, solution), *solution.notes) if text
+            text for text in (wording.difference_text(problem, solution), *solution.notes) if text
         ],
-        "simulated": solution.simulation and simulation_section(solution.simulation),
+        "simulated": solution.simulation and wording.simulation_section(solution.simulation),
         "better": better_baseline(problem, solution.baselines),
         "absent": "".join(f" No {name} motion: {reason}" for name, reason in absent.items()),
         "terms": [] if solution.objective is None else _objective_terms(solution.objective.terms),
@@ -92,15 +78,15 @@ def write_solve_report(
         "space": None,
         "still": "",
     }
-    filters: Filters = COMPENSATION_FILTERS | {
-        "limit": limit_text,
-        "excess": violation_text,
-        "amount": lambda value: objective_amount(
+    filters: Filters = compensation.COMPENSATION_FILTERS | {
+        "limit": wording.limit_text,
+        "excess": wording.violation_text,
+        "amount": lambda value: wording.objective_amount(
             solution.objective.name if solution.objective else "",
             value,
             solution.objective.unit if solution.objective else "",
         ),
-        "phrase": lambda objective: objective_phrase(objective.name, objective.measure),
+        "phrase": lambda objective: wording.objective_phrase(objective.name, objective.measure),
     }
     figures = _draw_figures(problem, solution, part)
     if motions:
@@ -115,7 +101,7 @@ def write_solve_report(
 def _page_headline(solution: Solution) -> str:
     if solution.objective is None:
         return "No motion found"
-    text = headline_text(solution)
+    text = wording.headline_text(solution)
     return capital(text if solution.status.usable else f"{words(solution.status)}: {text}")
 
 
@@ -123,7 +109,10 @@ def _objective_terms(terms: dict[str, float]) -> list[tuple[str, str]]:
     """Return phrase and formatted value of each term of a weighted sum."""
     split = [(*term.partition(" ")[::2], value) for term, value in terms.items()]
     return [
-        (objective_phrase(name, by), objective_amount(name, value, OBJECTIVES[name].unit, 3))
+        (
+            wording.objective_phrase(name, by),
+            wording.objective_amount(name, value, OBJECTIVES[name].unit, 3),
+        )
         for name, by, value in split
     ]
 
@@ -177,8 +166,8 @@ def _draw_figures(problem: TrajectoryProblem, solution: Solution, part: str) -> 
     if solution.compensation is not None:
         figures.draw(
             "compensation",
-            compensation_figure(solution.compensation),
-            COMPENSATED,
+            compensation.compensation_figure(solution.compensation),
+            compensation.COMPENSATED,
         )
     return figures
 

@@ -12,13 +12,8 @@ from rich.text import Text
 
 from stiffopt.report.common.terminal import print_lines, print_section, print_table
 from stiffopt.report.common.text import si
+from stiffopt.report.solve import wording
 from stiffopt.report.solve.compensation import compensation_section, compensation_text
-from stiffopt.report.solve.wording import (
-    comparison,
-    difference_text,
-    headline_text,
-    simulation_section,
-)
 from stiffopt.result.archive import ARCHIVE_FILE
 from stiffopt.result.status import SolveStatus
 
@@ -34,8 +29,8 @@ def print_solution(problem: TrajectoryProblem, solution: Solution, folder: Path)
     """Print status, objective, comparison with the baselines, notes and path of the report."""
     lines = [f"{solution.status}: {solution.message}"]
     if solution.objective is not None and solution.status is not SolveStatus.INFEASIBLE:
-        lines += [headline_text(solution), comparison(problem, solution)]
-        lines += [text for text in (difference_text(problem, solution),) if text]
+        lines += [wording.headline_text(solution), wording.comparison(problem, solution)]
+        lines += [text for text in (wording.difference_text(problem, solution),) if text]
     lines += [f"Note: {note}" for note in solution.notes]
     print_lines(lines)
     if solution.simulation is not None:
@@ -53,7 +48,7 @@ def print_solution(problem: TrajectoryProblem, solution: Solution, folder: Path)
 
 def print_simulation(simulation: Simulation) -> None:
     """Print the table of simulated motions with its notes."""
-    print_section(simulation_section(simulation))
+    print_section(wording.simulation_section(simulation))
 
 
 def print_compensation(compensation: Compensation) -> None:
