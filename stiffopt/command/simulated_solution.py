@@ -103,7 +103,7 @@ def with_simulation(
         solution = _add_note(solution, unsure) if unsure else solution
         if reason := _explain_missing_command(problem, own):
             return _add_note(solution, reason)
-        if command is not None and command.motion.motors is not solution.trajectory:
+        if command is not None and command.motion.position is not own.position:
             command = None
         tell = _progress_callback(progress, solution)
         known = rivals[2] if rivals else None

@@ -87,7 +87,7 @@ class LinearizedWeight:
         whole = []
         for robot in _robot_and_heavier_payload(arm):
             bodies = robot.rigid_bodies()
-            weight = robot.bodies_in_motion().gravity_torque(q)
+            weight = np.array([bodies.gravity_torque(row) for row in q])
             whole.append((weight, np.array([bodies.weight_slope(row) for row in q])))
         self.torque, self.by_q = _split_payload(whole)
         self.torque[0] -= arm.force_torque(q)

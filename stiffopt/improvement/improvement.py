@@ -24,8 +24,8 @@ from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
 from stiffopt.errors import NotSimulatedError
 from stiffopt.improvement.given_motion import GivenMotion, MotionPiece, moving_pieces
-from stiffopt.improvement.limit_shares import LimitShares
 from stiffopt.path.averaged_law import averaged_law
+from stiffopt.path.limit_shares import LimitShares
 from stiffopt.path.path_timing import PathDemands, fastest_timing
 from stiffopt.problem.objective import Objective
 from stiffopt.problem.trajectory import Target, TrajectoryProblem

@@ -14,6 +14,7 @@ from stiffopt.certificate.objective_value import objective_value
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.errors import ProblemError
 from stiffopt.path.averaged_law import averaged_law
+from stiffopt.path.limit_shares import LimitShares
 from stiffopt.path.path_duty import slowing_within_duty
 from stiffopt.path.path_timing import PathDemands, fastest_parts
 from stiffopt.problem.trajectory import TrajectoryProblem
@@ -30,7 +31,7 @@ _TIMED_LIMITS = ("velocity", "acceleration", "jerk", "torque", "tool_speed")
 _MAX_BACK_OFFS = 4
 # Windows over which the law of a motion with a command is averaged [s], and the duration over that
 # of the fastest law and two windows up to which one is taken.
-_AVERAGING_WINDOWS, _MAX_SLOWING = (0.04, 0.02, 0.01), 1.1
+AVERAGING_WINDOWS, _MAX_SLOWING = (0.04, 0.02, 0.01), 1.1
 FASTEST_REASON = (
     "on a given path none is faster within limits on velocity, acceleration, drive torque and tool "
     "speed, and none near it within those on jerk. To be faster, change the path or the limits."
@@ -38,11 +39,20 @@ FASTEST_REASON = (
 
 
 def timed_motion(problem: TrajectoryProblem) -> Baseline | None:
-    """Return the certified fastest motion on the problem's path, not below its least duration.
+    """Return the certified fastest motion on the problem's path, as of `timed_path`."""
+    found = timed_path(problem)
+    return None if found is None else found[0]
 
-    Where a command is asked for, its law is averaged over the widest window that costs little time,
-    so that the motors can lead. None where it exceeds a limit of another kind, or the largest
-    duration. Raises `ProblemError` where no allowed duration keeps the limits of the duty.
+
+def timed_path(
+    problem: TrajectoryProblem, shares: LimitShares | None = None
+) -> tuple[Baseline, Trajectory] | None:
+    """Return the certified fastest motion on the problem's path, and its time law.
+
+    It is not below the problem's least duration and uses the `shares` of the limits. Where a
+    command is asked for, its law is averaged over the widest window that costs little time, so that
+    the motors can lead. None where it exceeds a limit of another kind, or the largest duration.
+    Raises `ProblemError` where no allowed duration keeps the limits of the duty.
     """
     path = problem.path
     assert path is not None
@@ -50,10 +60,13 @@ def timed_motion(problem: TrajectoryProblem) -> Baseline | None:
     @functools.cache
     def fastest_laws(margins: frozenset[tuple[str, float]]) -> list[tuple[Trajectory, float]]:
         """Return the fastest laws with shares of the limits left, where each window starts."""
-        unused = dict(margins)
+        unused, along = dict(margins), None if shares is None else shares.of_piece(0)
         demands = PathDemands(
             process_force=_forces_along(problem, path),
-            shares=lambda name, s: np.full(len(s), 1.0 - unused.get(name, 0.0)),
+            shares=lambda name, s: (
+                (1.0 - unused.get(name, 0.0))
+                * (np.ones(len(s)) if along is None else along(name, s))
+            ),
             eased=problem.boundary_acceleration == "zero",
         )
         return fastest_parts(problem.robot, problem.active_limits, path, demands)
@@ -61,15 +74,15 @@ def timed_motion(problem: TrajectoryProblem) -> Baseline | None:
     fastest = _timed_motion(problem, fastest_laws, 0.0)
     if fastest is None or not problem.leads_on_path:
         return fastest
-    assert fastest.objective is not None
-    for window in _AVERAGING_WINDOWS:
+    assert fastest[0].objective is not None
+    for window in AVERAGING_WINDOWS:
         try:
             found = _timed_motion(problem, fastest_laws, window)
         except ProblemError:  # no time is left in which its duty, unlike the fastest's, is kept
             continue
         # Every part between stops ends two windows later.
-        allowed = _MAX_SLOWING * (fastest.objective + 2.0 * window * (1 + len(path.stops)))
-        if found is not None and found.objective is not None and found.objective <= allowed:
+        allowed = _MAX_SLOWING * (fastest[0].objective + 2.0 * window * (1 + len(path.stops)))
+        if found is not None and (found[0].objective or np.inf) <= allowed:
             return found
     return fastest
 
@@ -78,8 +91,8 @@ def _timed_motion(
     problem: TrajectoryProblem,
     fastest_laws: Callable[[frozenset[tuple[str, float]]], list[tuple[Trajectory, float]]],
     window: float,
-) -> Baseline | None:
-    """Return the certified motion with its law averaged twice over a window [s]."""
+) -> tuple[Baseline, Trajectory] | None:
+    """Return the certified motion with its law averaged twice over a window [s], and the law."""
     path = problem.path
     margins: dict[str, float] = {}
     assert path is not None
@@ -109,7 +122,7 @@ def _timed_motion(
         law = _within_duty(problem, path, law, problem.duty)
         motion, assessment = _follow(problem, path, law)
     assessment = with_collisions(problem, assessment)
-    return Baseline(
+    found = Baseline(
         name="timed",
         assessment=assessment,
         objective=objective_value(problem, assessment).value,
@@ -117,6 +130,7 @@ def _timed_motion(
         reason="",
         trajectory=motion,
     )
+    return found, law
 
 
 def _follow(

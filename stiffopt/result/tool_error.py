@@ -32,8 +32,7 @@ class ToolError:
     @cached_property
     def distance(self) -> np.ndarray:
         """Magnitude of the position error (.., K) [m]."""
-        square = np.einsum("...x,...x->...", self.position, self.position)
-        return np.asarray(np.sqrt(square))
+        return np.asarray(np.linalg.norm(self.position, axis=-1))
 
     @cached_property
     def along(self) -> np.ndarray:

@@ -75,7 +75,8 @@ class Monitor(ca.Callback):
         self.report, self.max_seconds, self.patience = report, max_seconds, 0
         self.max_iterations: int | None = None
         # Largest step of a stationary iterate, and the check after a few of them.
-        self.still_step, self.has_ended = 0.0, lambda: False
+        self.still_step = 0.0
+        self.has_ended: Callable[[], bool] = bool
         self.started = time.perf_counter()
         self.history: list[Progress] = []
         self.steps: list[float] = []  # largest change of a variable in each iteration

@@ -25,7 +25,7 @@ from stiffopt.elastic.arm import questionable_springs
 from stiffopt.errors import NoSolutionFound, ProblemError
 from stiffopt.interrupts import end_deferral, until_interrupted
 from stiffopt.path.path_duty import describe_duty
-from stiffopt.path.timed_path import FASTEST_REASON, timed_motion
+from stiffopt.path.timed_path import FASTEST_REASON
 from stiffopt.problem.bounds import check_bounds, shortest_duration
 from stiffopt.problem.files import LoadedProblem
 from stiffopt.problem.input_checks import (
@@ -48,6 +48,7 @@ from stiffopt.solver.collision_avoidance import avoid_collisions
 from stiffopt.solver.exchange import exchange, interrupted_outcome
 from stiffopt.solver.initial_guess import guess_from_motion, initial_guess, perturb_guess
 from stiffopt.solver.input_shaping import Window, mark_solution_interrupted, solve_shaped
+from stiffopt.solver.path_command import led_timing
 from stiffopt.solver.programme import Outcome
 from stiffopt.solver.ringing import RingingBesideRivals
 from stiffopt.solver.robust_plan import choose_shaped_motion, robust_plan
@@ -261,7 +262,7 @@ def interrupted_solution(
 def _timed_motion(run: SolveRun) -> Baseline | None:
     """Return the fastest motion on the path; its time counts as that of the solve."""
     begin = time.perf_counter()
-    found = timed_motion(run.problem)
+    found = led_timing(run)
     if found is not None and found.assessment is not None:
         run.notes.append(describe_duty(run.problem.robot, found.assessment))
     run.solve_s += time.perf_counter() - begin

@@ -14,7 +14,7 @@ from stiffopt.files import load_json, read_table
 from stiffopt.improvement.given_motion import GivenMotion
 from stiffopt.improvement.improvement import LimitUse, improve
 from stiffopt.improvement.least_jerk import least_jerk_motion
-from stiffopt.improvement.limit_shares import LimitShares
+from stiffopt.path.limit_shares import LimitShares
 from stiffopt.problem.limit import Limits
 from stiffopt.report.pages.improvement import answer, faults, headline
 from stiffopt.result.assessment import DriveHistory, Violation

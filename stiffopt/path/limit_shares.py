@@ -16,8 +16,8 @@ BACKED_OFF = ("velocity", "acceleration", "jerk", "torque", "tool_speed")
 # Extra back-off each time, and the largest excess that one round backs off from: larger ones fall
 # faster than the limit.
 _BACK_OFF_EXTRA, _MAX_BACK_OFF = 0.01, 0.4
-# Places of a piece at which its shares are kept, equidistant in time.
-_PLACES_PER_PIECE = 201
+# Time between the places of a piece at which its shares are kept [s].
+_PLACE_SPACING = 4e-3
 
 PlacedLaws = Sequence[tuple[float, Trajectory]]
 
@@ -25,7 +25,8 @@ PlacedLaws = Sequence[tuple[float, Trajectory]]
 class LimitShares:
     """Shares of the limits along the pieces of a path, all of them at first.
 
-    `window`: time over which a law is averaged [s]; an excess is backed off as far about it.
+    `window`: time about an excess within which limits are backed off [s], as long as a law is
+    averaged.
     """
 
     def __init__(self, window: float) -> None:
@@ -64,7 +65,8 @@ class LimitShares:
         """
         if not self._shares:
             for _, law in laws:
-                places = np.unique(law(np.linspace(0.0, law.duration, _PLACES_PER_PIECE))[:, 0])
+                count = int(np.ceil(law.duration / _PLACE_SPACING)) + 1
+                places = np.unique(law(np.linspace(0.0, law.duration, count))[:, 0])
                 self._places.append(places)
                 self._shares.append({name: np.ones(len(places)) for name in BACKED_OFF})
         time = histories[0].time
@@ -96,4 +98,4 @@ def _uses(history: DriveHistory, limits: Limits, name: str) -> np.ndarray:
         speed = history.tool_speed if isinstance(history, Assessment) else 0.0 * history.time
         return np.asarray(speed / limits.tool_speed)
     values: Mapping[str, np.ndarray] = vars(history)
-    return np.max(np.abs(values[name]) / getattr(limits, name), axis=1)
+    return np.asarray(np.max(np.abs(values[name]) / getattr(limits, name), axis=1))
