@@ -162,6 +162,8 @@ SATURATION = Effect(
     needs=("torque", "moves"),
     limits_drive=True,
     takes_recorded=True,
+    # A drive that gives less of what it is asked for does not follow its motion.
+    possible=lambda shapes, constants: bool(shapes[0] >= _start_limits(constants)[0]),
     applies=lambda constants: constants.measured_torque > 0.0,
     term=saturation_term,
     amplitudes=(Amplitude("missing", "", 1.0, 0.0, 1.5),),
@@ -184,7 +186,7 @@ READING_LIMIT = Effect(
     phrase="a torque reading that ends at {limit}",
     remedy="Extend the range of the torque reading of {where} beyond {limit}, or leave its samples"
     " at that level out.",
-    needs=("torque", "moves"),
+    needs=("torque", "torque_sensor", "moves"),
     confused_with=("saturation",),
     term=reading_limit_term,
     amplitudes=(Amplitude("missing", "", 1.0, 0.0, 1.5),),

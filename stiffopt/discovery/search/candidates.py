@@ -156,9 +156,9 @@ class Scorer:
             return 0.0
         rest = (self._residual_beside(found.base()) - columns.sum(axis=1))[taken]
         unexplained = (comparison.inflation / comparison.least)[comparison.rows.channel[taken]]
+        each = math.log(size[taken].mean()) + _EXPONENTIAL_COST
         return float(
-            np.sum(np.log(size[taken].mean()) + _EXPONENTIAL_COST)
-            + 0.5 * np.sum(rest**2 * (unexplained**2 - 1.0))
+            np.count_nonzero(taken) * each + 0.5 * np.sum(rest**2 * (unexplained**2 - 1.0))
         )
 
     def unbounded(self, located: LocatedEffect) -> AddedPosterior | None:
