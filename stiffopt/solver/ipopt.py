@@ -215,6 +215,8 @@ class IpoptSolver:
             raise monitor.error
         word = str(solver.stats()["return_status"])
         status = monitor.stopped_by or _translate_status(word)
+        if monitor.interrupt.is_set():  # after the last iteration too
+            status = "interrupted"
         if status in ("acceptable", "stalled", "iteration_limit") and stationary():
             status = "optimal"
         last = self._last_iterate(outputs)

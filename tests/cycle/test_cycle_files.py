@@ -11,7 +11,7 @@ from small_cycles import GRIP, MOVES, write_cycle_file
 
 from stiffopt.cli import run
 from stiffopt.errors import InputFileError
-from stiffopt.problem import cycle_files
+from stiffopt.problem import branches
 from stiffopt.problem.branches import CostTable, best_combination, branch_name, solutions_of_pose
 from stiffopt.problem.cycle_files import load_cycle
 from stiffopt.problem.files import load_problem
@@ -100,7 +100,7 @@ def test_postures_that_cannot_be_held_take_no_place_among_the_nearest(monkeypatc
         found.append(solutions_of_pose(*given))
         return found[-1]
 
-    monkeypatch.setattr(cycle_files, "solutions_of_pose", watched)
+    monkeypatch.setattr(branches, "solutions_of_pose", watched)
     path, limit = ROOT / "problems" / "ur10_cycle.toml", [180.0, 100.0, 90.0, 30.0, 30.0, 30.0]
     cycle = load_cycle(path, [f"limits.torque={limit}"]).cycle
     bodies = cycle.legs[1].problem.robot.rigid_bodies()

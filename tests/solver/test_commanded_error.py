@@ -297,7 +297,7 @@ def straight(slope):
     ("best", "strongest", "share"),
     [
         (None, 1.0, 60),
-        (LedError(in_flight=0.3, after_arrival=9.0, across=1.0, shares={}), 1.0, 80),
+        (LedError(in_flight=0.31, after_arrival=9.0, across=1.0, shares={}), 1.0, 80),
         (None, 0.5, 40),
     ],
 )

@@ -21,7 +21,6 @@ from stiffopt.discovery.comparison.located_effect import (
 )
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.names import ValueName
-from stiffopt.discovery.thresholds import MIN_ACTIVE_SHARE
 
 if TYPE_CHECKING:
     from stiffopt.discovery.effect import Constants
@@ -54,7 +53,7 @@ class Estimate:
     added: np.ndarray  # (r, r) covariance beyond the likelihood, of all of these
     sizes: tuple[np.ndarray, ...]
     shape_sizes: tuple[np.ndarray, ...]
-    # (e,) numbers of stretches and of runs in which each effect acts.
+    # (e,) effective numbers of stretches and of runs that tell each effect.
     parts: tuple[tuple[int, int], ...]
 
     def calibration(self) -> dict[ValueName, float]:
@@ -193,8 +192,8 @@ class Estimate:
     def _jackknives(self, index: int) -> list[tuple[np.ndarray, int]]:
         """Return jackknife covariances and their numbers of parts; one run has none between runs.
 
-        Only parts in which the effect acts tell of it. Too few of them are no jackknife: without
-        the only one that shows an effect nothing is known of it.
+        Parts count that an estimate rests on. Too few of them are no jackknife: without the only
+        one that shows an effect nothing is known of it.
         """
         stretches, runs = self.parts[index]
         each = [(self.spread, stretches, _MIN_STRETCHES)]
@@ -280,14 +279,13 @@ def estimate_parameters(
         matrix = np.column_stack([matrix, *slopes])
     prior = np.concatenate([prior_sd, np.ones(len(scaled)), np.full(len(slopes), _SHAPE_PRIOR)])
     del slopes
+    covariance, spread, by_stretch = _jackknife_covariance(
+        comparison, matrix, prior, number_stretches(comparison), _MIN_STRETCHES
+    )
+    _, between, by_run = _jackknife_covariance(
+        comparison, matrix, prior, comparison.rows.run, MIN_RUNS_AS_BLOCKS
+    )
     edges = np.cumsum([len(names), *map(len, sizes)]).tolist()
-    blocks = number_stretches(comparison)
-    covariance, spread = _jackknife_covariance(comparison, matrix, prior, blocks)
-    between = covariance
-    if len(comparison.runs) >= MIN_RUNS_AS_BLOCKS:
-        _, between = _jackknife_covariance(
-            comparison, matrix, prior, comparison.rows.block, MIN_RUNS_AS_BLOCKS
-        )
     return Estimate(
         nuisance=tuple(names),
         values=fit.posterior.mean,
@@ -301,19 +299,16 @@ def estimate_parameters(
         sizes=sizes,
         shape_sizes=shape_sizes,
         parts=tuple(
-            (
-                _acting_parts(matrix[:, first:last], blocks),
-                _acting_parts(matrix[:, first:last], comparison.rows.block),
-            )
+            (_count_parts(by_stretch[:, first:last]), _count_parts(by_run[:, first:last]))
             for first, last in pairwise(edges)
         ),
     )
 
 
-def _acting_parts(columns: np.ndarray, part: np.ndarray) -> int:
-    """Return the number of parts (m,) in which an effect with columns (m, k) acts."""
-    square = np.bincount(part, np.sum(columns**2, axis=1))
-    return int(np.sum(square > MIN_ACTIVE_SHARE * square.max()))
+def _count_parts(shares: np.ndarray) -> int:
+    """Return Kish's effective number of parts by their shares (b, k) of what tells an effect."""
+    known = shares.sum(axis=1)
+    return round(float(known.sum() ** 2 / np.sum(known**2)))
 
 
 def _conditional_covariance(covariance: np.ndarray, k: int) -> np.ndarray:
@@ -370,13 +365,14 @@ def _shape_slope(
 
 
 def _jackknife_covariance(
-    comparison: Comparison,
-    matrix: np.ndarray,
-    prior: np.ndarray,
-    block: np.ndarray,
-    fewest: int = _MIN_STRETCHES,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the covariances by the linear model and by a jackknife over blocks of rows."""
+    comparison: Comparison, matrix: np.ndarray, prior: np.ndarray, block: np.ndarray, fewest: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the covariances by the linear model and by a jackknife over blocks of rows.
+
+    And the shares (b, p) of the blocks in the variance of every parameter: those that an estimate
+    rests on. Of fewer blocks than `fewest` the covariance of the linear model, in place of a
+    jackknife.
+    """
     units = np.outer(prior, prior)
     grams = np.empty((int(block.max()) + 1, *units.shape))
     moments = np.empty(grams.shape[:2])
@@ -386,14 +382,18 @@ def _jackknife_covariance(
         grams[b] = units * (part.T @ part)
         moments[b] = prior * (part.T @ comparison.target[block == b])
     gram, moment = grams.sum(axis=0) + np.eye(len(prior)), moments.sum(axis=0)
-    covariance = np.linalg.inv(gram) * units
+    inverse = np.linalg.inv(gram)
+    shares = np.array([np.sum(inverse * (own @ inverse), axis=0) for own in grams])
+    shares /= np.diag(inverse)
+    covariance = inverse * units
     if len(grams) < fewest:
-        return covariance, covariance
+        return covariance, covariance, shares
     left_out = np.array(
         [np.linalg.solve(gram - g, moment - m) for g, m in zip(grams, moments, strict=True)]
     )
     away = left_out - left_out.mean(axis=0)
-    return covariance, (len(grams) - 1) / len(grams) * away.T @ away * units
+    spread = (len(grams) - 1) / len(grams) * away.T @ away * units
+    return covariance, spread, shares
 
 
 def number_stretches(comparison: Comparison, begin: float = 0.0) -> np.ndarray:
