@@ -14,7 +14,7 @@ from stiffopt.discovery.signals import JointConstants, JointSignals, RobotSignal
 from stiffopt.symbolic import Quantity
 
 # Initial values: limits over the largest torque asked for, and sharpness of soft and hard limits.
-_LIMIT_SHARES, _SOFT_KNEE, _HARD_KNEE = (0.5, 0.65, 0.8, 0.9, 0.97), 14.0, 60.0
+_LIMIT_SHARES, _SOFT_KNEE, _HARD_KNEE = (0.15, 0.3, 0.5, 0.7, 0.85, 0.95), 14.0, 60.0
 # Smallest limit of a reading over the largest filtered one: a filter overshoots.
 _MIN_LIMIT_RATIO = 0.97
 
@@ -162,8 +162,6 @@ SATURATION = Effect(
     needs=("torque", "moves"),
     limits_drive=True,
     takes_recorded=True,
-    # A drive that gives less of what it is asked for does not follow its motion.
-    possible=lambda shapes, constants: bool(shapes[0] >= _start_limits(constants)[0]),
     applies=lambda constants: constants.measured_torque > 0.0,
     term=saturation_term,
     amplitudes=(Amplitude("missing", "", 1.0, 0.0, 1.5),),

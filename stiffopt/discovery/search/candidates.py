@@ -21,7 +21,12 @@ from stiffopt.discovery.comparison.evidence import (
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, effect_places
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.progress import RoundProgress, Say
-from stiffopt.discovery.thresholds import MIN_ACTIVE_SHARE, NAMED_DEVIATIONS, NAMED_EVIDENCE
+from stiffopt.discovery.thresholds import (
+    MAX_TAKEN_SHARE,
+    MIN_ACTIVE_SHARE,
+    NAMED_DEVIATIONS,
+    NAMED_EVIDENCE,
+)
 
 # Entropy of an exponential distribution of unit mean less the normal one's log density at its peak.
 _EXPONENTIAL_COST = 1.0 - 0.5 * math.log(2.0 * math.pi)
@@ -43,6 +48,13 @@ class Candidate:
     gained: Callable[[], float]  # -> gain of the log predictive density of blocks left out
     # -> the channel that it changes most, and the share of the squared residual removed there.
     change: Callable[[], tuple[int, float]]
+    # Part of the loss of evidence that fitted shapes may remove.
+    removable: float = 0.0
+
+    @property
+    def prospect(self) -> float:
+        """Largest evidence that fitted shapes may reach."""
+        return self.evidence + self.removable
 
     @cached_property
     def gain(self) -> float:
@@ -128,9 +140,12 @@ class Scorer:
         covariance = np.zeros((len(size),) * 2)
         mean[kept] = found.mean
         covariance[kept[:, None], kept] = found.covariance
-        evidence = found.log_evidence - self.start.log_evidence
+        evidence, removable = found.log_evidence - self.start.log_evidence, 0.0
         if located.effect.takes_recorded:
-            evidence = found.log_likelihood_at(np.ones(1)) - self._cost_of_taken(located, found)
+            evidence = found.log_likelihood_at(np.ones(1))
+            removable = max(found.log_evidence - self.start.log_evidence - evidence, 0.0)
+            fixed, rest = self._cost_of_taken(located, found)
+            evidence, removable = evidence - fixed - rest, removable + rest
         return Candidate(
             located=located,
             amplitudes=mean,
@@ -139,26 +154,30 @@ class Scorer:
             deviations=math.sqrt(max(float(found.mean @ found.precision @ found.mean), 0.0)),
             gained=lambda: self._beside.log_predictive(sums, kept) - float(np.sum(self.by_block)),
             change=lambda: self._most_changed_channel(located, found.base(), mean),
+            removable=removable,
         )
 
-    def _cost_of_taken(self, located: LocatedEffect, found: AddedPosterior) -> float:
-        """Return the log density that samples lose which an effect takes from the recording.
+    def _cost_of_taken(self, located: LocatedEffect, found: AddedPosterior) -> tuple[float, float]:
+        """Return log densities that samples lose which an effect takes from the recording.
 
         They are predicted as an exponential distribution of their own mean, in place of the
-        noise's normal one. What the effect leaves of them has to be noise as stated: any law
+        noise's normal one. And what the effect leaves of them has to be noise as stated: any law
         that nobody knows is smaller in the rest of a sample than in all of it.
         """
         comparison = self.comparison
-        columns = comparison.effect_columns(located)
+        columns, rows = comparison.effect_columns(located), comparison.rows.channel
         size = np.abs(columns).sum(axis=1)
         taken = size > 1.0
         if not taken.any():
-            return 0.0
+            return 0.0, 0.0
+        if np.mean(taken[np.isin(rows, rows[taken])]) > MAX_TAKEN_SHARE:
+            return math.inf, 0.0
         rest = (self._residual_beside(found.base()) - columns.sum(axis=1))[taken]
-        unexplained = (comparison.inflation / comparison.least)[comparison.rows.channel[taken]]
+        unexplained = (comparison.inflation / comparison.least)[rows[taken]]
         each = math.log(size[taken].mean()) + _EXPONENTIAL_COST
-        return float(
-            np.count_nonzero(taken) * each + 0.5 * np.sum(rest**2 * (unexplained**2 - 1.0))
+        return (
+            np.count_nonzero(taken) * each,
+            0.5 * float(np.sum(rest**2 * (unexplained**2 - 1.0))),
         )
 
     def unbounded(self, located: LocatedEffect) -> AddedPosterior | None:
@@ -401,11 +420,11 @@ def scan(
                 if scored is not None:
                     found.append(scored)
             if found:
-                best.append((max(found, key=lambda c: c.evidence), price))
-    best.sort(key=lambda pair: -pair[0].evidence)
+                best.append((max(found, key=lambda c: c.prospect), price))
+    best.sort(key=lambda pair: -pair[0].prospect)
     head = []
     for candidate, price in best[:refined]:
-        if candidate.evidence < worth:
+        if candidate.prospect < worth:
             head.append(candidate)
             continue
         tell(f"fit the shapes of {candidate.located.label}{place}")

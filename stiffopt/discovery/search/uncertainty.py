@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -53,8 +52,7 @@ class Estimate:
     added: np.ndarray  # (r, r) covariance beyond the likelihood, of all of these
     sizes: tuple[np.ndarray, ...]
     shape_sizes: tuple[np.ndarray, ...]
-    # (e,) effective numbers of stretches and of runs that tell each effect.
-    parts: tuple[tuple[int, int], ...]
+    parts: tuple[int, int]  # number of stretches and of runs
 
     def calibration(self) -> dict[ValueName, float]:
         """Return the changes of the nominal values by name."""
@@ -69,7 +67,7 @@ class Estimate:
         that is added, and 1.96 deviations hold Student's 95 % interval.
         """
         found = self.effects[index]
-        effect = found.located.effect
+        effect, k = found.located.effect, len(self.sizes[index])
         rows, _ = self._parameter_rows(index)
         values, slopes = self._reported_values(index, constants)
         scatter = [_small_sample_factor(n) ** 2 * each for each, n in self._jackknives(index)]
@@ -80,14 +78,11 @@ class Estimate:
                 *(each + self.common + self.added for each in scatter),
             )
         ]
-        if effect.takes_recorded:  # the amplitude is known
-            shapes = np.arange(len(found.amplitudes), len(rows))
-            order = np.concatenate([shapes, np.arange(len(found.amplitudes))])
-            slopes = slopes[:, shapes]
-            covariances = [
-                _conditional_covariance(each[np.ix_(order, order)], len(shapes))
-                for each in covariances
-            ]
+        if effect.takes_recorded:
+            # The amplitude is known, and few parts show the effect: no jackknife without them.
+            slopes, shapes = np.roll(slopes, -k, axis=1)[:, : len(rows) - k], np.roll(rows, -k)
+            own = (self.covariance + self.added)[np.ix_(shapes, shapes)]
+            covariances = [_conditional_covariance(own, len(rows) - k)]
         variances = [np.einsum("ij,jk,ik->i", slopes, each, slopes) for each in covariances]
         variance = np.max(variances, axis=0)
         if effect.drawn is not None:
@@ -192,14 +187,12 @@ class Estimate:
     def _jackknives(self, index: int) -> list[tuple[np.ndarray, int]]:
         """Return jackknife covariances and their numbers of parts; one run has none between runs.
 
-        Parts count that an estimate rests on. Too few of them are no jackknife: without the only
-        one that shows an effect nothing is known of it.
+        Too few parts give the covariance of the linear model in place of a jackknife.
         """
-        stretches, runs = self.parts[index]
-        each = [(self.spread, stretches, _MIN_STRETCHES)]
+        each = [(self.spread, self.parts[0])]
         if not self.effects[index].located.is_run_specific:
-            each.append((self.between, runs, MIN_RUNS_AS_BLOCKS))
-        return [(matrix, count) for matrix, count, fewest in each if count >= fewest]
+            each.append((self.between, self.parts[1]))
+        return [(m, count) for m, count in each if not np.array_equal(m, self.covariance)]
 
     def moved(self, steps: np.ndarray) -> Estimate:
         """Return the estimate with first amplitudes moved by steps (e,) over their sizes.
@@ -279,13 +272,13 @@ def estimate_parameters(
         matrix = np.column_stack([matrix, *slopes])
     prior = np.concatenate([prior_sd, np.ones(len(scaled)), np.full(len(slopes), _SHAPE_PRIOR)])
     del slopes
-    covariance, spread, by_stretch = _jackknife_covariance(
-        comparison, matrix, prior, number_stretches(comparison), _MIN_STRETCHES
-    )
-    _, between, by_run = _jackknife_covariance(
-        comparison, matrix, prior, comparison.rows.run, MIN_RUNS_AS_BLOCKS
-    )
-    edges = np.cumsum([len(names), *map(len, sizes)]).tolist()
+    blocks = number_stretches(comparison)
+    covariance, spread = _jackknife_covariance(comparison, matrix, prior, blocks)
+    between = covariance
+    if len(comparison.runs) >= MIN_RUNS_AS_BLOCKS:
+        _, between = _jackknife_covariance(
+            comparison, matrix, prior, comparison.rows.block, MIN_RUNS_AS_BLOCKS
+        )
     return Estimate(
         nuisance=tuple(names),
         values=fit.posterior.mean,
@@ -298,17 +291,8 @@ def estimate_parameters(
         added=np.zeros_like(covariance),
         sizes=sizes,
         shape_sizes=shape_sizes,
-        parts=tuple(
-            (_count_parts(by_stretch[:, first:last]), _count_parts(by_run[:, first:last]))
-            for first, last in pairwise(edges)
-        ),
+        parts=(int(blocks.max()) + 1, int(comparison.rows.block.max()) + 1),
     )
-
-
-def _count_parts(shares: np.ndarray) -> int:
-    """Return Kish's effective number of parts by their shares (b, k) of what tells an effect."""
-    known = shares.sum(axis=1)
-    return round(float(known.sum() ** 2 / np.sum(known**2)))
 
 
 def _conditional_covariance(covariance: np.ndarray, k: int) -> np.ndarray:
@@ -365,14 +349,13 @@ def _shape_slope(
 
 
 def _jackknife_covariance(
-    comparison: Comparison, matrix: np.ndarray, prior: np.ndarray, block: np.ndarray, fewest: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the covariances by the linear model and by a jackknife over blocks of rows.
-
-    And the shares (b, p) of the blocks in the variance of every parameter: those that an estimate
-    rests on. Of fewer blocks than `fewest` the covariance of the linear model, in place of a
-    jackknife.
-    """
+    comparison: Comparison,
+    matrix: np.ndarray,
+    prior: np.ndarray,
+    block: np.ndarray,
+    fewest: int = _MIN_STRETCHES,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the covariances by the linear model and by a jackknife over blocks of rows."""
     units = np.outer(prior, prior)
     grams = np.empty((int(block.max()) + 1, *units.shape))
     moments = np.empty(grams.shape[:2])
@@ -382,18 +365,14 @@ def _jackknife_covariance(
         grams[b] = units * (part.T @ part)
         moments[b] = prior * (part.T @ comparison.target[block == b])
     gram, moment = grams.sum(axis=0) + np.eye(len(prior)), moments.sum(axis=0)
-    inverse = np.linalg.inv(gram)
-    shares = np.array([np.sum(inverse * (own @ inverse), axis=0) for own in grams])
-    shares /= np.diag(inverse)
-    covariance = inverse * units
+    covariance = np.linalg.inv(gram) * units
     if len(grams) < fewest:
-        return covariance, covariance, shares
+        return covariance, covariance
     left_out = np.array(
         [np.linalg.solve(gram - g, moment - m) for g, m in zip(grams, moments, strict=True)]
     )
     away = left_out - left_out.mean(axis=0)
-    spread = (len(grams) - 1) / len(grams) * away.T @ away * units
-    return covariance, spread, shares
+    return covariance, (len(grams) - 1) / len(grams) * away.T @ away * units
 
 
 def number_stretches(comparison: Comparison, begin: float = 0.0) -> np.ndarray:
