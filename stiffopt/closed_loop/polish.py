@@ -19,7 +19,7 @@ STRETCH_SECONDS, _LEAD_SECONDS = 2.0, 0.5
 # Iterations at most, and the decreases of the squared deviations that end them: of a step that is
 # not worth its simulation, and of one that was made and reached no more.
 _MAX_ITERATIONS, _LEAST_EXPECTED, _LEAST_REACHED = 24, 0.1, 1.0
-# Share of the curvature that bounds steps: at first and least of none that counts, and at most.
+# Levenberg-Marquardt damping over the curvature: at first and at least, and at most.
 _LEAST_DAMPING, _LARGEST_DAMPING = 1e-3, 1e6
 # Duration of all runs that the leading parameters are fitted to, times joints [s].
 _LEADING_SECONDS = 40.0

@@ -126,6 +126,17 @@ def build_findings(
     return tuple(findings)
 
 
+def describe_taken(findings: Sequence[Finding]) -> list[str]:
+    """Return a sentence on findings whose predictions take part of the recorded torque."""
+    taken = [each.located.label for each in findings if each.effect.takes_recorded]
+    if not taken:
+        return []
+    return [
+        f"Torque beyond the limit of a drive ({', '.join(taken)}) is taken from the recordings, in"
+        " held-out runs too: the motion tells nothing of it. Validated is the torque that is given."
+    ]
+
+
 def _null_share(chance: float, places: int = 1) -> float:
     """Return the probability that an effect is zero, from the p-value of its values.
 

@@ -18,6 +18,7 @@ from stiffopt.discovery.conclusions import (
     build_findings,
     decide_verdict,
     describe_next_experiment,
+    describe_taken,
 )
 from stiffopt.discovery.diagnosis import Diagnosis
 from stiffopt.discovery.effect import Effect
@@ -312,6 +313,7 @@ def _run_diagnosis(
             assumptions=(
                 *steps.stopped,
                 *held_out.describe_unusable(),
+                *describe_taken(findings),
                 *opened.assumptions(),
                 *describe_tournament(result.contenders),
                 *training.assumptions,

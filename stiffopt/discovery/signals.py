@@ -192,7 +192,8 @@ class MotionSignals:
     drive_torque: Quantity
     drive_torque_rate: Quantity
     run: str = ""  # name of the run
-    # Torque by an actuator's law without a limit [N m]; None where torques are measured.
+    # Torque asked of the drive, as recorded or by an actuator's law without a limit [N m]; None of
+    # motions without recording.
     asked_torque: Quantity | None = None
     # The same torque per time that its commands are later than assumed [N m/s]; else None.
     command_rate: Quantity | None = None

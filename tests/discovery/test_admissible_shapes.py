@@ -38,12 +38,18 @@ def test_limits_are_sought_where_torques_are_read() -> None:
     read = [place.shapes[0] for place in _places("reading_limit")]
     # Of 60 N m read and 120 N m at most.
     assert all(0.05 < share < 0.5 for share in asked)
-    assert read == [1.0]
-    assert effect("reading_limit").shapes[0].lower > 0.9
+    assert read == [0.5]
 
 
 def _places(name: str) -> list[LocatedEffect]:
     return [each for each in effect_places(effect(name), ROBOT, ["run"]) if each.joint == 0]
+
+
+@pytest.mark.parametrize(("share", "possible"), [(0.3, False), (0.45, False), (0.5, True)])
+def test_reading_limit_below_measured_torque_is_refused(share: float, possible: bool) -> None:
+    """Of 60 N m measured and 120 N m at most, a limit below half was passed and is none."""
+    limit = LocatedEffect(effect=effect("reading_limit"), joint=0, shapes=(share,))
+    assert limit.possible(ROBOT) == possible
 
 
 @pytest.mark.parametrize(

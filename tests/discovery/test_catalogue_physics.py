@@ -273,10 +273,9 @@ def test_saturated_drive_gives_its_limit_of_the_recorded_demand():
 
 def test_reading_beyond_its_limit_stays_there():
     needed = np.linspace(-120.0, 120.0, 60)
-    constants = replace(ROBOT.of_joint(4).constants, measured_torque=60.0)
-    signals = replace(ROBOT.of_joint(4), drive_torque=needed, constants=constants)
+    signals = replace(ROBOT.of_joint(4), drive_torque=needed)
     entry = effect("reading_limit")
-    read = needed + entry.term(signals, [1.0], [1.0]).drive_torque
+    read = needed + entry.term(signals, [1.0], [0.5]).drive_torque
     np.testing.assert_allclose(read, np.clip(needed, -60.0, 60.0), atol=1.0)
     assert np.abs(read).max() < 60.0 + 1e-9
 

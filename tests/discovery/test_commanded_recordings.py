@@ -312,6 +312,8 @@ def test_a_limit_of_the_drive_is_named_and_simulated(tmp_path: Path) -> None:
     (run,) = found.positions
     before, after = (np.std(x - run.measured) for x in (run.before, run.after))
     assert after < 0.3 * before
+    (said,) = (note for note in found.assumptions if "is taken from the recordings" in note)
+    assert "saturation of joint 1" in said
 
 
 @pytest.mark.parametrize(("kd", "missing"), [(0.2, 0.0), (0.1, 0.1)])

@@ -37,7 +37,7 @@ def saturation_term(signals: JointSignals, amplitudes: Values, shapes: Values) -
 
 def reading_limit_term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
     """Return the torque that lies beyond the range of its reading, negative."""
-    limit = shapes[0] * signals.constants.measured_torque
+    limit = shapes[0] * signals.constants.torque_max
     return Term(drive_torque=-amplitudes[0] * _beyond(signals.drive_torque, limit, _HARD_KNEE))
 
 
@@ -51,10 +51,13 @@ def _beyond(torque: Quantity, limit: float, sharpness: float) -> Quantity:
     return torque * (1.0 - 1.0 / (above * power ** (1.0 / sharpness)))
 
 
+def _largest_reading(constants: JointConstants) -> float:
+    """Return the largest torque read over the highest torque."""
+    return constants.measured_torque / constants.torque_max
+
+
 def _start_limits(constants: JointConstants) -> tuple[float, ...]:
-    return tuple(
-        share * constants.measured_torque / constants.torque_max for share in _LIMIT_SHARES
-    )
+    return tuple(share * _largest_reading(constants) for share in _LIMIT_SHARES)
 
 
 _READING_ZERO = Amplitude("off", "rad", 1e-3, -10.0, 10.0)
@@ -188,9 +191,12 @@ READING_LIMIT = Effect(
     confused_with=("saturation",),
     term=reading_limit_term,
     amplitudes=(Amplitude("missing", "", 1.0, 0.0, 1.5),),
-    shapes=(Shape("share", "", (1.0,), _MIN_LIMIT_RATIO, 2.0),),
+    shapes=(Shape("share", "", lambda constants: (_largest_reading(constants),), 0.01, 2.0),),
+    possible=lambda shapes, constants: bool(
+        shapes[0] >= _MIN_LIMIT_RATIO * _largest_reading(constants)
+    ),
     applies=lambda constants: constants.measured_torque > 0.0,
-    report=lambda a, s, constants: {"limit": s[0] * constants.measured_torque},
+    report=lambda a, s, constants: {"limit": s[0] * constants.torque_max},
     units={"limit": "N m"},
     separate="Hold a load that needs more torque than that level: a reading that ends there does"
     " not move.",

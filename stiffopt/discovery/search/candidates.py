@@ -142,10 +142,10 @@ class Scorer:
         covariance[kept[:, None], kept] = found.covariance
         evidence, removable = found.log_evidence - self.start.log_evidence, 0.0
         if located.effect.takes_recorded:
-            evidence = found.log_likelihood_at(np.ones(1))
-            removable = max(found.log_evidence - self.start.log_evidence - evidence, 0.0)
+            known = found.log_likelihood_at(np.ones(1))
             fixed, rest = self._cost_of_taken(located, found)
-            evidence, removable = evidence - fixed - rest, removable + rest
+            removable = max(evidence - known, 0.0) + rest
+            evidence = known - fixed - rest
         return Candidate(
             located=located,
             amplitudes=mean,

@@ -70,19 +70,18 @@ class Estimate:
         effect, k = found.located.effect, len(self.sizes[index])
         rows, _ = self._parameter_rows(index)
         values, slopes = self._reported_values(index, constants)
-        scatter = [_small_sample_factor(n) ** 2 * each for each, n in self._jackknives(index)]
+        # Few parts show what lies beyond a limit: without them a jackknife knows nothing of it.
+        parts = () if effect.takes_recorded else self._jackknives(index)
+        scatter = [_small_sample_factor(n) ** 2 * each + self.common for each, n in parts]
         covariances = [
-            matrix[np.ix_(rows, rows)]
-            for matrix in (
-                self.covariance + self.added,
-                *(each + self.common + self.added for each in scatter),
-            )
+            (each + self.added)[np.ix_(rows, rows)] for each in (self.covariance, *scatter)
         ]
-        if effect.takes_recorded:
-            # The amplitude is known, and few parts show the effect: no jackknife without them.
-            slopes, shapes = np.roll(slopes, -k, axis=1)[:, : len(rows) - k], np.roll(rows, -k)
-            own = (self.covariance + self.added)[np.ix_(shapes, shapes)]
-            covariances = [_conditional_covariance(own, len(rows) - k)]
+        if effect.takes_recorded:  # the amplitude is known
+            slopes, shapes_first = slopes[:, k:], np.roll(np.arange(len(rows)), -k)
+            covariances = [
+                _conditional_covariance(each[np.ix_(shapes_first, shapes_first)], len(rows) - k)
+                for each in covariances
+            ]
         variances = [np.einsum("ij,jk,ik->i", slopes, each, slopes) for each in covariances]
         variance = np.max(variances, axis=0)
         if effect.drawn is not None:
