@@ -22,10 +22,6 @@ PRIOR_RELIEF_SHARE = 0.5
 # largest ones.
 MIN_ACTIVE_SHARE = 0.05
 
-# Largest share of the samples of a channel that an effect takes from the recording: a drive follows
-# its motion for most of the time.
-MAX_TAKEN_SHARE = 0.5
-
 # Probability from which a finding is named, and from which it counts as found.
 NAMED_PROBABILITY, FOUND_PROBABILITY = 0.5, 0.95
 

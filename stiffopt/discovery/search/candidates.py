@@ -21,12 +21,7 @@ from stiffopt.discovery.comparison.evidence import (
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, effect_places
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.progress import RoundProgress, Say
-from stiffopt.discovery.thresholds import (
-    MAX_TAKEN_SHARE,
-    MIN_ACTIVE_SHARE,
-    NAMED_DEVIATIONS,
-    NAMED_EVIDENCE,
-)
+from stiffopt.discovery.thresholds import MIN_ACTIVE_SHARE, NAMED_DEVIATIONS, NAMED_EVIDENCE
 
 # Entropy of an exponential distribution of unit mean less the normal one's log density at its peak.
 _EXPONENTIAL_COST = 1.0 - 0.5 * math.log(2.0 * math.pi)
@@ -170,8 +165,6 @@ class Scorer:
         taken = size > 1.0
         if not taken.any():
             return 0.0, 0.0
-        if np.mean(taken[np.isin(rows, rows[taken])]) > MAX_TAKEN_SHARE:
-            return math.inf, 0.0
         rest = (self._residual_beside(found.base()) - columns.sum(axis=1))[taken]
         unexplained = (comparison.inflation / comparison.least)[rows[taken]]
         each = math.log(size[taken].mean()) + _EXPONENTIAL_COST
