@@ -40,9 +40,10 @@ _MAX_TIME_AFTER_ARRIVAL = 1.0  # [s]
 # The static equilibrium changes slowly: computed every so many steps, linear in between.
 _EQUILIBRIUM_STRIDE = 5
 _EQUILIBRIUM_ITERATIONS = 4
-# Positions of links that are in memory at once, beside some ten arrays of their size: a weld of
-# minutes has 1e8 of them with its arms.
-_MAX_POSITIONS = 2_000_000
+# Most positions of links for which motors' motions are kept, and of static equilibria: a weld of
+# minutes has 1e8 of them with its arms. Members that are simulated at once: lanes of the compiled
+# core, of whose positions some ten arrays stay in the processor's cache.
+_MAX_POSITIONS, _MEMBERS_AT_ONCE = 2_000_000, 8
 # Steps whose bodies are linearised at once, and for which one derivative of the bodies stands:
 # they take an eighth of the memory then, and peaks of an ER3A and a UR10 change by 3e-5 at most.
 _STEPS_AT_ONCE, _BODY_STRIDE = 4096, 8
@@ -256,11 +257,16 @@ class UncertainArms:
         steps = np.arange(0, len(self.time), _EQUILIBRIUM_STRIDE)
         self._equilibrium_samples = np.unique(np.append(steps, len(self.time) - 1))
         self._weight = LinearizedWeight(arm, self._q[self._equilibrium_samples])
+        # Of every step, the sample before it and its share of the way to the next one.
+        every, chosen = np.arange(len(self.time)), self._equilibrium_samples
+        left = np.clip(np.searchsorted(chosen, every), 1, len(chosen) - 1) - 1
+        share = (every - chosen[left]) / (chosen[left + 1] - chosen[left])
+        self._before_sample = left, share[:, None]
         self._jacobian = self._extend_at_rest(
             np.array([arm.bodies.jacobian(arm.robot.tool, q) for q in self._q[: count + 1]])
         )
         self._direction = path_directions(arm.tool(self._q))
-        # Of the last batch: by command motions behind both servos; by stiffness and payload planned
+        # By command motions behind both servos, of the last batch; by stiffness and payload planned
         # static equilibria at their samples.
         self._followed: dict[MotorMotion, np.ndarray] = {}
         self._equilibria: dict[tuple[bytes, float], np.ndarray] = {}
@@ -279,6 +285,19 @@ class UncertainArms:
         found = self._simulate_in_batches(members, axes=3)
         return np.concatenate([[e.peak(e.flight), e.peak(e.after)] for e in found], axis=1)
 
+    def sum_of_peaks(self, members: Sequence[Member], below: float) -> float:
+        """Sum of the largest position errors of members in flight and after arrival [m].
+
+        Of the first members alone where theirs is not `below`.
+        """
+        worst = np.zeros(2)
+        for each in self._simulate_in_batches(members, axes=3):
+            own = [each.peak(phase).max() for phase in (each.flight, each.after)]
+            worst = np.maximum(worst, own)
+            if not worst.sum() < below:
+                break
+        return float(worst.sum())
+
     def peaks(self, members: Sequence[Member]) -> list[dict[str, np.ndarray]]:
         """Peaks of members in flight and after arrival, as of `ToolError.peaks`."""
         found = [(e.peaks(e.flight), e.peaks(e.after)) for e in self._simulate_in_batches(members)]
@@ -289,16 +308,18 @@ class UncertainArms:
 
     def _simulate_in_batches(self, members: Sequence[Member], axes: int = 6) -> Iterator[ToolError]:
         """Simulate as many members at a time as the memory is for; 3 axes for positions alone."""
-        made, joints = native.core(len(self.damping)), len(self.damping)
-        together = max(1, _MAX_POSITIONS // (len(self.time) * joints))
-        for first in range(0, len(members), together):
-            part = members[first : first + together]
-            links = (
-                _integrate_numpy(self, part)
-                if made is None
-                else _integrate_compiled(made, self, part)
-            )
-            yield self.tool_error(part, links, axes)
+        made = native.core(len(self.damping))
+        for kept in _batches(members, _MAX_POSITIONS // self._q.size):
+            self._find_equilibria(self.departures(kept))
+            different = dict.fromkeys(each.command for each in kept)
+            self._followed = {own: self._behind_servos(own) for own in different}
+            for part in _batches(kept, _MEMBERS_AT_ONCE):
+                links = (
+                    _integrate_numpy(self, part)
+                    if made is None
+                    else _integrate_compiled(made, self, part)
+                )
+                yield self.tool_error(part, links, axes)
 
     def _extend_at_rest(self, values: np.ndarray, at_rest: float | None = None) -> np.ndarray:
         """Append the last values of the flight, or `at_rest`, until the end."""
@@ -329,20 +350,18 @@ class UncertainArms:
         the worst servo to both.
         """
         different = list(dict.fromkeys(commands))
-        self._followed = {own: self._followed[own] for own in different if own in self._followed}
         places = {command: c for c, command in enumerate(different)}
         found = np.stack([self._behind_servos(command) for command in different], axis=1)
         return found, np.array([places[command] for command in commands])
 
     def _behind_servos(self, command: MotorMotion) -> np.ndarray:
         """Motion (K, 4, n) of one command, as of `motors`."""
-        if command not in self._followed:
-            own = self._response(self._servo, command)
-            same = self._worst == self._servo
-            added = np.zeros_like(own) if same else self._response(self._worst, command) - own
-            plan = np.stack([self._q, self._v], axis=1)
-            self._followed[command] = np.concatenate([own - plan, added], axis=1)
-        return self._followed[command]
+        if command in self._followed:
+            return self._followed[command]
+        own = self._response(self._servo, command)
+        same = self._worst == self._servo
+        added = np.zeros_like(own) if same else self._response(self._worst, command) - own
+        return np.concatenate([own - np.stack([self._q, self._v], axis=1), added], axis=1)
 
     def _response(self, servo: Follower, command: MotorMotion) -> np.ndarray:
         """Positions and velocities (K, 2, n) of the motors behind a servo."""
@@ -371,27 +390,40 @@ class UncertainArms:
             direction=self._direction,
         )
 
-    def _planned_equilibria(self, departures: list[Departure]) -> tuple[np.ndarray, list[int]]:
-        """Static equilibria with the motors at the planned positions, less these (E, K, n).
+    def _find_equilibria(self, departures: list[Departure]) -> None:
+        """Find static equilibria with the motors at the planned positions, at their samples.
 
-        And the index of each departure's: those that differ in damping or servo share one.
+        Those that differ in damping or servo share one.
         """
-        keys = [(each.stiffness.tobytes(), each.payload) for each in departures]
-        alike = dict(zip(keys, departures, strict=True))
-        self._equilibria = {own: self._equilibria[own] for own in alike if own in self._equilibria}
-        chosen, count = self._equilibrium_samples, len(self.time)
+        alike = {_equilibrium_key(each): each for each in departures}
+        samples, joints = len(self._equilibrium_samples), self._q.shape[1]
+        if len(self._equilibria | alike) * samples * joints > _MAX_POSITIONS:
+            self._equilibria.clear()
         if new := [own for own in alike if own not in self._equilibria]:
             arms = _DepartureArrays([alike[own] for own in new])
-            turn = np.zeros((len(new), len(chosen), self._q.shape[1]))
+            turn = np.zeros((len(new), samples, joints))
             found = _solve_equilibrium(self.springs, self._weight, arms, turn)
             self._equilibria.update(zip(new, found, strict=True))
-        coarse = np.array([self._equilibria[own] for own in alike])
-        places = {key: place for place, key in enumerate(alike)}
-        right = np.clip(np.searchsorted(chosen, np.arange(count)), 1, len(chosen) - 1)
-        left = right - 1
-        share = ((np.arange(count) - chosen[left]) / (chosen[right] - chosen[left]))[:, None]
-        between = (1.0 - share) * coarse[:, left] + share * coarse[:, right]
-        return between, [places[key] for key in keys]
+
+    def _planned_equilibria(self, departures: list[Departure]) -> tuple[np.ndarray, list[int]]:
+        """Static equilibria found, less the plan (E, K, n), and the index of each departure's."""
+        keys = [_equilibrium_key(each) for each in departures]
+        places = {own: place for place, own in enumerate(dict.fromkeys(keys))}
+        coarse = np.array([self._equilibria[own] for own in places])
+        left, share = self._before_sample
+        between = (1.0 - share) * coarse[:, left] + share * coarse[:, left + 1]
+        return between, [places[own] for own in keys]
+
+
+def _equilibrium_key(departure: Departure) -> tuple[bytes, float]:
+    """Return what the static equilibrium of an arm depends on."""
+    return departure.stiffness.tobytes(), departure.payload
+
+
+def _batches(members: Sequence[Member], size: int) -> Iterator[Sequence[Member]]:
+    """Yield members, `size` at a time, one at least."""
+    for first in range(0, len(members), max(1, size)):
+        yield members[first : first + max(1, size)]
 
 
 def _integrate_compiled(core: CDLL, many: UncertainArms, members: Sequence[Member]) -> np.ndarray:
