@@ -211,7 +211,8 @@ class CommandSearch:
                 command = MotorMotion.of(made.motors)
                 arms = arms or self._worst_arms(command)
                 members = [Member(command=command, departure=arm) for arm in arms]
-                peaks = self._many.sum_of_peaks(members, kept[0])
+                largest = self._many.position_peaks(members, kept[0]).max(axis=1)
+                peaks = float(largest.sum())
                 if not peaks < kept[0]:
                     continue
                 # The trial grid may miss excesses shorter than its step, as of the jerk at an end.

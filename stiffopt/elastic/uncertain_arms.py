@@ -257,17 +257,12 @@ class UncertainArms:
         steps = np.arange(0, len(self.time), _EQUILIBRIUM_STRIDE)
         self._equilibrium_samples = np.unique(np.append(steps, len(self.time) - 1))
         self._weight = LinearizedWeight(arm, self._q[self._equilibrium_samples])
-        # Of every step, the sample before it and its share of the way to the next one.
-        every, chosen = np.arange(len(self.time)), self._equilibrium_samples
-        left = np.clip(np.searchsorted(chosen, every), 1, len(chosen) - 1) - 1
-        share = (every - chosen[left]) / (chosen[left + 1] - chosen[left])
-        self._before_sample = left, share[:, None]
         self._jacobian = self._extend_at_rest(
             np.array([arm.bodies.jacobian(arm.robot.tool, q) for q in self._q[: count + 1]])
         )
         self._direction = path_directions(arm.tool(self._q))
         # By command motions behind both servos, of the last batch; by stiffness and payload planned
-        # static equilibria at their samples.
+        # static equilibria.
         self._followed: dict[MotorMotion, np.ndarray] = {}
         self._equilibria: dict[tuple[bytes, float], np.ndarray] = {}
 
@@ -280,23 +275,18 @@ class UncertainArms:
             orientation=np.concatenate([each.orientation for each in found]),
         )
 
-    def position_peaks(self, members: Sequence[Member]) -> np.ndarray:
-        """Largest position errors (2, B) of members, in flight and after arrival [m]."""
-        found = self._simulate_in_batches(members, axes=3)
-        return np.concatenate([[e.peak(e.flight), e.peak(e.after)] for e in found], axis=1)
+    def position_peaks(self, members: Sequence[Member], below: float = np.inf) -> np.ndarray:
+        """Largest position errors (2, B) of members, in flight and after arrival [m].
 
-    def sum_of_peaks(self, members: Sequence[Member], below: float) -> float:
-        """Sum of the largest position errors of members in flight and after arrival [m].
-
-        Of the first members alone where theirs is not `below`.
+        Of the first members alone where the sum of both phases' largest is not `below` for them.
         """
-        worst = np.zeros(2)
+        found = np.empty((2, 0))
         for each in self._simulate_in_batches(members, axes=3):
-            own = [each.peak(phase).max() for phase in (each.flight, each.after)]
-            worst = np.maximum(worst, own)
-            if not worst.sum() < below:
+            own = [each.peak(each.flight), each.peak(each.after)]
+            found = np.concatenate([found, own], axis=1)
+            if not found.max(axis=1).sum() < below:
                 break
-        return float(worst.sum())
+        return found
 
     def peaks(self, members: Sequence[Member]) -> list[dict[str, np.ndarray]]:
         """Peaks of members in flight and after arrival, as of `ToolError.peaks`."""
@@ -376,10 +366,13 @@ class UncertainArms:
 
     def tool_error(self, members: Sequence[Member], links: np.ndarray, axes: int = 6) -> ToolError:
         """Tool errors of members, for link positions less the plan (K, B, n)."""
-        equilibrium, own = self._planned_equilibria(self.departures(members))
+        keys = [_equilibrium_key(each) for each in self.departures(members)]
+        places = {own: place for place, own in enumerate(dict.fromkeys(keys))}
+        equilibrium = np.array([self._equilibria[own] for own in places])
         # One matrix product for all members: einsum would loop over them.
         along = np.ascontiguousarray(self._jacobian[:, :axes].swapaxes(1, 2))
         away = links @ along
+        own = [places[each] for each in keys]
         away -= np.take(equilibrium.swapaxes(0, 1) @ along, own, axis=1)
         away = away.swapaxes(0, 1)
         return ToolError(
@@ -391,28 +384,24 @@ class UncertainArms:
         )
 
     def _find_equilibria(self, departures: list[Departure]) -> None:
-        """Find static equilibria with the motors at the planned positions, at their samples.
+        """Find static equilibria with the motors at the planned positions, less these.
 
         Those that differ in damping or servo share one.
         """
         alike = {_equilibrium_key(each): each for each in departures}
-        samples, joints = len(self._equilibrium_samples), self._q.shape[1]
-        if len(self._equilibria | alike) * samples * joints > _MAX_POSITIONS:
+        if len(self._equilibria | alike) * self._q.size > _MAX_POSITIONS:
             self._equilibria.clear()
-        if new := [own for own in alike if own not in self._equilibria]:
-            arms = _DepartureArrays([alike[own] for own in new])
-            turn = np.zeros((len(new), samples, joints))
-            found = _solve_equilibrium(self.springs, self._weight, arms, turn)
-            self._equilibria.update(zip(new, found, strict=True))
-
-    def _planned_equilibria(self, departures: list[Departure]) -> tuple[np.ndarray, list[int]]:
-        """Static equilibria found, less the plan (E, K, n), and the index of each departure's."""
-        keys = [_equilibrium_key(each) for each in departures]
-        places = {own: place for place, own in enumerate(dict.fromkeys(keys))}
-        coarse = np.array([self._equilibria[own] for own in places])
-        left, share = self._before_sample
-        between = (1.0 - share) * coarse[:, left] + share * coarse[:, left + 1]
-        return between, [places[own] for own in keys]
+        new = [own for own in alike if own not in self._equilibria]
+        if not new:
+            return
+        arms, chosen = _DepartureArrays([alike[own] for own in new]), self._equilibrium_samples
+        turn, every = np.zeros((len(new), *self._q[chosen].shape)), np.arange(len(self.time))
+        coarse = _solve_equilibrium(self.springs, self._weight, arms, turn)
+        right = np.clip(np.searchsorted(chosen, every), 1, len(chosen) - 1)
+        left = right - 1
+        share = ((every - chosen[left]) / (chosen[right] - chosen[left]))[:, None]
+        between = (1.0 - share) * coarse[:, left] + share * coarse[:, right]
+        self._equilibria.update(zip(new, between, strict=True))
 
 
 def _equilibrium_key(departure: Departure) -> tuple[bytes, float]:
