@@ -98,7 +98,7 @@ class RobotModel:
 
         `measured` (n,): largest measured drive torque [N m].
         """
-        base = self.constants
+        base, commanded = self.constants, self.recordings.signals.commanded
 
         def stack(name: str) -> np.ndarray:
             return np.vstack([getattr(s, name) for s in signals])
@@ -110,6 +110,8 @@ class RobotModel:
         for j, own in enumerate(base.joints):
             largest = float(drive[:, j].max())
             known = np.isfinite(own.torque_max)
+            # Commands may ask a drive for more than it gives and the motion needs.
+            asked = min(measured[j], largest) if commanded else measured[j]
             joints.append(
                 replace(
                     own,
@@ -117,7 +119,7 @@ class RobotModel:
                     torque_rated=own.torque_rated if known else max(largest / 2.0, 1e-6),
                     stroke=(float(motor[:, j].min()), float(motor[:, j].max())),
                     fastest=max(float(speed[:, j].max()), 1e-6),
-                    measured_torque=float(measured[j]),
+                    measured_torque=float(asked),
                     largest_torque=max(float(spring[:, j].max()), 1e-9),
                 )
             )
