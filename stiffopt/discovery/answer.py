@@ -163,7 +163,8 @@ def action(diagnosis: Diagnosis) -> str:
 
     Between two states what changed comes before what both lack.
     """
-    own = statements(diagnosis)
+    told = statements(diagnosis)
+    own = [each for each in told if each.certainty != "possible"] or told
     new = [each for each in own if not each.finding.located.calibrated]
     new.sort(key=lambda each: each.finding not in diagnosis.changes)
     first = next(iter(new or own), None)
