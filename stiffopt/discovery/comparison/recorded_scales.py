@@ -20,6 +20,7 @@ def constants_over(robot: RobotModel, runs: Sequence[PreparedRun]) -> RobotConst
     these are larger: limits in a URDF are often placeholders, of which a rating is a share.
     """
     base, rated_stated = robot.constants, robot.recordings.nominal.torque_rated is not None
+    commanded = robot.recordings.signals.commanded
 
     def stack(name: str) -> np.ndarray:
         return np.vstack([getattr(run.signals, name) for run in runs])
@@ -30,6 +31,8 @@ def constants_over(robot: RobotModel, runs: Sequence[PreparedRun]) -> RobotConst
     joints = []
     for j, own in enumerate(base.joints):
         largest, measured = float(drive[:, j].max()), largest_torque(runs, j)
+        if commanded:  # commands may ask a drive for more than it gives and the motion needs
+            measured = min(measured, largest)
         coulomb, viscous = _shown_friction(runs, j)
         known = np.isfinite(own.torque_max)
         rated = own.torque_rated if known else max(largest / 2.0, 1e-6)
