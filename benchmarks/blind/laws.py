@@ -31,14 +31,15 @@ from stiffopt.recording.recording_set import load_recordings
 
 from .cases import make_planned
 from .key import Key, key_under_test
-from .mix import CATALOGUE, LAWS, Plan, dealt
+from .mix import CATALOGUE, FURTHER_ARMS, LAWS, Plan, dealt
 from .store import Store, write_text
 from .tool import answer
 from .wilson import wilson
 
 WORK = Path(__file__).with_name("work")
 PAGE = Path(__file__).with_name("LAWS.md")
-ROBOTS, ROBOT_SHARES = ("small3", "arm6"), (0.75, 0.25)
+# Robots of the cases and their shares, by the choice of the command line.
+ARMS = {"usual": (("small3", 0.75), ("arm6", 0.25)), "further": FURTHER_ARMS}
 SEVERITIES = (1.0, 1.5, 3.0, 6.0)
 WITH_CATALOGUE = 1.0 / 3.0
 TIMEOUT = 900.0  # [s]
@@ -47,8 +48,11 @@ MOVING = 0.03  # slower than this, dry friction has no definite value [rad/s]
 CLOSE = 0.1
 
 
-def plan_of(key: Key, suite: str, index: int) -> Plan:
-    """The plan of a case of one of the suites "law", "lawless" (nothing missing) and "known"."""
+def plan_of(key: Key, suite: str, index: int, arms: str) -> Plan:
+    """The plan of a case of one of the suites "law", "lawless" (nothing missing) and "known".
+
+    `arms`: key of `ARMS`.
+    """
     name = f"{suite}_{index:04d}"
     draw = key.draw(name)
     effects: list[tuple[str, ...]] = []
@@ -60,12 +64,18 @@ def plan_of(key: Key, suite: str, index: int) -> Plan:
         name=name,
         suite=suite,
         kind={"law": "outside", "lawless": "none", "known": "single"}[suite],
-        robot=str(draw.choice(ROBOTS, p=ROBOT_SHARES)),
+        robot=drawn_robot(draw, arms),
         seed=int(draw.integers(2**62)),
         link_encoders=True,
         effects=tuple(effects),
         severity=dealt(key, SEVERITIES, index, suite, "severity") if effects else 0.0,
     )
+
+
+def drawn_robot(draw: np.random.Generator, arms: str) -> str:
+    """A robot of a choice of `ARMS`."""
+    robots, shares = zip(*ARMS[arms], strict=True)
+    return str(draw.choice(robots, p=shares))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -268,6 +278,7 @@ def main() -> None:
     parser.add_argument("--none", type=int, default=20, help="with nothing missing")
     parser.add_argument("--single", type=int, default=20, help="with one effect of the catalogue")
     parser.add_argument("--key", help="a key for development, dev-...")
+    parser.add_argument("--arms", choices=ARMS, default="usual", help="robots of the cases")
     parser.add_argument("--commit", default="HEAD")
     parser.add_argument("--work", type=Path, default=WORK)
     given = parser.parse_args()
@@ -279,7 +290,7 @@ def main() -> None:
     rows = []
     for suite, count in counts.items():
         for index in range(count):
-            drawn = plan_of(key, suite, index)
+            drawn = plan_of(key, suite, index, given.arms)
             make_planned(key, drawn, store)
             if not store.unmade(drawn.name).exists():
                 answer(drawn.name, store, TIMEOUT, threading.Event())

@@ -26,7 +26,7 @@ from stiffopt.discovery.store import write_diagnosis
 
 from .cases import make_planned
 from .key import Key, key_under_test
-from .laws import CLOSE, ROBOT_SHARES, ROBOTS, WORK, Scored, score
+from .laws import ARMS, CLOSE, WORK, Scored, drawn_robot, score
 from .mix import CATALOGUE, Plan
 from .store import Store, whole_folder, write_json, write_text
 
@@ -58,15 +58,15 @@ def without(name: str) -> Iterator[None]:
         tool.CATALOGUE = ENTRIES
 
 
-def plan_without(key: Key, effect: str) -> Plan:
-    """The plan of the case of one effect."""
+def plan_without(key: Key, effect: str, arms: str) -> Plan:
+    """The plan of the case of one effect. `arms`: key of `ARMS`."""
     name = f"loo_{effect}"
     draw = key.draw(name)
     return Plan(
         name=name,
         suite="loo",
         kind="single",
-        robot=str(draw.choice(ROBOTS, p=ROBOT_SHARES)),
+        robot=drawn_robot(draw, arms),
         seed=int(draw.integers(2**62)),
         link_encoders=True,
         effects=((effect,),),
@@ -141,13 +141,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.blind.leave_one_out")
     parser.add_argument("--effects", nargs="*", default=left_out())
     parser.add_argument("--key", help="a key for development, dev-...")
+    parser.add_argument("--arms", choices=ARMS, default="usual", help="robots of the cases")
     parser.add_argument("--work", type=Path, default=WORK)
     given = parser.parse_args()
     key = key_under_test(given.key)
     store = Store(given.work.resolve() / key.text)
     rows = []
     for effect in given.effects:
-        drawn = plan_without(key, effect)
+        drawn = plan_without(key, effect, given.arms)
         make_planned(key, drawn, store)
         if store.unmade(drawn.name).exists():
             continue
