@@ -135,7 +135,18 @@ def test_a_law_file_is_read_as_the_same_effect(tmp_path) -> None:
         amplitudes = [0.4, -0.9][: law.amplitude_count]
         terms = [each.term(seen, amplitudes, law.shapes) for each in (own, effect)]
         assert stack_term(terms[1]) == pytest.approx(stack_term(terms[0]), rel=1e-12)
-        assert (effect.name, effect.equation) == (own.name, own.equation)
+        for field in (
+            "name",
+            "equation",
+            "title",
+            "phrase",
+            "remedy",
+            "separate",
+            "needs",
+            "yields",
+        ):
+            assert getattr(effect, field) == getattr(own, field), field
+        assert (effect.amplitudes, effect.shapes) == (own.amplitudes, own.shapes)
         assert law_of(effect) is None
         assert law_of(own) == law
 
@@ -346,6 +357,38 @@ def test_a_second_form_of_a_signal_is_found_beside_the_first() -> None:
     assert factor.form == "harmonic+harmonic"
     assert factor.shapes == pytest.approx((190.4, 95.2), rel=1e-3)
     assert found.best.fit.amplitudes == pytest.approx([0.0, 4.0, 1.5, 0.0], abs=0.2)
+
+
+def test_a_form_of_a_signal_is_exchanged_where_the_first_found_was_a_carrier() -> None:
+    """Drag by the square of speed times a lever: neither factor is a carrier."""
+
+    def content(signals):
+        w = signals.motor_velocity[:, 4]
+        return 8.0 * w * np.abs(w) * np.cos(signals.motor_position[:, 1])
+
+    found = search_channel(KnownChannel(content))
+    assert found.best is not None
+    forms = {(f.source, f.form) for f in found.best.law.factors}
+    assert forms == {
+        (LawSource("speed", 4), "signed_square"),
+        (LawSource("position", 1), "lever"),
+    }
+    assert found.best.fit.amplitudes == pytest.approx([8.0, 0.0], abs=0.3)
+
+
+def test_an_order_is_one_of_as_many_as_the_recordings_tell_apart() -> None:
+    within = SimpleNamespace(low=0.0, high=2.0, span=2.0, peaks=())
+    source = LawSource("position", 4)
+    ripple, alone = (
+        Law(4, "drive_torque", (next(Factor(source, form).starts(within)),))
+        for form in ("harmonic", "lever")
+    )
+    ((low, high),) = ripple.factors[0].periodic_bounds
+    waves = high * within.span / (2.0 * np.pi)
+    price = alone.log_prior(6) - ripple.log_prior(6)
+    # The lowest order has 0.6 waves within the range.
+    assert price == pytest.approx(np.log(waves / 0.6))
+    assert low < high
 
 
 def test_noise_is_no_second_form() -> None:

@@ -258,6 +258,14 @@ FORMS = {
             resembles="a cable or spring that tightens up to one place",
         ),
         Form(
+            "lever",
+            ("np.cos(x)", "np.sin(x)"),
+            "as the projection of a lever that turns by the {x}",
+            unit_powers=(0, 0),
+            general="harmonic",
+            resembles="a weight, a spring or a drag at the end of a lever",
+        ),
+        Form(
             "harmonic",
             ("np.cos(k * x)", "np.sin(k * x)"),
             "periodically in the {x}",
