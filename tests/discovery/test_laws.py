@@ -41,8 +41,11 @@ EXTENT = SignalRange(low=-0.7, high=0.9, duration=6.0, rate=20.0, peaks=(0.7,))
 
 def forms_of(kind: str) -> list[str]:
     """Forms of a signal, and those that they are special cases of."""
-    own = SOURCE_KINDS[kind].forms
-    return [*own, *(FORMS[form].general for form in own if FORMS[form].general)]
+    found = list(SOURCE_KINDS[kind].forms)
+    for form in found:  # grows meanwhile
+        if FORMS[form].general and FORMS[form].general not in found:
+            found.append(FORMS[form].general)
+    return found
 
 
 SUMS = [("load", "lag+linear"), ("load", "stop+stop"), ("speed", "magnitude+constant")]
@@ -452,6 +455,22 @@ def test_an_overtone_is_found_beside_its_wave() -> None:
     assert found.best.fit.amplitudes == pytest.approx([0.0, 9.0, 1.8, 0.0], abs=0.2)
     # The wave alone is no rival of its own refinement.
     assert not any(factor.form == "wave" for law in found.near for factor in law.law.factors)
+
+
+def test_half_the_order_is_found_beside_a_wave_that_leaves_no_more_than_the_noise() -> None:
+    """As of a strain-wave gear: squares below the stated noise tell forms apart too."""
+
+    def content(signals):
+        angle = signals.motor_position[:, 4]
+        return (
+            1.2 * np.sin(102.0 * angle) + 0.35 * np.cos(51.0 * angle) + 0.3 * np.cos(204.0 * angle)
+        )
+
+    found = search_channel(KnownChannel(content, noise=0.9))
+    assert found.best is not None
+    (factor,) = found.best.law.factors
+    assert factor.form == "harmonic_series"
+    assert factor.shapes == pytest.approx((102.0,), rel=1e-3)
 
 
 def test_equal_frequencies_of_recordings_apart_are_laws_of_their_own() -> None:

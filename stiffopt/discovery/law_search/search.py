@@ -27,8 +27,9 @@ from stiffopt.discovery.thresholds import NAMED_EVIDENCE, PARAMETER_LOG_PRICE, R
 # Pairs of carrier and signal whose forms are tried: the best ones of every carrier, for one that
 # explains much does so with any signal; they explain at least this share of what the best one does.
 _PAIRS_PER_CARRIER, _MIN_PAIR_SHARE = 3, 0.5
-# Laws whose shapes are fitted, of the best initial shapes of every form.
-_MAX_REFINED = 10
+# Laws whose shapes are fitted, of the best initial shapes of every form; and of those with another
+# form, or a second one, of one signal of a fitted law, which are many and begin near it.
+_MAX_REFINED, _MAX_EXCHANGED = 10, 4
 # Least share of the excess that a law explains in blocks left out, over all of it and over what
 # free functions of any signals explain there.
 MIN_EXPLAINED, MIN_SHARE_OF_FREE = 0.5, 0.85
@@ -61,9 +62,9 @@ def search_channel(channel: OpenChannel) -> ChannelLaw:
         more, left_more = best_sum(channel, products)
         if left_more < left:
             free, left = more, left_more
-        found = _ranked([*found, *_fit_pairs(channel, products)])
-        added = _add_factor(channel, found[0]) if found else []
-        found = _refine(channel, _ranked([*found, *added]))
+        wider = _ranked([*found, *_fit_pairs(channel, products)])
+        wider = _ranked([*wider, *(_add_factor(channel, wider[0]) if wider else [])])
+        found = wider if wider[:1] == found[:1] else _refine(channel, wider)
     if found:
         best = _ranked([found[0], *_add_form(channel, found[0])])[0]
         found = _ranked([best, *found[1:]])
@@ -145,10 +146,13 @@ def _place_of(channel: OpenChannel) -> Place:
     return "drive_torque" if channel.kind == "torque" else "deflection"
 
 
-def _fit_best(channel: OpenChannel, laws: Sequence[Law], tried: int) -> list[FittedLaw]:
+def _fit_best(
+    channel: OpenChannel, laws: Sequence[Law], tried: int, most: int = _MAX_REFINED
+) -> list[FittedLaw]:
     """Fit the shapes of the best starts of every structure; return them, the best first.
 
-    `tried`: number of laws among which the best one is the best.
+    `tried`: number of laws among which the best one is the best. `most`: number of structures that
+    are fitted.
     """
     best: dict[object, FittedLaw] = {}
     if not laws:
@@ -158,7 +162,7 @@ def _fit_best(channel: OpenChannel, laws: Sequence[Law], tried: int) -> list[Fit
         known = best.get(law.structure)
         if known is None or scored.fit.removed > known.fit.removed:
             best[law.structure] = scored
-    head = _ranked(best.values())[:_MAX_REFINED]
+    head = _ranked(best.values())[:most]
     return _ranked([fit_shapes(channel, each.law, each.tried) for each in head])
 
 
@@ -182,7 +186,7 @@ def _exchange_forms(channel: OpenChannel, found: Sequence[FittedLaw]) -> list[Fi
             )
             if law.structure not in known
         ]
-        others = _fit_best(channel, laws, best.tried + len(laws))
+        others = _fit_best(channel, laws, best.tried + len(laws), _MAX_EXCHANGED)
         ranked = _ranked([*ranked, *others])
         if ranked[0] is best:
             break
@@ -195,21 +199,27 @@ def _refine(channel: OpenChannel, found: Sequence[FittedLaw]) -> list[FittedLaw]
 
 
 def _generalise(channel: OpenChannel, found: Sequence[FittedLaw]) -> list[FittedLaw]:
-    """Put a more general form in place of one of a best law's where that is likelier.
+    """Put more general forms in place of those of the best laws while that is likelier.
 
     A law is no rival of its own refinement: what it leaves over is what its formula lacks.
     """
-    best: list[FittedLaw] = []
-    for each in found[:_MAX_NEAR]:
-        refined = [each]
-        for number, factor in enumerate(each.law.factors):
-            if factor.own.general:
-                own = factor.generalised(_extent_of(channel, factor.source))
-                factors = (*each.law.factors[:number], own, *each.law.factors[number + 1 :])
-                law = replace(each.law, factors=factors)
-                refined.append(fit_shapes(channel, law, each.tried + _MAX_NEAR))
-        best.append(_ranked(refined)[0])
-    return _ranked([*best, *found[_MAX_NEAR:]])
+    return _ranked(
+        [*(_most_likely_form(channel, e) for e in found[:_MAX_NEAR]), *found[_MAX_NEAR:]]
+    )
+
+
+def _most_likely_form(channel: OpenChannel, found: FittedLaw) -> FittedLaw:
+    """Return a law, or a more general one that is likelier."""
+    more = []
+    for number, factor in enumerate(found.law.factors):
+        if factor.own.general:
+            own = factor.generalised(_extent_of(channel, factor.source))
+            factors = (*found.law.factors[:number], own, *found.law.factors[number + 1 :])
+            law = replace(found.law, factors=factors)
+            if sum(len(each.own.formulas) > 1 for each in factors) <= 1:
+                more.append(fit_shapes(channel, law, found.tried + _MAX_NEAR))
+    best = max([found, *more], key=lambda each: each.evidence)
+    return found if best is found else _most_likely_form(channel, best)
 
 
 def _add_form(channel: OpenChannel, found: FittedLaw) -> list[FittedLaw]:
@@ -217,8 +227,6 @@ def _add_form(channel: OpenChannel, found: FittedLaw) -> list[FittedLaw]:
 
     The second form, with an amplitude of its own, is what the formula of the first one lacks.
     """
-    if channel.square - found.fit.removed <= len(channel.target):
-        return []  # only noise is left
     laws, rest = [], channel.beside(channel.law_columns(found.law), found.fit)
     for number, factor in enumerate(found.law.factors):
         before, after = found.law.factors[:number], found.law.factors[number + 1 :]
@@ -230,7 +238,7 @@ def _add_form(channel: OpenChannel, found: FittedLaw) -> list[FittedLaw]:
             for form in ("constant", *factor.source.own.forms)
             for both in factor.plus(form, extent)
         ]
-    return _fit_best(channel, laws, found.tried * len(laws))
+    return _fit_best(channel, laws, found.tried * len(laws), _MAX_EXCHANGED)
 
 
 def _fit_near_frequencies(channel: OpenChannel, best: FittedLaw) -> list[FittedLaw]:
