@@ -20,7 +20,7 @@ from stiffopt.discovery.law_search.open_channel import OpenChannel
 from stiffopt.discovery.law_search.search import beats, search_channel
 from stiffopt.discovery.laws import operators
 from stiffopt.discovery.laws.forms import FORMS
-from stiffopt.discovery.laws.law import Factor, Law, law_effect, law_of
+from stiffopt.discovery.laws.law import Factor, Law, describe_test, law_effect, law_of
 from stiffopt.discovery.laws.law_file import law_file_text
 from stiffopt.discovery.laws.shapes import SignalRange
 from stiffopt.discovery.laws.sources import SOURCE_KINDS, LawSource
@@ -334,6 +334,14 @@ def test_a_square_needs_no_exponent() -> None:
     assert found.best is not None
     assert found.best.law.equation == "tau_5 += A * w_5**2"
     assert found.best.law.amplitude_units == ("N m/(rad/s)^2",)
+
+
+def test_the_test_of_a_law_lets_the_signal_of_another_joint_differ() -> None:
+    own, other = (Factor(LawSource(*each), "linear") for each in (("speed", 4), ("position", 1)))
+    for factors in ((own, other), (other, own)):
+        told = describe_test(Law(4, "drive_torque", factors))
+        assert told.startswith("Move joint 5 the same way several times while only the position of")
+        assert "position of joint 2 differs" in told
 
 
 def test_only_units_of_several_names_need_brackets() -> None:

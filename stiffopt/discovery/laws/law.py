@@ -417,8 +417,10 @@ def describe_test(law: Law) -> str:
             f"Move joint {law.joint + 1} for several times as long without a pause: recordings"
             " apart tell a frequency only up to multiples of one over the time between them."
         )
-    moved = [f.source.words for f in law.factors if f.source.kind != "direction"]
-    last = moved[-1] if moved else f"position of joint {law.joint + 1}"
+    moved = [f.source for f in law.factors if f.source.kind != "direction"]
+    # The motion of the joint stays the same where another signal can differ.
+    moved.sort(key=lambda source: source.joint != law.joint)
+    last = moved[-1].words if moved else f"position of joint {law.joint + 1}"
     return (
         f"Move joint {law.joint + 1} the same way several times while only the {last} differs,"
         " over its whole range and back: the residual follows the law, or it does not."
