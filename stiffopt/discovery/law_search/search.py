@@ -66,8 +66,8 @@ def search_channel(channel: OpenChannel) -> ChannelLaw:
         wider = _ranked([*wider, *(_add_factor(channel, wider[0]) if wider else [])])
         found = wider if wider[:1] == found[:1] else _refine(channel, wider)
     if found:
-        best = _ranked([found[0], *_add_form(channel, found[0])])[0]
-        found = _ranked([best, *found[1:]])
+        first = _ranked([found[0], *_add_form(channel, found[0])])[0]
+        found = _ranked([first, *found[1:]])
         found = _ranked([*found, *_fit_near_frequencies(channel, found[0])])
     best = found[0] if found else None
     explained = 0.0 if best is None else channel.share(best.left)
