@@ -313,7 +313,7 @@ def test_motion_between_is_the_best_one_whose_motors_keep_their_limits(
         SimpleNamespace(problem=None),
     )
 
-    def led_of(plan):
+    def led_of(plan, below=np.inf):
         x = float(plan(1.0)[0])
         after = 1.0 + 2.0 * abs(x - 0.5)
         return LedError(in_flight=1.1 - x, after_arrival=after, across=0.5, shares={})
