@@ -133,7 +133,9 @@ def place(diagnosis: Diagnosis, located: LocatedEffect) -> str:
     """Return the place of an effect: link, joint or robot, with the run of an effect of one run."""
     if located.link is not None:
         return f"link {diagnosis.training.constants.links[located.link]}"
-    where = "robot" if located.joint is None else f"joint {located.joint + 1}"
+    if located.joint is None:
+        return located.run or "robot"
+    where = f"joint {located.joint + 1}"
     return where + (f", {located.run}" if located.run else "")
 
 
@@ -216,9 +218,7 @@ def _state_finding(diagnosis: Diagnosis, finding: Finding) -> Statement:
     return Statement(
         finding=finding,
         place=where,
-        sentence=sentence
-        if located.joint is None and located.link is None
-        else f"{where}: {sentence}",
+        sentence=sentence if where == "robot" else f"{where}: {sentence}",
         certainty=finding.certainty,
         probability=format_probability(finding.probability),
         action=_describe_remedy(diagnosis, finding, named, where),

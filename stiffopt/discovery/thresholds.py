@@ -41,7 +41,7 @@ MAX_EFFECTS_FREE, MAX_EFFECTS_PER_ROUND = 12, 3
 
 # ---- Laws beyond the catalogue
 
-# Deviations from zero that determine a value of a law.
+# Deviations from zero that determine the function of a law.
 CONFIRMED_DEVIATIONS = 3.5
 
 # ---- Findings that may be zero, all known deviations counted [0053]

@@ -20,7 +20,6 @@ from stiffopt.report.diagnosis.sections import fault_lines
 from stiffopt.report.diagnosis.words import (
     headline,
     unassessed_joint_sentences,
-    unexplained_sentence,
 )
 
 
@@ -128,11 +127,14 @@ def test_a_run_without_a_position_is_left_out_by_name_and_reason(tmp_path: Path)
     assert any("position of joint 2 of run_2" in line for line in fault_lines(diagnosis))
 
 
-def test_run_with_another_payload_is_doubted(tmp_path: Path) -> None:
+def test_payload_of_one_run_is_named_with_its_run(tmp_path: Path) -> None:
     diagnosis = diagnose(SCARA.write(tmp_path / "set", payload=(1, 0.6)), experiment=False)
-    assert diagnosis.verdict == "outside_catalogue"
-    assert all(each.certainty == "possible" for each in diagnosis.findings)
-    assert "In run_2 the residual of the nominal model" in unexplained_sentence(diagnosis)
+    (finding,) = (each for each in diagnosis.findings if each.probability > 0.5)
+    assert (finding.effect.name, finding.located.run) == ("payload_in_run", "run_2")
+    mass = finding.parameters[0]
+    assert mass.name == "dm"
+    assert abs(mass.value - 0.6) < 3.0 * mass.sd < 0.2
+    assert headline(diagnosis).count("Run_2: 0.6") == 1
 
 
 def saturated(logs: list[Log]) -> None:

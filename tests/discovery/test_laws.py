@@ -20,7 +20,7 @@ from stiffopt.discovery.law_search.open_channel import OpenChannel
 from stiffopt.discovery.law_search.search import beats, search_channel
 from stiffopt.discovery.laws import operators
 from stiffopt.discovery.laws.forms import FORMS
-from stiffopt.discovery.laws.law import Factor, Law, law_effect, law_of
+from stiffopt.discovery.laws.law import Factor, Law, describe_test, law_effect, law_of
 from stiffopt.discovery.laws.law_file import law_file_text
 from stiffopt.discovery.laws.shapes import SignalRange
 from stiffopt.discovery.laws.sources import SOURCE_KINDS, LawSource
@@ -41,8 +41,11 @@ EXTENT = SignalRange(low=-0.7, high=0.9, duration=6.0, rate=20.0, peaks=(0.7,))
 
 def forms_of(kind: str) -> list[str]:
     """Forms of a signal, and those that they are special cases of."""
-    own = SOURCE_KINDS[kind].forms
-    return [*own, *(FORMS[form].general for form in own if FORMS[form].general)]
+    found = list(SOURCE_KINDS[kind].forms)
+    for form in found:  # grows meanwhile
+        if FORMS[form].general and FORMS[form].general not in found:
+            found.append(FORMS[form].general)
+    return found
 
 
 SUMS = [("load", "lag+linear"), ("load", "stop+stop"), ("speed", "magnitude+constant")]
@@ -135,7 +138,18 @@ def test_a_law_file_is_read_as_the_same_effect(tmp_path) -> None:
         amplitudes = [0.4, -0.9][: law.amplitude_count]
         terms = [each.term(seen, amplitudes, law.shapes) for each in (own, effect)]
         assert stack_term(terms[1]) == pytest.approx(stack_term(terms[0]), rel=1e-12)
-        assert (effect.name, effect.equation) == (own.name, own.equation)
+        for field in (
+            "name",
+            "equation",
+            "title",
+            "phrase",
+            "remedy",
+            "separate",
+            "needs",
+            "yields",
+        ):
+            assert getattr(effect, field) == getattr(own, field), field
+        assert (effect.amplitudes, effect.shapes) == (own.amplitudes, own.shapes)
         assert law_of(effect) is None
         assert law_of(own) == law
 
@@ -322,6 +336,14 @@ def test_a_square_needs_no_exponent() -> None:
     assert found.best.law.amplitude_units == ("N m/(rad/s)^2",)
 
 
+def test_the_test_of_a_law_lets_the_signal_of_another_joint_differ() -> None:
+    own, other = (Factor(LawSource(*each), "linear") for each in (("speed", 4), ("position", 1)))
+    for factors in ((own, other), (other, own)):
+        told = describe_test(Law(4, "drive_torque", factors))
+        assert told.startswith("Move joint 5 the same way several times while only the position of")
+        assert "position of joint 2 differs" in told
+
+
 def test_only_units_of_several_names_need_brackets() -> None:
     units = [
         Law(4, "drive_torque", (Factor(LawSource(kind, 4), "linear"),)).amplitude_units
@@ -346,6 +368,38 @@ def test_a_second_form_of_a_signal_is_found_beside_the_first() -> None:
     assert factor.form == "harmonic+harmonic"
     assert factor.shapes == pytest.approx((190.4, 95.2), rel=1e-3)
     assert found.best.fit.amplitudes == pytest.approx([0.0, 4.0, 1.5, 0.0], abs=0.2)
+
+
+def test_a_form_of_a_signal_is_exchanged_where_the_first_found_was_a_carrier() -> None:
+    """Drag by the square of speed times a lever: neither factor is a carrier."""
+
+    def content(signals):
+        w = signals.motor_velocity[:, 4]
+        return 8.0 * w * np.abs(w) * np.cos(signals.motor_position[:, 1])
+
+    found = search_channel(KnownChannel(content))
+    assert found.best is not None
+    forms = {(f.source, f.form) for f in found.best.law.factors}
+    assert forms == {
+        (LawSource("speed", 4), "signed_square"),
+        (LawSource("position", 1), "lever"),
+    }
+    assert found.best.fit.amplitudes == pytest.approx([8.0, 0.0], abs=0.3)
+
+
+def test_an_order_is_one_of_as_many_as_the_recordings_tell_apart() -> None:
+    within = SimpleNamespace(low=0.0, high=2.0, span=2.0, peaks=())
+    source = LawSource("position", 4)
+    ripple, alone = (
+        Law(4, "drive_torque", (next(Factor(source, form).starts(within)),))
+        for form in ("harmonic", "lever")
+    )
+    ((low, high),) = ripple.factors[0].periodic_bounds
+    waves = high * within.span / (2.0 * np.pi)
+    price = alone.log_prior(6) - ripple.log_prior(6)
+    # The lowest order has 0.6 waves within the range.
+    assert price == pytest.approx(np.log(waves / 0.6))
+    assert low < high
 
 
 def test_noise_is_no_second_form() -> None:
@@ -409,6 +463,22 @@ def test_an_overtone_is_found_beside_its_wave() -> None:
     assert found.best.fit.amplitudes == pytest.approx([0.0, 9.0, 1.8, 0.0], abs=0.2)
     # The wave alone is no rival of its own refinement.
     assert not any(factor.form == "wave" for law in found.near for factor in law.law.factors)
+
+
+def test_half_the_order_is_found_beside_a_wave_that_leaves_no_more_than_the_noise() -> None:
+    """As of a strain-wave gear: squares below the stated noise tell forms apart too."""
+
+    def content(signals):
+        angle = signals.motor_position[:, 4]
+        return (
+            1.2 * np.sin(102.0 * angle) + 0.35 * np.cos(51.0 * angle) + 0.3 * np.cos(204.0 * angle)
+        )
+
+    found = search_channel(KnownChannel(content, noise=0.9))
+    assert found.best is not None
+    (factor,) = found.best.law.factors
+    assert factor.form == "harmonic_series"
+    assert factor.shapes == pytest.approx((102.0,), rel=1e-3)
 
 
 def test_equal_frequencies_of_recordings_apart_are_laws_of_their_own() -> None:

@@ -31,6 +31,7 @@ def _estimate(values, spread, between):
         spread=spread,
         between=between,
         added=np.zeros((len(values),) * 2),
+        squares=np.eye(len(values)),
         sizes=(np.ones(len(values)),),
         shape_sizes=((),),
         parts=(STRETCHES, RUNS),
@@ -130,8 +131,29 @@ def test_prior_of_reported_values_is_that_of_amplitudes_and_initial_shapes() -> 
     assert estimate.prior_deviations(0, constants)["tp"] == pytest.approx(expected)
 
 
-def test_an_amplitude_with_its_shapes_held_is_as_uncertain_as_it_spreads_between_runs():
-    """Conditioned on two shapes, a covariance from four runs leaves next to no spread."""
+def test_a_function_is_told_where_the_values_that_describe_it_are_not_each():
+    """Of two columns that are nearly one, the sum is told and the shares are not."""
+    rng = np.random.default_rng(3)
+    column, away = rng.normal(size=200), 1e-4 * rng.normal(size=200)
+    columns, values = np.column_stack([column, column + away]), np.array([4.0, 6.0])
+    target = columns @ values + rng.normal(size=200)
+    comparison = linear_comparison(columns, target, values, runs=4, duration=1.0)
+    located = SimpleNamespace(
+        shapes=(),
+        is_run_specific=False,
+        sizes=lambda constants: np.ones(2),
+        effect=SimpleNamespace(amplitudes=("A", "B")),
+    )
+    found = estimate_parameters(comparison, [located])
+    assert found.amplitude_deviations(0) < 10.0
+    # Both priors have unit deviation: the columns' sum counts as one value.
+    size = np.sum((columns @ values) ** 2)
+    linear = np.trace(columns.T @ columns @ found.covariance)
+    assert found.function_deviations(0) <= np.sqrt(size / linear) * (1.0 + 1e-9)
+    assert found.function_deviations(0) > 50.0
+
+
+def test_a_function_is_as_uncertain_as_it_spreads_between_runs():
     rng = np.random.default_rng(3)
     run = np.repeat(np.arange(4), 50)
     column, per_run = rng.normal(size=200), np.array([8.0, 12.0, 9.0, 13.0])
@@ -139,13 +161,13 @@ def test_an_amplitude_with_its_shapes_held_is_as_uncertain_as_it_spreads_between
     amplitude = np.array([float(column @ target / (column @ column))])
     comparison = linear_comparison(column[:, None], target, amplitude, runs=4, duration=1.0)
     located = SimpleNamespace(
-        shapes=(0.3, 2.0),
+        shapes=(),
         is_run_specific=False,
         sizes=lambda constants: np.ones(1),
         effect=SimpleNamespace(amplitudes=("A",)),
     )
-    found = estimate_parameters(comparison, [located], shapes_held=True)
+    found = estimate_parameters(comparison, [located])
     kept = [run != own for own in range(4)]
     left_out = [float(column[k] @ target[k] / (column[k] @ column[k])) for k in kept]
     sd = np.sqrt(3.0) * np.std(left_out)
-    assert found.amplitude_deviations(0) == pytest.approx(amplitude[0] / sd, rel=0.02)
+    assert found.function_deviations(0) == pytest.approx(amplitude[0] / sd, rel=0.02)

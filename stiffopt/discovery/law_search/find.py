@@ -281,16 +281,13 @@ class _State:
         ranked = self._rank_places(beside, (outcome.best, *outcome.near))
         if not ranked:
             return None
-        law, located = ranked[0].law, ranked[0].located
+        located = ranked[0].located
         effects = [*self.effects, located]
         current = self.comparison.linearised_at(self.comparison.fit(effects))
         kept = prune_effects(current, effects)
         if self._strict:
             kept = select_predictive(current, kept)
-        # Where a known effect acts, a law beside it or in its place has to be told from it.
-        acting = [e.located for e in self.kept if e.located.joint in (None, law.joint)]
-        alone = all(each.calibrated for each in acting)
-        if located not in kept or not _is_determined(current, kept, located, shapes_held=alone):
+        if located not in kept or not _is_determined(current, kept, located):
             return None
         self.restored = {each.key for each in self._restorable(current, kept)}
         if self.restored:
@@ -299,7 +296,7 @@ class _State:
         self.effects = kept
         self._ranked = ranked
         return FoundLaw(
-            law=law,
+            law=ranked[0].law,
             located=located,
             channel=channel_name(outcome.channel.channel, self.comparison.robot.n),
             explained=outcome.explained,
@@ -417,16 +414,11 @@ def _mean_stiffness(comparison: Comparison, joint: int) -> float:
 
 
 def _is_determined(
-    comparison: Comparison,
-    effects: Sequence[LocatedEffect],
-    law: LocatedEffect,
-    *,
-    shapes_held: bool,
+    comparison: Comparison, effects: Sequence[LocatedEffect], law: LocatedEffect
 ) -> bool:
-    """Return True where a law's amplitude stands out of its deviation between parts and runs.
+    """Return True where a law's function stands out of its deviation between parts and runs.
 
-    Sharp forms in a few samples gain evidence with an amplitude that is anything. `shapes_held`:
-    the amplitude of a power or a hinge is told only together with its place.
+    Sharp forms in a few samples gain evidence with an amplitude that is anything.
     """
-    estimate = estimate_parameters(comparison, effects, shapes_held=shapes_held)
-    return estimate.amplitude_deviations(list(effects).index(law)) >= CONFIRMED_DEVIATIONS
+    estimate = estimate_parameters(comparison, effects)
+    return estimate.function_deviations(list(effects).index(law)) >= CONFIRMED_DEVIATIONS

@@ -38,11 +38,17 @@ def log_evidence(channel: OpenChannel, left: float, parameters: int, tried: int)
     `left`: squares of the rows that the fit leaves. `tried`: number of laws of which it is the
     best: each had a chance to fit.
 
-    The noise is unknown, and at least the stated one: squares within it are no evidence.
+    The noise is unknown, and at least the stated one.
     """
     m = len(channel.target)
-    gain = 0.5 * m * np.log(max(channel.square, m) / max(left, m))
+    gain = _log_likelihood(m, left) - _log_likelihood(m, channel.square)
     return float(gain - 0.5 * parameters * np.log(m) - np.log(max(tried, 1)))
+
+
+def _log_likelihood(count: int, square: float) -> float:
+    """Return the largest log likelihood of rows with a sum of squares, of unit noise at least."""
+    variance = max(square / count, 1.0)
+    return float(-0.5 * (square / variance + count * np.log(variance)))
 
 
 def as_fitted(channel: OpenChannel, law: Law, fit: Fitted, tried: int) -> FittedLaw:

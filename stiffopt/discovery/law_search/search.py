@@ -27,10 +27,9 @@ from stiffopt.discovery.thresholds import NAMED_EVIDENCE, PARAMETER_LOG_PRICE, R
 # Pairs of carrier and signal whose forms are tried: the best ones of every carrier, for one that
 # explains much does so with any signal; they explain at least this share of what the best one does.
 _PAIRS_PER_CARRIER, _MIN_PAIR_SHARE = 3, 0.5
-# Laws whose shapes are fitted, of the best initial shapes of every form.
-_MAX_REFINED = 10
-# A law of two factors is enough if it explains this share of what the free functions do.
-_ENOUGH_SHARE = 0.97
+# Laws whose shapes are fitted, of the best initial shapes of every form; and of those with another
+# form, or a second one, of one signal of a fitted law, which are many and begin near it.
+_MAX_REFINED, _MAX_EXCHANGED = 10, 4
 # Least share of the excess that a law explains in blocks left out, over all of it and over what
 # free functions of any signals explain there.
 MIN_EXPLAINED, MIN_SHARE_OF_FREE = 0.5, 0.85
@@ -57,17 +56,18 @@ def search_channel(channel: OpenChannel) -> ChannelLaw:
     """Search one channel for a law."""
     terms = screen(channel)
     free, left = best_sum(channel, terms)
-    found = _ranked([*_fit_unscreened(channel), *_fit_pairs(channel, terms)])
-    if _is_short_of(channel, found, left):
+    found = _refine(channel, _ranked([*_fit_unscreened(channel), *_fit_pairs(channel, terms)]))
+    if _is_short_of(channel, found):
         products = screen_products(channel)
         more, left_more = best_sum(channel, products)
         if left_more < left:
             free, left = more, left_more
-        found = _ranked([*found, *_fit_pairs(channel, products)])
-    if found and _is_short_of(channel, found, left):
-        found = _ranked([*found, *_add_factor(channel, found[0])])
-    found = _generalise(channel, found)
+        wider = _ranked([*found, *_fit_pairs(channel, products)])
+        wider = _ranked([*wider, *(_add_factor(channel, wider[0]) if wider else [])])
+        found = wider if wider[:1] == found[:1] else _refine(channel, wider)
     if found:
+        first = _ranked([found[0], *_add_form(channel, found[0])])[0]
+        found = _ranked([first, *found[1:]])
         found = _ranked([*found, *_fit_near_frequencies(channel, found[0])])
     best = found[0] if found else None
     explained = 0.0 if best is None else channel.share(best.left)
@@ -85,10 +85,9 @@ def search_channel(channel: OpenChannel) -> ChannelLaw:
     )
 
 
-def _is_short_of(channel: OpenChannel, found: Sequence[FittedLaw], left: float) -> bool:
-    """Return True where the best law leaves much of what is to be explained."""
-    attainable = max(channel.share(left), MIN_EXPLAINED)
-    return not found or channel.share(found[0].left) < _ENOUGH_SHARE * attainable
+def _is_short_of(channel: OpenChannel, found: Sequence[FittedLaw]) -> bool:
+    """Return True where the best law leaves enough beyond the noise to tell another one by."""
+    return not found or _gain(channel, found[0].left, len(channel.target)) > NAMED_EVIDENCE
 
 
 def _fit_unscreened(channel: OpenChannel) -> list[FittedLaw]:
@@ -99,7 +98,7 @@ def _fit_unscreened(channel: OpenChannel) -> list[FittedLaw]:
         if source.joint in (j, None):
             every = _laws_of(channel, (), source)
             laws += [law for law in every if law.factors[-1].own.unscreened]
-    return _fit_best(channel, laws)
+    return _fit_best(channel, laws, len(laws))
 
 
 def _fit_pairs(channel: OpenChannel, terms: Sequence[FreeTerm]) -> list[FittedLaw]:
@@ -116,7 +115,7 @@ def _fit_pairs(channel: OpenChannel, terms: Sequence[FreeTerm]) -> list[FittedLa
         taken[id(term.carrier)] += 1
         if taken[id(term.carrier)] <= _PAIRS_PER_CARRIER:
             laws += _laws_of(channel, term.carrier, term.source)
-    return _fit_best(channel, laws)
+    return _fit_best(channel, laws, len(laws))
 
 
 def _laws_of(channel: OpenChannel, base: Sequence[Factor], source: LawSource) -> list[Law]:
@@ -147,13 +146,15 @@ def _place_of(channel: OpenChannel) -> Place:
     return "drive_torque" if channel.kind == "torque" else "deflection"
 
 
-def _fit_best(channel: OpenChannel, laws: Sequence[Law], earlier: int = 1) -> list[FittedLaw]:
+def _fit_best(
+    channel: OpenChannel, laws: Sequence[Law], tried: int, most: int = _MAX_REFINED
+) -> list[FittedLaw]:
     """Fit the shapes of the best starts of every structure; return them, the best first.
 
-    `earlier`: number of laws among which the one that all of these extend was the best.
+    `tried`: number of laws among which the best one is the best. `most`: number of structures that
+    are fitted.
     """
     best: dict[object, FittedLaw] = {}
-    tried = earlier * len(laws)
     if not laws:
         return []
     for law, fit in zip(laws, score_starts(channel, laws), strict=True):
@@ -161,33 +162,71 @@ def _fit_best(channel: OpenChannel, laws: Sequence[Law], earlier: int = 1) -> li
         known = best.get(law.structure)
         if known is None or scored.fit.removed > known.fit.removed:
             best[law.structure] = scored
-    head = _ranked(best.values())[:_MAX_REFINED]
+    head = _ranked(best.values())[:most]
     return _ranked([fit_shapes(channel, each.law, each.tried) for each in head])
 
 
-def _generalise(channel: OpenChannel, found: Sequence[FittedLaw]) -> list[FittedLaw]:
-    """Put a more general form in place of one of a best law's where that is likelier.
+def _exchange_forms(channel: OpenChannel, found: Sequence[FittedLaw]) -> list[FittedLaw]:
+    """Return laws with those that have another form of one signal of the best one, until none is.
 
-    A law is no rival of its own refinement: what it leaves over is what its formula lacks. Of the
-    best one that is a second form of the same signal too, with an amplitude of its own.
+    Carriers are the simplest functions of a signal, and the products of two carriers of one signal
+    stand for functions that are no carriers.
     """
-    best: list[FittedLaw] = []
-    for each in found[:_MAX_NEAR]:
-        refined = [each] if best else [each, *_add_form(channel, each)]
-        for number, factor in enumerate(each.law.factors):
-            if factor.own.general:
-                own = factor.generalised(_extent_of(channel, factor.source))
-                factors = (*each.law.factors[:number], own, *each.law.factors[number + 1 :])
-                law = replace(each.law, factors=factors)
-                refined.append(fit_shapes(channel, law, each.tried + _MAX_NEAR))
-        best.append(_ranked(refined)[0])
-    return _ranked([*best, *found[_MAX_NEAR:]])
+    ranked = list(found)
+    while ranked:
+        best = ranked[0]
+        known = {each.law.structure for each in ranked}
+        laws = [
+            law
+            for origin in {factor.source.origin for factor in best.law.factors}
+            for source in channel.sources
+            if source.origin == origin
+            for law in _laws_of(
+                channel, [f for f in best.law.factors if f.source.origin != origin], source
+            )
+            if law.structure not in known
+        ]
+        others = _fit_best(channel, laws, best.tried + len(laws), _MAX_EXCHANGED)
+        ranked = _ranked([*ranked, *others])
+        if ranked[0] is best:
+            break
+    return ranked
+
+
+def _refine(channel: OpenChannel, found: Sequence[FittedLaw]) -> list[FittedLaw]:
+    """Return laws with other forms of the signals of the best ones where these are likelier."""
+    return _generalise(channel, _exchange_forms(channel, found))
+
+
+def _generalise(channel: OpenChannel, found: Sequence[FittedLaw]) -> list[FittedLaw]:
+    """Put more general forms in place of those of the best laws while that is likelier.
+
+    A law is no rival of its own refinement: what it leaves over is what its formula lacks.
+    """
+    return _ranked(
+        [*(_most_likely_form(channel, e) for e in found[:_MAX_NEAR]), *found[_MAX_NEAR:]]
+    )
+
+
+def _most_likely_form(channel: OpenChannel, found: FittedLaw) -> FittedLaw:
+    """Return a law, or a more general one that is likelier."""
+    more = []
+    for number, factor in enumerate(found.law.factors):
+        if factor.own.general:
+            own = factor.generalised(_extent_of(channel, factor.source))
+            factors = (*found.law.factors[:number], own, *found.law.factors[number + 1 :])
+            law = replace(found.law, factors=factors)
+            if sum(len(each.own.formulas) > 1 for each in factors) <= 1:
+                more.append(fit_shapes(channel, law, found.tried + _MAX_NEAR))
+    best = max([found, *more], key=lambda each: each.evidence)
+    return found if best is found else _most_likely_form(channel, best)
 
 
 def _add_form(channel: OpenChannel, found: FittedLaw) -> list[FittedLaw]:
-    """Return fitted laws in which one factor is the sum of two forms of its signal."""
-    if channel.square - found.fit.removed <= len(channel.target):
-        return []  # only noise is left
+    """Return fitted laws in which one factor is the sum of two forms of its signal.
+
+    The second form, with an amplitude of its own, is what the formula of the first one lacks.
+    """
     laws, rest = [], channel.beside(channel.law_columns(found.law), found.fit)
     for number, factor in enumerate(found.law.factors):
         before, after = found.law.factors[:number], found.law.factors[number + 1 :]
@@ -199,7 +238,7 @@ def _add_form(channel: OpenChannel, found: FittedLaw) -> list[FittedLaw]:
             for form in ("constant", *factor.source.own.forms)
             for both in factor.plus(form, extent)
         ]
-    return _fit_best(channel, laws, found.tried)
+    return _fit_best(channel, laws, found.tried * len(laws), _MAX_EXCHANGED)
 
 
 def _fit_near_frequencies(channel: OpenChannel, best: FittedLaw) -> list[FittedLaw]:
@@ -222,7 +261,7 @@ def _add_factor(channel: OpenChannel, found: FittedLaw) -> list[FittedLaw]:
         return []
     terms = screen(channel, found.law.factors)[:3]
     laws = [law for term in terms for law in _laws_of(channel, found.law.factors, term.source)]
-    return [replace(each, tried=each.tried + found.tried) for each in _fit_best(channel, laws)]
+    return _fit_best(channel, laws, found.tried + len(laws))
 
 
 def _ranked(found: Iterable[FittedLaw]) -> list[FittedLaw]:

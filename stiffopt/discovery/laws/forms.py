@@ -258,6 +258,13 @@ FORMS = {
             resembles="a cable or spring that tightens up to one place",
         ),
         Form(
+            "lever",
+            ("np.cos(x)", "np.sin(x)"),
+            "as the projection of a lever that turns by the {x}",
+            unit_powers=(0, 0),
+            resembles="a weight, a spring or a drag at the end of a lever",
+        ),
+        Form(
             "harmonic",
             ("np.cos(k * x)", "np.sin(k * x)"),
             "periodically in the {x}",
@@ -274,7 +281,20 @@ FORMS = {
             unit_powers=(0, 0, 0, 0),
             shapes=(ORDER_SHAPE,),
             unscreened=True,
+            general="harmonic_series",
             resembles="teeth, rollers or magnets passing at that order",
+        ),
+        Form(
+            "harmonic_series",
+            (
+                *("np.cos(k * x)", "np.sin(k * x)", "np.cos(2.0 * k * x)", "np.sin(2.0 * k * x)"),
+                *("np.cos(0.5 * k * x)", "np.sin(0.5 * k * x)"),
+            ),
+            "periodically in the {x}, with half and twice the order",
+            unit_powers=(0, 0, 0, 0, 0, 0),
+            shapes=(ORDER_SHAPE,),
+            unscreened=True,
+            resembles="a wave generator or cam with two lobes, which are not quite alike",
         ),
         Form(
             "wave",

@@ -59,6 +59,11 @@ class Factor:
         """Frequencies over a clock [Hz]; none where it is not periodic over one."""
         return tuple(p.shapes[0] for p in self.parts if FREQUENCY_SHAPE in p.own.shapes)
 
+    @property
+    def periodic_bounds(self) -> list[tuple[float, float]]:
+        """Bounds of its orders and frequencies."""
+        return [b for s, b in zip(self.own.shapes, self.bounds, strict=True) if s.periodic]
+
     def values(
         self, signals: RobotSignals | JointSignals, shapes: Sequence[Quantity] | None = None
     ) -> list[Quantity]:
@@ -149,20 +154,23 @@ class Law:
     @property
     def structure(self) -> tuple[object, ...]:
         """Joint, signals and forms, whatever the shapes."""
-        return (self.joint, tuple((factor.source, factor.form) for factor in self.factors))
+        return (self.joint, frozenset((factor.source, factor.form) for factor in self.factors))
 
     def log_prior(self, joints: int) -> float:
         """Return the log prior probability over that of a constant.
 
         Every kind of signal is as likely as any other, and as likely to be the joint's own as to be
-        of all others together: that is what brevity is worth.
+        of all others together: that is what brevity is worth. An order or frequency is one of as
+        many as the recordings tell apart.
 
         `joints`: number of joints of the robot.
         """
         signals = {factor.source for factor in self.factors}
         foreign = [each for each in signals if each.joint not in (None, self.joint)]
         kinds, places = len(SOURCE_KINDS), max(joints - 1, 1)
-        return -float(len(signals) * np.log(kinds) + len(foreign) * np.log(places))
+        waves = [high / low for f in self.factors for low, high in f.periodic_bounds]
+        price = len(signals) * np.log(kinds) + len(foreign) * np.log(places) + np.log(waves).sum()
+        return -float(price)
 
     @property
     def parameter_count(self) -> int:
@@ -409,8 +417,10 @@ def describe_test(law: Law) -> str:
             f"Move joint {law.joint + 1} for several times as long without a pause: recordings"
             " apart tell a frequency only up to multiples of one over the time between them."
         )
-    moved = [f.source.words for f in law.factors if f.source.kind != "direction"]
-    last = moved[-1] if moved else f"position of joint {law.joint + 1}"
+    moved = [f.source for f in law.factors if f.source.kind != "direction"]
+    # The motion of the joint stays the same where another signal can differ.
+    moved.sort(key=lambda source: source.joint != law.joint)
+    last = moved[-1].words if moved else f"position of joint {law.joint + 1}"
     return (
         f"Move joint {law.joint + 1} the same way several times while only the {last} differs,"
         " over its whole range and back: the residual follows the law, or it does not."

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
-from stiffopt.discovery.laws.law import Law, describe_test, resembled
+from stiffopt.discovery.effect import Amplitude, Shape
+from stiffopt.discovery.laws.law import Law, law_effect
 from stiffopt.discovery.laws.operators import OPERATOR_NAMES
 
+_AMPLITUDE_FIELDS = ("name", "unit", "scale", "lower", "upper")
+_SHAPE_FIELDS = ("name", "unit", "starts", "lower", "upper")
 # (name of the effect, law, amplitudes, reported value and standard deviation by name)
 WrittenLaw = tuple[str, Law, Sequence[float], Mapping[str, tuple[float, float]]]
 
@@ -34,23 +37,20 @@ def term_{number}(signals, amplitudes, shapes):
 
 
 LAW_{number} = Effect(
-    name={name},
-    family="law",
-    scope="joint",
-    equation={equation_text},
-    signature={words},
+{fields}
     term=term_{number},
-    amplitudes=({amplitudes}),
-    shapes=({shapes}),
-    needs=({needs}, "moves"),
-    couples_joints={couples},
-    yields={yields},
-    lags={lags},
-    is_play={is_play},
     applies={applies},
-    separate={separate},
+    amplitudes=(
+{amplitudes}
+    ),
+    shapes=({shapes}),
 )
 '''
+# Fields of an effect that are texts or truth values, and that files state.
+_PLAIN_FIELDS = (
+    *("name", "family", "scope", "equation", "signature", "title", "phrase", "remedy", "separate"),
+    *("needs", "couples_joints", "yields", "lags", "is_play"),
+)
 
 
 def law_file_text(name: str, laws: Sequence[WrittenLaw]) -> str:
@@ -83,7 +83,7 @@ def _format_law(
     if law.shapes:
         unpack += f"    ({', '.join(law.shape_names)},) = shapes\n"
     formulas = zip(law.amplitude_names, law.formulas(code=True), strict=True)
-    bounds = [b for factor in law.factors for b in factor.bounds]
+    effect = replace(law_effect(law, amplitudes), name=name)
     return _LAW_TEMPLATE.format(
         number=number,
         equation=law.equation,
@@ -92,26 +92,17 @@ def _format_law(
         value=" + ".join(f"{key} * {formula}" for key, formula in formulas),
         place=law.place,
         added="at_joint(signals, value)" if law.of_robot else "value",
-        name=json.dumps(name),
-        equation_text=json.dumps(law.equation),
-        words=json.dumps(law.words + resembled(law)),
-        amplitudes="".join(
-            f"Amplitude(name={json.dumps(key)}, unit={json.dumps(unit)},"
-            f" scale={size!r}, lower=-50.0, upper=50.0), "
-            for key, unit, size in law.amplitude_sizes(amplitudes)
-        ).strip(),
-        shapes="".join(
-            f"Shape(name={json.dumps(key)}, unit={json.dumps(unit)}, starts=({value!r},),"
-            f" lower={low!r}, upper={high!r}), "
-            for key, unit, value, (low, high) in zip(
-                law.shape_names, law.shape_units, law.shapes, bounds, strict=True
-            )
-        ).strip(),
-        needs='"link"' if law.place == "deflection" else '"torque"',
-        couples=law.of_robot,
-        yields=law.yields,
-        lags=law.lags,
-        is_play=law.is_play,
+        fields="\n".join(f"    {key}={getattr(effect, key)!r}," for key in _PLAIN_FIELDS),
         applies=f"lambda constants: constants.joint == {law.joint + 1}" if law.of_robot else None,
-        separate=json.dumps(describe_test(law)),
+        amplitudes="\n".join(
+            f"        {_call(each, _AMPLITUDE_FIELDS)}," for each in effect.amplitudes
+        ),
+        shapes="".join(f"\n        {_call(each, _SHAPE_FIELDS)}," for each in effect.shapes)
+        + "\n    " * bool(effect.shapes),
     )
+
+
+def _call(entry: Amplitude | Shape, fields: Sequence[str]) -> str:
+    """Return the code that makes an entry with some of its fields."""
+    given = ", ".join(f"{key}={getattr(entry, key)!r}" for key in fields)
+    return f"{type(entry).__name__}({given})"

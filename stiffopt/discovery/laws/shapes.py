@@ -47,6 +47,9 @@ class FormShape:
     starts: Callable[[SignalRange], Sequence[float]]  # range of the signal -> initial values
     # Range of the signal -> lowest and highest value.
     bounds: Callable[[SignalRange], tuple[float, float]]
+    # True for a periodic form's: the recordings tell it to within its lower bound, so that as many
+    # values are tried as that fits into the upper one.
+    periodic: bool = False
 
     def unit_of(self, signal: str) -> str:
         """Return its unit for a signal of a unit."""
@@ -136,8 +139,8 @@ def _mode_frequencies(low: float, high: float) -> tuple[float, ...]:
 
 SCALE_SHAPE = scale("s", 0.1, 0.3, 1.0)
 PLACE_SHAPE = centre("c", 0.15, 0.35, 0.5, 0.65, 0.85)
-ORDER_SHAPE = FormShape("k", "per signal", _orders, _order_bounds)
-FREQUENCY_SHAPE = FormShape("f", "Hz", lambda r: r.peaks, _frequency_bounds)
+ORDER_SHAPE = FormShape("k", "per signal", _orders, _order_bounds, periodic=True)
+FREQUENCY_SHAPE = FormShape("f", "Hz", lambda r: r.peaks, _frequency_bounds, periodic=True)
 MODE_SHAPES = (
     FormShape("f", "Hz", lambda r: _mode_frequencies(*_mode_bounds(r)), _mode_bounds),
     fixed("zeta", "", (0.03, 0.2), 0.002, 1.5),

@@ -62,7 +62,7 @@ SOURCE_KINDS = {
         "q_{}",
         "rad",
         "position of joint {}",
-        (*_PLACE_FORMS, "harmonic", "stop", "play"),
+        (*_PLACE_FORMS, "lever", "harmonic", "stop", "play"),
     ),
     "speed": SourceKind(
         "motor_velocity",

@@ -102,7 +102,11 @@ class SanityGate:
         if search is not None:
             expected = self._extended_range_runs
             odd = [each for each in self._odd_runs if each not in expected]
-            odd = [each for each in odd if not _is_effect_of_all_runs(search, each)]
+            odd = [
+                each
+                for each in odd
+                if not (_is_effect_of_all_runs(search, each) or _is_effect_of_one_run(each))
+            ]
             explanation = search.best()
             if odd and (explanation is None or not _explains_odd_runs(explanation, odd)):
                 explanation = None
@@ -396,6 +400,11 @@ def _is_effect_of_all_runs(together: Explanations, odd: OddRun) -> bool:
         together.share_with_additions(together.motion, j) * _MIN_ODD_RATIO < together.strict[j]
         for j in odd.joints
     )
+
+
+def _is_effect_of_one_run(odd: OddRun) -> bool:
+    """True if another payload or a delay of that run explains it: a diagnosis names these."""
+    return any(not _is_odd(left, odd.others).any() for left in odd.search.left_beside_effects)
 
 
 def _explains_odd_runs(explanation: Explanation, odd: Sequence[OddRun]) -> bool:

@@ -50,6 +50,7 @@ class Estimate:
     spread: np.ndarray
     between: np.ndarray
     added: np.ndarray  # (r, r) covariance beyond the likelihood, of all of these
+    squares: np.ndarray  # (r, r) of the columns of these, over the noise
     sizes: tuple[np.ndarray, ...]
     shape_sizes: tuple[np.ndarray, ...]
     parts: tuple[int, int]  # number of stretches and of runs
@@ -159,6 +160,18 @@ class Estimate:
         sd = np.sqrt(np.max(known, axis=0))
         return float(np.max(np.abs(self.values[own]) / np.maximum(sd, 1e-300)))
 
+    def function_deviations(self, index: int) -> float:
+        """Return the size of what an effect adds over its standard deviation, all else free.
+
+        Root mean squares over all rows. Values that make up for one another may be uncertain, each
+        by itself, where the function that they describe is not.
+        """
+        rows, _ = self._parameter_rows(index)
+        k = len(self.sizes[index])
+        values, squares = self.values[rows[:k]], self.squares[np.ix_(rows, rows)]
+        known = [np.sum(squares * each[np.ix_(rows, rows)]) for each in self._covariances(index)]
+        return float(np.sqrt(values @ squares[:k, :k] @ values / max(*known, 1e-300)))
+
     def min_deviations(self, index: int) -> float:
         """Return the least significance of one effect over all covariance estimates [sigma].
 
@@ -245,21 +258,18 @@ class Estimate:
         return rows, np.concatenate([self.sizes[index], self.shape_sizes[index]])
 
 
-def estimate_parameters(
-    comparison: Comparison, effects: Sequence[LocatedEffect], *, shapes_held: bool = False
-) -> Estimate:
+def estimate_parameters(comparison: Comparison, effects: Sequence[LocatedEffect]) -> Estimate:
     """Fit nominal values and effects together and estimate their covariance.
 
     `comparison`: with the noise estimated beside the effects. `effects`: with fitted shapes.
 
-    Shapes are linearised numerically about their fitted values, if they are not held there.
+    Shapes are linearised numerically about their fitted values.
     """
     fit = comparison.fit(effects)
     names, prior_sd = comparison.priors
     sizes = tuple(e.sizes(comparison.constants) for e in effects)
     scaled = fit.amplitudes()
-    free = [() if shapes_held else e.shapes for e in effects]
-    shape_sizes = tuple(np.array([abs(v) if v else 1.0 for v in own]) for own in free)
+    shape_sizes = tuple(np.array([abs(v) if v else 1.0 for v in e.shapes]) for e in effects)
     slopes, begin = [], 0
     for located, steps in zip(effects, shape_sizes, strict=True):
         amplitudes = scaled[begin : begin + len(located.effect.amplitudes)]
@@ -272,10 +282,10 @@ def estimate_parameters(
     prior = np.concatenate([prior_sd, np.ones(len(scaled)), np.full(len(slopes), _SHAPE_PRIOR)])
     del slopes
     blocks = number_stretches(comparison)
-    covariance, spread = _jackknife_covariance(comparison, matrix, prior, blocks)
+    covariance, spread, squares = _jackknife_covariance(comparison, matrix, prior, blocks)
     between = covariance
     if len(comparison.runs) >= MIN_RUNS_AS_BLOCKS:
-        _, between = _jackknife_covariance(
+        _, between, _ = _jackknife_covariance(
             comparison, matrix, prior, comparison.rows.block, MIN_RUNS_AS_BLOCKS
         )
     return Estimate(
@@ -288,6 +298,7 @@ def estimate_parameters(
         spread=spread,
         between=between,
         added=np.zeros_like(covariance),
+        squares=squares,
         sizes=sizes,
         shape_sizes=shape_sizes,
         parts=(int(blocks.max()) + 1, int(comparison.rows.block.max()) + 1),
@@ -353,8 +364,11 @@ def _jackknife_covariance(
     prior: np.ndarray,
     block: np.ndarray,
     fewest: int = _MIN_STRETCHES,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the covariances by the linear model and by a jackknife over blocks of rows."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the covariances by the linear model and by a jackknife over blocks of rows.
+
+    With the squares of the columns.
+    """
     units = np.outer(prior, prior)
     grams = np.empty((int(block.max()) + 1, *units.shape))
     moments = np.empty(grams.shape[:2])
@@ -363,15 +377,16 @@ def _jackknife_covariance(
         part = matrix[block == b]
         grams[b] = units * (part.T @ part)
         moments[b] = prior * (part.T @ comparison.target[block == b])
-    gram, moment = grams.sum(axis=0) + np.eye(len(prior)), moments.sum(axis=0)
-    covariance = np.linalg.inv(gram) * units
+    squares, moment = grams.sum(axis=0), moments.sum(axis=0)
+    gram = squares + np.eye(len(prior))
+    covariance, squares = np.linalg.inv(gram) * units, squares / units
     if len(grams) < fewest:
-        return covariance, covariance
+        return covariance, covariance, squares
     left_out = np.array(
         [np.linalg.solve(gram - g, moment - m) for g, m in zip(grams, moments, strict=True)]
     )
     away = left_out - left_out.mean(axis=0)
-    return covariance, (len(grams) - 1) / len(grams) * away.T @ away * units
+    return covariance, (len(grams) - 1) / len(grams) * away.T @ away * units, squares
 
 
 def number_stretches(comparison: Comparison, begin: float = 0.0) -> np.ndarray:
