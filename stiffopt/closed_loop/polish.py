@@ -11,11 +11,13 @@ from scipy.optimize import lsq_linear
 
 from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.parameters import Parameters
-from stiffopt.closed_loop.simulation import CommandedRun, Stretch, simulate_stretches
+from stiffopt.closed_loop.simulation import (
+    STRETCH_SECONDS,
+    CommandedRun,
+    divide_runs,
+    simulate_stretches,
+)
 
-# Duration of a stretch that is judged, and of the motion before it that forgets the state that it
-# began with, several times the settling of a servo [s].
-STRETCH_SECONDS, _LEAD_SECONDS = 2.0, 0.5
 # Iterations at most, and the decreases of the squared deviations that end them: of a step that is
 # not worth its simulation, and of one that was made and reached no more.
 _MAX_ITERATIONS, _LEAST_EXPECTED, _LEAST_REACHED = 24, 0.1, 1.0
@@ -23,6 +25,9 @@ _MAX_ITERATIONS, _LEAST_EXPECTED, _LEAST_REACHED = 24, 0.1, 1.0
 _LEAST_DAMPING, _LARGEST_DAMPING = 1e-3, 1e6
 # Duration of all runs that the leading parameters are fitted to, times joints [s].
 _LEADING_SECONDS = 40.0
+# Degrees of freedom of the prior: what is expected holds within its deviation or is wrong, and a
+# wrong value is not held as if its deviation were known.
+_PRIOR_FREEDOM = 4.0
 # Division of steps by which the fit's dependence on them is told.
 _REFINEMENT_RATIO = 2.0
 # Limits of drives that a fit may begin with, over what filtered torques tell.
@@ -204,27 +209,6 @@ class _Point:
     slopes: np.ndarray
 
 
-def _divide(
-    runs: Sequence[CommandedRun], step: float
-) -> tuple[list[Stretch], list[int], np.ndarray]:
-    """Return stretches of runs, the rows that lead into each, and the judged rows until each run.
-
-    Every row is judged once, but those that lead into a run.
-    """
-    lead, rows = (round(seconds / step) for seconds in (_LEAD_SECONDS, STRETCH_SECONDS))
-    stretches, leads, counts = [], [], []
-    for run in runs:
-        count = len(run.time)
-        own = min(lead, count // 4)
-        for first in range(own, count - 1, max(rows, 2)):
-            begin = first - own
-            end = min(first + max(rows, 2), count) - 1
-            stretches.append(Stretch(run, begin, end, run.velocity[begin]))
-            leads.append(own)
-        counts.append(count - own)
-    return stretches, leads, np.cumsum(counts)[:-1]
-
-
 class _Fit:
     """Normal equations of a fit in units of the prior's deviations."""
 
@@ -243,7 +227,7 @@ class _Fit:
         self.places = np.append(self._free, len(deviations) - 1)
         self._size = np.maximum(deviations[self.places], 1e-12)
         self._step = float(np.median(np.concatenate([np.diff(run.time) for run in runs])))
-        self._stretches, self._leads, self._ends = _divide(runs, self._step)
+        self._stretches, self._leads, self._ends = divide_runs(runs, self._step)
 
     def polish(self, start: Parameters, say: Callable[[str], object]) -> Polished:
         """Return the fit that begins with some parameters."""
@@ -466,13 +450,17 @@ class _Fit:
         before, after = (np.nansum(own.residual**2, axis=0) for own in (point, ahead))
         least = 1e-300
         gained = before / noise**2 * np.log((before + least) / (after + least))
-        here, there = self._distance(parameters), self._distance(moved)
+        here, there = self._distance(parameters)[0], self._distance(moved)[0]
         return float(gained.sum() + here @ here - there @ there)
 
-    def _distance(self, parameters: Parameters) -> np.ndarray:
-        """Return the distances from the prior over its deviations."""
-        away = parameters.values - self._prior.values
-        return np.asarray(away[self.places] / self._size)
+    def _distance(self, parameters: Parameters) -> tuple[np.ndarray, np.ndarray]:
+        """Return the distances from the prior, of Student's distribution, and their slopes."""
+        away = (parameters.values - self._prior.values)[self.places] / self._size
+        distance = np.sign(away) * np.sqrt(_PRIOR_FREEDOM * np.log1p(away**2 / _PRIOR_FREEDOM))
+        moved = np.where(away == 0.0, 1.0, away)
+        return distance, moved / (1.0 + away**2 / _PRIOR_FREEDOM) / np.where(
+            away == 0.0, 1.0, distance
+        )
 
     def _normal_equations(
         self, parameters: Parameters, point: _Point, noise: np.ndarray
@@ -480,8 +468,8 @@ class _Fit:
         known = np.isfinite(point.residual)
         weighted = (point.slopes / noise[:, None])[known]
         right = (point.residual / noise)[known]
-        hessian = weighted.T @ weighted + np.eye(len(self.places))
-        return hessian, weighted.T @ right + self._distance(parameters)
+        distance, slope = self._distance(parameters)
+        return weighted.T @ weighted + np.diag(slope**2), weighted.T @ right + slope * distance
 
     def _moved(
         self, parameters: Parameters, hessian: np.ndarray, gradient: np.ndarray, damping: float

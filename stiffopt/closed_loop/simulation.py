@@ -11,6 +11,9 @@ from stiffopt.actuator.law import mean_command
 from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.parameters import Parameters
 
+# Duration of a stretch that is judged, and of the motion before it that forgets the state that it
+# began with, several times the settling of a servo [s].
+STRETCH_SECONDS, _LEAD_SECONDS = 2.0, 0.5
 # Longest step of the integrator [s]: a servo's own motion takes ten or more of them.
 _MAX_STEP = 1e-3
 # Steps that one call simulates: their states and derivatives are kept until it ends.
@@ -46,6 +49,27 @@ class Stretch:
     begin: int
     end: int
     velocity: np.ndarray  # (n,) at the beginning [rad/s]
+
+
+def divide_runs(
+    runs: Sequence[CommandedRun], step: float
+) -> tuple[list[Stretch], list[int], np.ndarray]:
+    """Return stretches of runs, the rows that lead into each, and the judged rows until each run.
+
+    Every row is judged once, but those that lead into a run.
+    """
+    lead, rows = (round(seconds / step) for seconds in (_LEAD_SECONDS, STRETCH_SECONDS))
+    stretches, leads, counts = [], [], []
+    for run in runs:
+        count = len(run.time)
+        own = min(lead, count // 4)
+        for first in range(own, count - 1, max(rows, 2)):
+            begin = first - own
+            end = min(first + max(rows, 2), count) - 1
+            stretches.append(Stretch(run, begin, end, run.velocity[begin]))
+            leads.append(own)
+        counts.append(count - own)
+    return stretches, leads, np.cumsum(counts)[:-1]
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,8 +11,8 @@ from scipy.special import expit, softmax
 
 from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.parameters import Parameters
-from stiffopt.closed_loop.polish import STRETCH_SECONDS, Score, limit_gain, score_amplitudes
-from stiffopt.closed_loop.simulation import CommandedRun
+from stiffopt.closed_loop.polish import Score, limit_gain, score_amplitudes
+from stiffopt.closed_loop.simulation import STRETCH_SECONDS, CommandedRun
 from stiffopt.discovery.comparison.located_effect import (
     EstimatedEffect,
     Extension,
@@ -325,7 +325,7 @@ class LoopSearch:
         begun = np.concatenate([values[:-1], physics.amplitudes.values[-1:], values[-1:]])
         prior = replace(model.expected, values=begun, amplitude_bounds=physics.amplitudes.bounds)
         odds = self._stretch_count * limit_gain(loop, self._fitted_runs, prior)
-        return self._finding(highest, 1.0) if odds > NAMED_EVIDENCE else None
+        return self._finding(highest, 1.0) if odds > RIVAL_LOG_ODDS else None
 
     def _replace_losses(
         self, model: ClosedLoopModel, found: Extension, findings: Sequence[Finding]
