@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import gammaincinv
+import scipy
 
 # Confidence of every bound.
 CONFIDENCE = 0.95
@@ -43,4 +43,4 @@ def magnitude_bound(mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 
 def _chi_squared_quantile(freedom: float | np.ndarray) -> np.ndarray:
     # Loading scipy.stats takes longer than many a solve.
-    return np.asarray(2.0 * gammaincinv(0.5 * freedom, CONFIDENCE))
+    return np.asarray(2.0 * scipy.special.gammaincinv(0.5 * freedom, CONFIDENCE))

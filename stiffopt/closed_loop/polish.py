@@ -117,18 +117,13 @@ def _begin_limits(
 
     One too low lets the joint drift, one too high never acts: no slope leads back from there.
     """
-    fit, none = _Fit(loop, runs, prior, deviations), np.zeros(0, dtype=int)
-
-    def misfit(values: np.ndarray) -> float:
-        residual = fit.simulate(replace(prior, values=values), none).residual
-        return float(np.log(np.nanmean(residual**2, axis=0)).sum())
-
+    fit = _Fit(loop, runs, prior, deviations)
     symbols = ca.vertsplit(loop.physics.amplitudes.symbols)
     for limit in loop.physics.limits.values():
         place = prior.amplitudes.start + [ca.is_equal(own, limit) for own in symbols].index(True)
         tried = np.tile(prior.values, (len(_LIMIT_FACTORS), 1))
         tried[:, place] *= _LIMIT_FACTORS
-        prior = replace(prior, values=min(tried, key=misfit))
+        prior = min((replace(prior, values=own) for own in tried), key=fit.misfit)
     return prior
 
 
@@ -159,11 +154,12 @@ def score_amplitudes(
     runs: Sequence[CommandedRun],
     fitted: Polished,
     groups: Sequence[Sequence[int]],
+    joint: int,
 ) -> list[Score | None]:
     """Score groups of further amplitudes of a loop beside its fit; None without any effect.
 
-    `loop`: with the physics of the fit, then the further ones. `groups`: which of these are of one
-    cause.
+    They are scored where the fit leaves most in a `joint` (from 0). `loop`: with the physics of the
+    fit, then the further ones. `groups`: which of these are of one cause.
     """
     own = loop.physics.amplitudes
     more = len(own.values) - len(fitted.parameters.amplitude_bounds)
@@ -176,8 +172,20 @@ def score_amplitudes(
         return replace(known, values=values, amplitude_bounds=own.bounds)
 
     deviations = extended(fitted.expected_deviations, own.deviations[len(own.values) - more :])
-    fit = _Fit(loop, _begin_runs(runs), with_none(fitted.expected), deviations)
-    return fit.score(with_none(fitted.parameters), groups, more)
+    fit = _Fit(loop, runs, with_none(fitted.expected), deviations)
+    parameters = with_none(fitted.parameters)
+    fit.restrict(parameters, joint)
+    return fit.score(parameters, groups, more)
+
+
+def limit_gain(loop: CommandedArm, runs: Sequence[CommandedRun], prior: Parameters) -> float:
+    """Return by how much the log residuals sink with the best limit, the last amplitude."""
+    fit, last = _Fit(loop, runs, prior, np.ones_like(prior.values)), prior.amplitudes.stop - 1
+    tried = np.tile(prior.values, (len(_LIMIT_FACTORS) + 1, 1))
+    tried[1:, last] *= _LIMIT_FACTORS
+    tried[0, last] = np.inf
+    none, *misfits = (fit.misfit(replace(prior, values=values)) for values in tried)
+    return none - min(misfits)
 
 
 def _begin_runs(runs: Sequence[CommandedRun]) -> list[CommandedRun]:
@@ -219,6 +227,8 @@ def _divide(
 
 class _Fit:
     """Normal equations of a fit in units of the prior's deviations."""
+
+    _no_parameters = np.zeros(0, dtype=int)
 
     def __init__(
         self,
@@ -301,6 +311,27 @@ class _Fit:
             )
         return found
 
+    def misfit(self, parameters: Parameters) -> float:
+        """Return the sum of the logarithms of the residuals, root mean squares."""
+        residual = self.simulate(parameters, self._no_parameters).residual
+        return 0.5 * float(np.log(np.nanmean(residual**2, axis=0)).sum())
+
+    def restrict(self, parameters: Parameters, joint: int) -> None:
+        """Keep the stretches in which a joint leaves most, of the duration of a leading fit."""
+        residual = self.simulate(parameters, self._no_parameters).residual[:, joint]
+        squares = [np.nanmean(own**2) for own in np.split(residual, np.cumsum(self._rows)[:-1])]
+        count = max(1, round(_LEADING_SECONDS / self._loop.n / STRETCH_SECONDS))
+        kept = sorted(np.argsort(squares)[::-1][:count])
+        self._stretches = [self._stretches[k] for k in kept]
+        self._leads = [self._leads[k] for k in kept]
+        self._ends = np.cumsum(self._rows)[:-1]
+
+    @property
+    def _rows(self) -> list[int]:
+        """Number of judged rows of every stretch."""
+        pairs = zip(self._stretches, self._leads, strict=True)
+        return [own.end - own.begin + 1 - lead for own, lead in pairs]
+
     def evaluate(self, parameters: Parameters) -> _Point:
         """Simulate all runs by stretches."""
         return self.simulate(parameters, self._free)
@@ -322,12 +353,8 @@ class _Fit:
         simulation leaves vanishes: held commands, whose steps bend the motion itself, are in it.
         NaN of readings that never change.
         """
-        rows = [
-            own.end - own.begin + 1 - lead
-            for own, lead in zip(self._stretches, self._leads, strict=True)
-        ]
         squares, counts = np.zeros(self._loop.n), np.zeros(self._loop.n)
-        parts = np.split(point.residual, np.cumsum(rows)[:-1])
+        parts = np.split(point.residual, np.cumsum(self._rows)[:-1])
         for part, own in zip(parts, self._stretches, strict=True):
             moved = np.ptp(own.run.position[own.begin : own.end + 1], axis=0) > 0.0
             jumps = np.where(moved, np.diff(part, n=3, axis=0), np.nan)
@@ -393,9 +420,10 @@ class _Fit:
         noise = self.noise(point)
         hessian, _ = self._normal_equations(parameters, point, noise)
         inverse, weighted = np.linalg.inv(hessian), point.slopes / noise[:, None]
-
-        none = np.zeros(0, dtype=int)
-        finer = self.simulate(parameters, none, _REFINEMENT_RATIO).residual - point.residual
+        finer = (
+            self.simulate(parameters, self._no_parameters, _REFINEMENT_RATIO).residual
+            - point.residual
+        )
         finer /= 1.0 - _REFINEMENT_RATIO**-2
         moved = inverse @ np.einsum("kjm,kj->m", weighted, np.nan_to_num(finer) / noise)
         error = np.sqrt(np.nanmean((finer - point.slopes @ moved) ** 2, axis=0))

@@ -211,7 +211,8 @@ class CommandSearch:
                 command = MotorMotion.of(made.motors)
                 arms = arms or self._worst_arms(command)
                 members = [Member(command=command, departure=arm) for arm in arms]
-                peaks = float(self._many.position_peaks(members).max(axis=1).sum())
+                largest = self._many.position_peaks(members, kept[0]).max(axis=1)
+                peaks = float(largest.sum())
                 if not peaks < kept[0]:
                     continue
                 # The trial grid may miss excesses shorter than its step, as of the jerk at an end.
@@ -229,9 +230,9 @@ class CommandSearch:
         return found
 
     def _worst_arms(self, command: MotorMotion) -> list[Departure]:
-        """Return the corners with joints alike, and the worst arms of a command."""
+        """Return the worst arms of a command, and the corners with joints alike."""
         worst = worst_levels(self._many, command, self._box)
-        return [self._box.departure(each) for each in (*self._box.alike_corners(), *worst)]
+        return [self._box.departure(each) for each in (*worst, *self._box.alike_corners())]
 
     def _candidates_within_limits(self, lead: _Lead) -> Iterator[ExistingCommand]:
         """Commands of a lead that keep the plan's limits on the trial grid."""

@@ -133,7 +133,9 @@ def place(diagnosis: Diagnosis, located: LocatedEffect) -> str:
     """Return the place of an effect: link, joint or robot, with the run of an effect of one run."""
     if located.link is not None:
         return f"link {diagnosis.training.constants.links[located.link]}"
-    where = "robot" if located.joint is None else f"joint {located.joint + 1}"
+    if located.joint is None:
+        return located.run or "robot"
+    where = f"joint {located.joint + 1}"
     return where + (f", {located.run}" if located.run else "")
 
 
@@ -163,7 +165,8 @@ def action(diagnosis: Diagnosis) -> str:
 
     Between two states what changed comes before what both lack.
     """
-    own = statements(diagnosis)
+    told = statements(diagnosis)
+    own = [each for each in told if each.certainty != "possible"] or told
     new = [each for each in own if not each.finding.located.calibrated]
     new.sort(key=lambda each: each.finding not in diagnosis.changes)
     first = next(iter(new or own), None)
@@ -215,9 +218,7 @@ def _state_finding(diagnosis: Diagnosis, finding: Finding) -> Statement:
     return Statement(
         finding=finding,
         place=where,
-        sentence=sentence
-        if located.joint is None and located.link is None
-        else f"{where}: {sentence}",
+        sentence=sentence if where == "robot" else f"{where}: {sentence}",
         certainty=finding.certainty,
         probability=format_probability(finding.probability),
         action=_describe_remedy(diagnosis, finding, named, where),

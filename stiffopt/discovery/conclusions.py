@@ -24,7 +24,7 @@ from stiffopt.discovery.judging.ensemble import START_CUTS
 from stiffopt.discovery.judging.explained_shares import MismatchShare
 from stiffopt.discovery.judging.unexplained import ChannelVerdict, Unexplained
 from stiffopt.discovery.laws.law import LAW_FAMILY
-from stiffopt.discovery.loop_effects import loop_parameter
+from stiffopt.discovery.loop_effects import loop_parameter, stated_value
 from stiffopt.discovery.loop_fit import stated_tolerance
 from stiffopt.discovery.names import Channel, channel_name
 from stiffopt.discovery.position_fit import ClosedLoopModel
@@ -349,31 +349,31 @@ def _loop_amplitudes(
     """
     located, entry, fitted = finding.located, finding.effect, model.fitted
     assert model.polished is not None
-    robot, values = recordings.robot, fitted.values
+    values = fitted.values
     if located.joint is None and "mass" in entry.tolerances:
         body = _loop_body(recordings, model, -1 if located.link is None else located.link)
         return body[0], body[1] - np.sum(alike, axis=0)[body[0]] if alike else body[1], body[2]
     parameter = loop_parameter(entry)
-    numbers, sign, nominal, tolerance = [0], 1.0, np.zeros(1), np.zeros(1)
+    numbers, tolerance, slope = [0], 0.0, 1.0
     if parameter is not None and located.joint is not None:
-        name, sign = parameter
         joint = int(recordings.order[located.joint])
-        rows = np.array([fitted.place(name).start + joint])
-        if entry.nominal:
-            nominal = np.array([getattr(robot, entry.nominal)[joint]])
-            tolerance = nominal * stated_tolerance(recordings, entry.nominal)
-        nominal = nominal + sum(amplitudes[0] for amplitudes in alike)
+        rows = np.array([fitted.place(parameter.name).start + joint])
+        known = getattr(recordings.robot, entry.nominal)[joint] if entry.nominal else 0.0
+        _, tolerance = stated_value(recordings, entry, joint) or (known, 0.0)
+        slope = float(parameter.slope(values[rows[0]]))
+        found = parameter.convert(values[rows]) - known - sum(own[0] for own in alike)
     else:
         keys = model.loop.physics.amplitudes.names
         # Those of the starting model come before those found.
         own = {number: k for k, (key, number) in enumerate(keys) if key == located.key}
         numbers = list(own)
         rows = np.array([fitted.amplitudes.start + k for k in own.values()], dtype=int)
-        nominal = tolerance = np.zeros(len(own))
-    covariance = model.polished.whole_covariance()[np.ix_(rows, rows)] + np.diag(tolerance**2)
+        found = values[rows]
+    covariance = slope**2 * model.polished.whole_covariance()[np.ix_(rows, rows)]
+    covariance += tolerance**2 * np.eye(len(rows))
     if not len(rows) or not (np.diag(covariance) > 0.0).all():
         return None
-    return numbers, sign * values[rows] - nominal, covariance
+    return numbers, found, covariance
 
 
 def _loop_body(

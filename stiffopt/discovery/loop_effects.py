@@ -6,7 +6,7 @@ A term that needs more than an instant (memory, clocks, temperatures) has no par
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -19,7 +19,7 @@ from stiffopt.discovery.comparison.located_effect import EstimatedEffect
 from stiffopt.discovery.effect import Effect, Term, Values
 from stiffopt.discovery.extended.model import ExtendedModel
 from stiffopt.discovery.extended.planning import joint_constants, planner_model
-from stiffopt.discovery.loop_fit import DRIVE_PARAMETERS
+from stiffopt.discovery.loop_fit import DRIVE_PARAMETERS, stated_tolerance
 from stiffopt.discovery.signals import (
     JOINT_SIGNAL_NAMES,
     JointSignals,
@@ -47,6 +47,7 @@ LOOP_VALUES = {
     "load_friction": "load_friction",
     "quadratic_drag": "drag",
     "command_delay": "lateness",
+    "torque_gain": "gain",
 }
 # Deviation of a drive's limit before a fit, over the limit: what asks for more is seen at once.
 _LIMIT_DEVIATION = 0.2
@@ -55,12 +56,43 @@ _SIGNAL_NAMES = tuple(each.name for each in fields(LoopSignals))
 _Unknown = tuple[tuple[Any, int], ca.SX, float, float, float, float]
 
 
-def loop_parameter(entry: Effect) -> tuple[str, float] | None:
-    """Return the parameter of every loop that an effect of a joint changes, and its sign."""
+@dataclass(frozen=True)
+class LoopParameter:
+    """Parameter of every loop that an effect of a joint changes.
+
+    `convert` turns amplitudes into values and values into amplitudes: it is its own inverse.
+    """
+
+    name: str
+    convert: Callable[[Any], Any]
+    slope: Callable[[Any], Any]
+
+
+def loop_parameter(entry: Effect) -> LoopParameter | None:
+    """Return the parameter of every loop that an effect of a joint changes."""
     if entry.moves_zero:
-        return "zero", -1.0
+        return LoopParameter("zero", lambda x: -x, lambda x: -1.0 + 0.0 * x)
     name = DRIVE_PARAMETERS.get(entry.nominal) or LOOP_VALUES.get(entry.name)
-    return None if name is None else (name, 1.0)
+    if name == "gain":  # torque is read by the stated gain, and given by the true one
+        return LoopParameter(name, lambda x: 1.0 / (1.0 + x) - 1.0, lambda x: -((1.0 + x) ** -2))
+    return None if name is None else LoopParameter(name, lambda x: x, lambda x: 1.0 + 0.0 * x)
+
+
+def stated_value(recordings: RecordingSet, entry: Effect, joint: int) -> tuple[float, float] | None:
+    """Return what a set states of an effect's amplitude at a joint (from 0) of the robot.
+
+    The value that every joint has and its standard deviation; None where the set states none.
+    """
+    if entry.nominal:
+        value = float(getattr(recordings.robot, entry.nominal)[joint])
+        known = entry.nominal not in recordings.unstated
+        return (value, stated_tolerance(recordings, entry.nominal) * value) if known else None
+    parameter, law = loop_parameter(entry), recordings.actuator
+    if law is None or parameter is None or parameter.name != "gain":
+        return None
+    inside = law.reordered(np.argsort(recordings.order))
+    guessed = inside.estimated is not None and inside.estimated[joint]
+    return None if guessed else (0.0, float(inside.tolerance[joint]))
 
 
 def robot_in_loop(
@@ -81,11 +113,10 @@ def robot_in_loop(
         if each.located.run is not None or each.effect.only_in:
             continue
         place = -1 if joint is None else int(recordings.order[joint])
-        # Those of a model and their changes since add up.
-        if joint is not None and each.effect.moves_zero:
-            values["zero", place] -= each.amplitudes[0]
-        elif each.effect.name in LOOP_VALUES and each.amplitudes[0] > 0.0:
-            values[LOOP_VALUES[each.effect.name], place] += each.amplitudes[0]
+        parameter = loop_parameter(each.effect)
+        if joint is not None and parameter is not None:
+            # Those of a model and their changes since add up.
+            values[parameter.name, place] += parameter.convert(each.amplitudes[0])
         else:
             instant.add(each)
             if each.effect.loses:

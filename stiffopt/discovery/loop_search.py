@@ -6,11 +6,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import special
 from scipy.special import expit, softmax
 
 from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.parameters import Parameters
-from stiffopt.closed_loop.polish import STRETCH_SECONDS, Score, score_amplitudes
+from stiffopt.closed_loop.polish import STRETCH_SECONDS, Score, limit_gain, score_amplitudes
 from stiffopt.closed_loop.simulation import CommandedRun
 from stiffopt.discovery.comparison.located_effect import (
     EstimatedEffect,
@@ -22,17 +23,15 @@ from stiffopt.discovery.conclusions import findings_with_loop_values, refuted
 from stiffopt.discovery.diagnosis import Finding, Parameter, Rival
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.extended.value_changes import extended_model
-from stiffopt.discovery.loop_effects import loop_parameter, robot_in_loop
+from stiffopt.discovery.loop_effects import loop_parameter, robot_in_loop, stated_value
 from stiffopt.discovery.loop_fit import (
     commanded_run,
     is_commanded,
     limit_motion,
-    stated_tolerance,
 )
 from stiffopt.discovery.position_fit import ClosedLoopModel, fit_positions
 from stiffopt.discovery.progress import Say
 from stiffopt.discovery.search.rivals import tempering_width
-from stiffopt.discovery.settings import MAX_NOMINAL_DEVIATIONS
 from stiffopt.discovery.thresholds import (
     MAX_EFFECTS,
     NAMED_DEVIATIONS,
@@ -45,6 +44,8 @@ from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
 from stiffopt.recording.state_pair import StatePair
 
+# Chance that any of the stated values of an arm that lacks nothing is named.
+MAX_CHANCE = 0.01
 # Difference of the sum of log residuals over noise between fits that are equally good.
 _EQUAL_MISFIT = 0.05
 
@@ -96,11 +97,15 @@ class LoopSearch:
                 break
             searched.add(worst)
             self.say("search the simulation's residual")
-            new = self._best(model, self._model(found, added), worst)
-            better = None if new is None else self._fit(found, [*added, new])
-            if new is not None and better is not None and better.misfit < model.misfit:
-                self.say(f"found {new.located.label} in the simulation")
-                model, added = better, [*added, new]
+            whole = self._model(found, added)
+            for look in (self._limit, self._best):
+                new = look(model, whole, worst)
+                better = None if new is None else self._fit(found, [*added, new])
+                least = NAMED_EVIDENCE / self._stretch_count if look == self._limit else 0.0
+                if new is not None and better is not None and better.misfit < model.misfit - least:
+                    self.say(f"found {new.located.label} in the simulation")
+                    model, added = better, [*added, new]
+                    break
         judged = self._judge(model, (*findings, *added))
         claimed = [each.located for each in judged if each.certainty != "possible"]
         # The model that is stored has effects that this simulation is without.
@@ -131,40 +136,46 @@ class LoopSearch:
     ) -> Iterator[Finding]:
         """Yield values of the fit that are not the nominal ones, beside findings.
 
-        What no nominal model has is zero; what is stated lies beyond its tolerance, in a joint that
-        the fit leaves nothing of.
+        What no nominal model has is zero. What is stated lies farther beyond its tolerance than any
+        of all stated values would by chance.
         """
         constants, fitted = self.training.constants, model.fitted
         assert model.expected_deviations is not None
-        for entry in self.asked:
-            parameter = loop_parameter(entry)
-            if parameter is None or entry.scope != "joint" or entry.only_in:
-                continue
+        order = self.recordings.order
+        places = [
+            (located, parameter, stated_value(self.recordings, entry, int(order[located.joint])))
+            for entry in self.asked
+            if (parameter := loop_parameter(entry)) is not None
+            and entry.scope == "joint"
+            and not entry.only_in
+            and entry.nominal not in self.recordings.unstated
+            for located in effect_places(entry, constants, ())
+            if located.joint is not None
+        ]
+        count = sum(stated is not None for *_, stated in places)
+        for located, parameter, stated in places:
+            entry, joint = located.effect, int(order[located.joint or 0])
             shifted = entry.shifts_weight and any(each.effect.shifts_weight for each in taken)
-            if shifted or entry.nominal in self.recordings.unstated:
+            place = fitted.place(parameter.name).start + joint
+            fitted_value = float(fitted.values[place])
+            sd = model.deviations[place] * abs(parameter.slope(fitted_value))
+            known = any(located.same_place(other) for other in taken)
+            if shifted or known or sd <= 0.0:
                 continue
-            name, sign = parameter
-            for located in effect_places(entry, constants, ()):
-                assert located.joint is not None
-                joint = int(self.recordings.order[located.joint])
-                place = fitted.place(name).start + joint
-                sd, prior = model.deviations[place], model.expected_deviations[place]
-                is_open = bool(entry.nominal) and bool(model.lacks[joint])
-                if is_open or sd <= 0.0 or any(located.same_place(other) for other in taken):
-                    continue
+            before = (e for own in self.training.before for e in own.effects)
+            alike = [e.amplitudes[0] for e in before if e.located.same_place(located)]
+            value, chance = float(parameter.convert(fitted_value)) - sum(alike), 0.0
+            if stated is not None:
+                value -= stated[0]
+                chance = count * float(special.erfc(abs(value) / np.hypot(sd, stated[1]) / 2**0.5))
+            else:
+                evidence = 0.5 * (value / sd) ** 2
+                evidence -= float(np.log(model.expected_deviations[place] / sd))
+                chance = 0.0 if evidence > NAMED_EVIDENCE else 1.0
+            if chance < MAX_CHANCE and abs(value) > NAMED_DEVIATIONS * sd:
                 taken = [*taken, located]
-                known = (e for own in self.training.before for e in own.effects)
-                alike = [e.amplitudes[0] for e in known if e.located.same_place(located)]
-                value, least = float(fitted.values[place]) - sign * sum(alike), 0.0
-                if entry.nominal:
-                    nominal = float(getattr(self.recordings.robot, entry.nominal)[joint])
-                    tolerance = stated_tolerance(self.recordings, entry.nominal)
-                    value -= nominal
-                    least = MAX_NOMINAL_DEVIATIONS * tolerance * nominal
-                evidence = 0.5 * (value / sd) ** 2 - float(np.log(prior / sd))
-                if evidence > NAMED_EVIDENCE and abs(value) > max(NAMED_DEVIATIONS * sd, least):
-                    estimated = EstimatedEffect(located=located, amplitudes=(sign * value,))
-                    yield self._finding(estimated, 1.0)
+                estimated = EstimatedEffect(located=located, amplitudes=(value,))
+                yield self._finding(estimated, 1.0, 1.0 - chance)
 
     def _finding(
         self,
@@ -213,7 +224,7 @@ class LoopSearch:
         constants = self.training.constants
         joint = int(np.flatnonzero(self.recordings.order == place)[0])
         candidates = list(self._candidates(joint, [each.located for each in whole.effects]))
-        scores = self._scores(model, whole, candidates)
+        scores = self._scores(model, whole, candidates, place)
         best: dict[tuple[object, ...], tuple[float, LocatedEffect, Score]] = {}
         for located, score in zip(candidates, scores, strict=True):
             if score is None:
@@ -241,6 +252,11 @@ class LoopSearch:
         return self._finding(estimated, score.explained, float(shares[0]), rivals)
 
     @property
+    def _stretch_count(self) -> float:
+        """Number of stretches that a fit reads: within one residuals repeat one another."""
+        return sum(float(np.ptp(run.time)) for run in self._fitted_runs) / STRETCH_SECONDS
+
+    @property
     def _fitted_runs(self) -> list[CommandedRun]:
         """Parts of the runs that a fit reads."""
         each = [commanded_run(self.recordings, run) for run in self.runs if is_commanded(run)]
@@ -250,10 +266,9 @@ class LoopSearch:
         """Yield effects at a joint whose torque a formula of an instant gives."""
         constants = self.training.constants
         for entry in self.asked:
-            # Every fit has values that no nominal one bounds.
-            fitted = loop_parameter(entry) is not None and not entry.nominal
-            other = entry.limits_drive or entry.at_motor or entry.of_runs
-            if fitted or other or entry.scope != "joint":
+            # Every fit has the values of all loops; slopes at none lead to no limit.
+            other = entry.limits_drive or entry.of_runs or entry.scope != "joint"
+            if loop_parameter(entry) is not None or other:
                 continue
             for located in effect_places(entry, constants, ()):
                 known = any(located.same_place(other) for other in taken)
@@ -261,9 +276,16 @@ class LoopSearch:
                     yield located
 
     def _scores(
-        self, model: ClosedLoopModel, whole: Extension, candidates: Sequence[LocatedEffect]
+        self,
+        model: ClosedLoopModel,
+        whole: Extension,
+        candidates: Sequence[LocatedEffect],
+        place: int,
     ) -> list[Score | None]:
-        """Return the log evidence of each candidate beside all that is fitted; None without one."""
+        """Return the log evidence of each candidate beside all that is fitted; None without one.
+
+        `place`: joint of the robot (from 0).
+        """
         recordings, constants = self.recordings, self.training.constants
         none = [
             EstimatedEffect(located=each, amplitudes=(0.0,) * len(each.effect.amplitudes))
@@ -276,23 +298,48 @@ class LoopSearch:
         keys = [key for key, _ in physics.amplitudes.names[count:]]
         groups = [[k for k, key in enumerate(keys) if key == each.key] for each in candidates]
         assert model.polished is not None
-        return score_amplitudes(loop, self._fitted_runs, model.polished, groups)
+        return score_amplitudes(loop, self._fitted_runs, model.polished, groups, place)
+
+    def _limit(self, model: ClosedLoopModel, whole: Extension, place: int) -> Finding | None:
+        """Return a limit of the drive of a joint of the robot (from 0), if the runs show one.
+
+        Told from the expected values: a fit without the limit has strained all others.
+        """
+        recordings, constants = self.recordings, self.training.constants
+        joint = int(np.flatnonzero(recordings.order == place)[0])
+        taken = [each.located for each in whole.effects]
+        limits = [
+            located
+            for entry in self.asked
+            if entry.limits_drive
+            for located in effect_places(entry, constants, ())
+            if located.joint == joint and not any(located.same_place(own) for own in taken)
+        ]
+        if not limits or model.expected is None:
+            return None
+        highest = EstimatedEffect(located=limits[-1], amplitudes=(1.0,))
+        known = extended_model(recordings, constants, whole)
+        robot, physics, _ = robot_in_loop(recordings, known, [highest])
+        loop = CommandedArm(robot.tree, model.loop.law, model.loop.middle, physics)
+        values = model.expected.values
+        begun = np.concatenate([values[:-1], physics.amplitudes.values[-1:], values[-1:]])
+        prior = replace(model.expected, values=begun, amplitude_bounds=physics.amplitudes.bounds)
+        odds = self._stretch_count * limit_gain(loop, self._fitted_runs, prior)
+        return self._finding(highest, 1.0) if odds > NAMED_EVIDENCE else None
 
     def _replace_losses(
         self, model: ClosedLoopModel, found: Extension, findings: Sequence[Finding]
     ) -> tuple[ClosedLoopModel, Extension, tuple[Finding, ...]]:
         """Replace friction that vanishes by its cause where the simulation fits better with it."""
         constants, kept = self.training.constants, list(findings)
-        # Within a stretch residuals repeat one another.
-        stretches = sum(float(np.ptp(run.time)) for run in self._fitted_runs) / STRETCH_SECONDS
         for finding in findings:
             entry, joint = finding.effect, finding.located.joint
             parameter = loop_parameter(entry)
             if parameter is None or joint is None or not entry.nominal:
                 continue
             place = int(self.recordings.order[joint])
-            value = model.fitted.of(parameter[0])[place]
-            sd = model.deviations[model.fitted.place(parameter[0])][place]
+            value = model.fitted.of(parameter.name)[place]
+            sd = model.deviations[model.fitted.place(parameter.name)][place]
             if not model.lacks[place] or value > sd:
                 continue
             causes = (
@@ -310,7 +357,7 @@ class LoopSearch:
             new = new.plus(Extension(effects=(estimated,)))
             better = self._fit(new)
             if better is not None and better.misfit < model.misfit:
-                share = float(expit(stretches * (model.misfit - better.misfit)))
+                share = float(expit(self._stretch_count * (model.misfit - better.misfit)))
                 rival = Rival(located=finding.located, probability=1.0 - share)
                 own = self._finding(estimated, finding.variance_explained, share, (rival,))
                 kept[kept.index(finding)] = own

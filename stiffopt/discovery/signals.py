@@ -61,6 +61,10 @@ def _mean_sign_between(first: np.ndarray, last: np.ndarray) -> np.ndarray:
     return np.asarray(np.where(steady, smooth_sign(0.5 * (first + last)), mean))
 
 
+# Constants of a joint that scale terms: an extended model keeps those that it was fitted with.
+JOINT_SCALES = ("torque_rated", "torque_max", "fastest", "shown_coulomb", "shown_viscous")
+
+
 @dataclass(frozen=True, kw_only=True)
 class JointConstants:
     """Constants of one joint for terms and bounds."""
@@ -81,6 +85,10 @@ class JointConstants:
     # (lowest, highest) range of the motor angle in the recordings [rad].
     stroke: tuple[float, float] = (-np.pi, np.pi)
     fastest: float = 1.0  # largest motor speed in the recordings [rad/s]
+    # Scales of effects where nominal friction is not stated, 0 where unknown: friction that the
+    # recordings show beside the nominal torque [N m], [N m s/rad].
+    shown_coulomb: float = 0.0
+    shown_viscous: float = 0.0
     largest_torque: float = 1.0  # largest nominal spring torque in the recordings [N m]
     # Largest filtered drive torque measured in the training runs; 0 without measurement [N m].
     measured_torque: float = 0.0

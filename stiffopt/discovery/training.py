@@ -12,12 +12,13 @@ from stiffopt.discovery.comparison.bands import choose_fit_band
 from stiffopt.discovery.comparison.channel_rows import KnownNoise, known_noise
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.design_matrix import MIN_RUNS_AS_BLOCKS, DesignMatrix
-from stiffopt.discovery.comparison.filtering import PoseFilter, fill_missing
+from stiffopt.discovery.comparison.filtering import PoseFilter
 from stiffopt.discovery.comparison.initial_states import estimate_initial_states
 from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.nuisance import merge_tolerances
 from stiffopt.discovery.comparison.prepared_run import PreparedRun, prepare_run
+from stiffopt.discovery.comparison.recorded_scales import constants_over, largest_torque
 from stiffopt.discovery.extended.left_open import adopt_bands, describe_assumptions, noise_factors
 from stiffopt.discovery.extended.model import ExtendedModel, check_extended
 from stiffopt.discovery.progress import Say
@@ -155,7 +156,7 @@ def prepare_training(
         ]
     stated = recordings.tolerance
     free = stated.mass is None and stated.com is None
-    ranged = robot.constants_over([run.signals for run in prepared], _largest_torques(prepared))
+    ranged = constants_over(robot, prepared)
     if model is not None:
         ranged = model.scaled(ranged)
         check_extended(model, ranged)
@@ -282,14 +283,14 @@ def _check_creep(robot: RobotModel) -> None:
 
 def _check_noise(recordings: RecordingSet, noise: KnownNoise, runs: Sequence[PreparedRun]) -> None:
     """Raise `InputFileError` if the stated noise of a torque is below any sensor's."""
-    largest = _largest_torques(runs)
     for j, stated in enumerate(noise.torque_stated):
-        if stated and noise.channels.torque[j] < _MIN_RELATIVE_NOISE * largest[j]:
+        largest = largest_torque(runs, j)
+        if stated and noise.channels.torque[j] < _MIN_RELATIVE_NOISE * largest:
             raise InputFileError(
                 recordings.path,
                 "noise.torque",
                 f"{noise.channels.torque[j]:g} N m at {recordings.joints[j]!r}, whose torque goes "
-                f"to {largest[j]:.3g}: below the resolution of any sensor. State one standard "
+                f"to {largest:.3g}: below the resolution of any sensor. State one standard "
                 "deviation, or leave it out.",
             )
 
@@ -314,14 +315,3 @@ def _describe_unfittable(run: RecordedRun, ready: PreparedRun) -> str:
             f"{lost:.3g} s. Record some seconds more."
         )
     return f"{run.file} is left out: no joint of it moves with a torque that can be used."
-
-
-def _largest_torques(runs: Sequence[PreparedRun]) -> np.ndarray:
-    """Return the largest filtered measured torque of every joint (n,); 0 without any [N m]."""
-    largest = np.zeros(runs[0].torque.shape[1])
-    for run in runs:
-        for j, used in enumerate(run.torque_used.T):
-            if used.any():
-                torque = fill_missing(run.torque[:, j : j + 1])[:, 0]
-                largest[j] = max(largest[j], np.abs(run.low_pass(torque)[used]).max())
-    return largest

@@ -17,7 +17,7 @@ from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.servo import Servo
 from stiffopt.elastic.uncertain_arms import Member, UncertainArms
 from stiffopt.elastic.uncertainty import ParameterBox, Uncertainty
-from stiffopt.elastic.worst_arms import worst_levels
+from stiffopt.elastic.worst_arms import peaks_on_levels, worst_levels
 from stiffopt.result.tool_error import LedError
 from stiffopt.result.trajectory import JointMotion
 
@@ -27,26 +27,36 @@ _SLOW_RATE = 1e-3
 
 
 def led_error(
-    arm: ElasticArm, plan: JointMotion, uncertainty: Uncertainty, servo: Servo
+    arm: ElasticArm,
+    plan: JointMotion,
+    uncertainty: Uncertainty,
+    servo: Servo,
+    below: float = np.inf,
 ) -> LedError:
     """Return the worst tool errors of uncertain arms whose motors lead a plan exactly.
 
-    `plan`: motion of the links, at rest at both ends. `servo`: the nominal one.
+    `plan`: motion of the links, at rest at both ends. `servo`: the nominal one. Where the sum of
+    both phases is not `below` [m] on the corners with joints alike, the errors there alone: those
+    of the worst arms are no smaller.
     """
     worst_servo, led = uncertainty.worst_servo(servo), uncertainty.led_servo(servo)
     differs = worst_servo != servo
     many = UncertainArms(arm, plan, _ServoChange(led, servo), _ServoChange(led, worst_servo))
     box = ParameterBox(uncertainty, arm.robot, servo=differs)
     command = _ideal_command(arm, plan, uncertainty)
-    worst = worst_levels(many, command, box)
+    peaks = peaks_on_levels(many, command, box, box.alike_corners())
+    in_flight, after = peaks.max(axis=1).tolist()
+    if not in_flight + after < below:
+        return LedError(in_flight=in_flight, after_arrival=after, across=np.nan, shares={})
+    worst = worst_levels(many, command, box, peaks)
     # Beside the worst arms the nominal one, and those with one parameter at its bound.
     alone = np.tile(box.nominal, (1 + len(box.free), 1))
     alone[np.arange(1, len(alone)), box.free] = 1.0
     levels = np.concatenate([worst, alone])
     members = [Member(command=command, departure=box.departure(each)) for each in levels]
     error = many.simulate(members)
-    in_flight, after = error.peaks(error.flight), error.peak(error.after)
-    flight = in_flight["position"]
+    peaks_in_flight = error.peaks(error.flight)
+    flight = peaks_in_flight["position"]
     hardest = int(np.argmax(flight[: len(worst)]))
     instant = int(np.argmax(np.where(error.flight, error.distance[hardest], -1.0)))
     nominal, *single = error.position[len(worst) :, instant]
@@ -57,8 +67,8 @@ def led_error(
     whole = sum(squares.values()) or 1.0
     return LedError(
         in_flight=float(flight.max()),
-        after_arrival=float(after.max()),
-        across=float(in_flight["across"].max()),
+        after_arrival=float(error.peak(error.after).max()),
+        across=float(peaks_in_flight["across"].max()),
         shares={kind: square / whole for kind, square in squares.items()},
     )
 

@@ -40,9 +40,10 @@ _MAX_TIME_AFTER_ARRIVAL = 1.0  # [s]
 # The static equilibrium changes slowly: computed every so many steps, linear in between.
 _EQUILIBRIUM_STRIDE = 5
 _EQUILIBRIUM_ITERATIONS = 4
-# Positions of links that are in memory at once, beside some ten arrays of their size: a weld of
-# minutes has 1e8 of them with its arms.
-_MAX_POSITIONS = 2_000_000
+# Most positions of links for which motors' motions are kept, and of static equilibria: a weld of
+# minutes has 1e8 of them with its arms. Members that are simulated at once: lanes of the compiled
+# core, of whose positions some ten arrays stay in the processor's cache.
+_MAX_POSITIONS, _MEMBERS_AT_ONCE = 2_000_000, 8
 # Steps whose bodies are linearised at once, and for which one derivative of the bodies stands:
 # they take an eighth of the memory then, and peaks of an ER3A and a UR10 change by 3e-5 at most.
 _STEPS_AT_ONCE, _BODY_STRIDE = 4096, 8
@@ -260,8 +261,8 @@ class UncertainArms:
             np.array([arm.bodies.jacobian(arm.robot.tool, q) for q in self._q[: count + 1]])
         )
         self._direction = path_directions(arm.tool(self._q))
-        # Of the last batch: by command motions behind both servos; by stiffness and payload planned
-        # static equilibria at their samples.
+        # By command motions behind both servos, of the last batch; by stiffness and payload planned
+        # static equilibria.
         self._followed: dict[MotorMotion, np.ndarray] = {}
         self._equilibria: dict[tuple[bytes, float], np.ndarray] = {}
 
@@ -274,10 +275,18 @@ class UncertainArms:
             orientation=np.concatenate([each.orientation for each in found]),
         )
 
-    def position_peaks(self, members: Sequence[Member]) -> np.ndarray:
-        """Largest position errors (2, B) of members, in flight and after arrival [m]."""
-        found = self._simulate_in_batches(members, axes=3)
-        return np.concatenate([[e.peak(e.flight), e.peak(e.after)] for e in found], axis=1)
+    def position_peaks(self, members: Sequence[Member], below: float = np.inf) -> np.ndarray:
+        """Largest position errors (2, B) of members, in flight and after arrival [m].
+
+        Of the first members alone where the sum of both phases' largest is not `below` for them.
+        """
+        found = np.empty((2, 0))
+        for each in self._simulate_in_batches(members, axes=3):
+            own = [each.peak(each.flight), each.peak(each.after)]
+            found = np.concatenate([found, own], axis=1)
+            if not found.max(axis=1).sum() < below:
+                break
+        return found
 
     def peaks(self, members: Sequence[Member]) -> list[dict[str, np.ndarray]]:
         """Peaks of members in flight and after arrival, as of `ToolError.peaks`."""
@@ -289,16 +298,18 @@ class UncertainArms:
 
     def _simulate_in_batches(self, members: Sequence[Member], axes: int = 6) -> Iterator[ToolError]:
         """Simulate as many members at a time as the memory is for; 3 axes for positions alone."""
-        made, joints = native.core(len(self.damping)), len(self.damping)
-        together = max(1, _MAX_POSITIONS // (len(self.time) * joints))
-        for first in range(0, len(members), together):
-            part = members[first : first + together]
-            links = (
-                _integrate_numpy(self, part)
-                if made is None
-                else _integrate_compiled(made, self, part)
-            )
-            yield self.tool_error(part, links, axes)
+        made = native.core(len(self.damping))
+        for kept in _batches(members, _MAX_POSITIONS // self._q.size):
+            self._find_equilibria(self.departures(kept))
+            different = dict.fromkeys(each.command for each in kept)
+            self._followed = {own: self._behind_servos(own) for own in different}
+            for part in _batches(kept, _MEMBERS_AT_ONCE):
+                links = (
+                    _integrate_numpy(self, part)
+                    if made is None
+                    else _integrate_compiled(made, self, part)
+                )
+                yield self.tool_error(part, links, axes)
 
     def _extend_at_rest(self, values: np.ndarray, at_rest: float | None = None) -> np.ndarray:
         """Append the last values of the flight, or `at_rest`, until the end."""
@@ -329,20 +340,18 @@ class UncertainArms:
         the worst servo to both.
         """
         different = list(dict.fromkeys(commands))
-        self._followed = {own: self._followed[own] for own in different if own in self._followed}
         places = {command: c for c, command in enumerate(different)}
         found = np.stack([self._behind_servos(command) for command in different], axis=1)
         return found, np.array([places[command] for command in commands])
 
     def _behind_servos(self, command: MotorMotion) -> np.ndarray:
         """Motion (K, 4, n) of one command, as of `motors`."""
-        if command not in self._followed:
-            own = self._response(self._servo, command)
-            same = self._worst == self._servo
-            added = np.zeros_like(own) if same else self._response(self._worst, command) - own
-            plan = np.stack([self._q, self._v], axis=1)
-            self._followed[command] = np.concatenate([own - plan, added], axis=1)
-        return self._followed[command]
+        if command in self._followed:
+            return self._followed[command]
+        own = self._response(self._servo, command)
+        same = self._worst == self._servo
+        added = np.zeros_like(own) if same else self._response(self._worst, command) - own
+        return np.concatenate([own - np.stack([self._q, self._v], axis=1), added], axis=1)
 
     def _response(self, servo: Follower, command: MotorMotion) -> np.ndarray:
         """Positions and velocities (K, 2, n) of the motors behind a servo."""
@@ -357,10 +366,13 @@ class UncertainArms:
 
     def tool_error(self, members: Sequence[Member], links: np.ndarray, axes: int = 6) -> ToolError:
         """Tool errors of members, for link positions less the plan (K, B, n)."""
-        equilibrium, own = self._planned_equilibria(self.departures(members))
+        keys = [_equilibrium_key(each) for each in self.departures(members)]
+        places = {own: place for place, own in enumerate(dict.fromkeys(keys))}
+        equilibrium = np.array([self._equilibria[own] for own in places])
         # One matrix product for all members: einsum would loop over them.
         along = np.ascontiguousarray(self._jacobian[:, :axes].swapaxes(1, 2))
         away = links @ along
+        own = [places[each] for each in keys]
         away -= np.take(equilibrium.swapaxes(0, 1) @ along, own, axis=1)
         away = away.swapaxes(0, 1)
         return ToolError(
@@ -371,27 +383,36 @@ class UncertainArms:
             direction=self._direction,
         )
 
-    def _planned_equilibria(self, departures: list[Departure]) -> tuple[np.ndarray, list[int]]:
-        """Static equilibria with the motors at the planned positions, less these (E, K, n).
+    def _find_equilibria(self, departures: list[Departure]) -> None:
+        """Find static equilibria with the motors at the planned positions, less these.
 
-        And the index of each departure's: those that differ in damping or servo share one.
+        Those that differ in damping or servo share one.
         """
-        keys = [(each.stiffness.tobytes(), each.payload) for each in departures]
-        alike = dict(zip(keys, departures, strict=True))
-        self._equilibria = {own: self._equilibria[own] for own in alike if own in self._equilibria}
-        chosen, count = self._equilibrium_samples, len(self.time)
-        if new := [own for own in alike if own not in self._equilibria]:
-            arms = _DepartureArrays([alike[own] for own in new])
-            turn = np.zeros((len(new), len(chosen), self._q.shape[1]))
-            found = _solve_equilibrium(self.springs, self._weight, arms, turn)
-            self._equilibria.update(zip(new, found, strict=True))
-        coarse = np.array([self._equilibria[own] for own in alike])
-        places = {key: place for place, key in enumerate(alike)}
-        right = np.clip(np.searchsorted(chosen, np.arange(count)), 1, len(chosen) - 1)
+        alike = {_equilibrium_key(each): each for each in departures}
+        if len(self._equilibria | alike) * self._q.size > _MAX_POSITIONS:
+            self._equilibria.clear()
+        new = [own for own in alike if own not in self._equilibria]
+        if not new:
+            return
+        arms, chosen = _DepartureArrays([alike[own] for own in new]), self._equilibrium_samples
+        turn, every = np.zeros((len(new), *self._q[chosen].shape)), np.arange(len(self.time))
+        coarse = _solve_equilibrium(self.springs, self._weight, arms, turn)
+        right = np.clip(np.searchsorted(chosen, every), 1, len(chosen) - 1)
         left = right - 1
-        share = ((np.arange(count) - chosen[left]) / (chosen[right] - chosen[left]))[:, None]
+        share = ((every - chosen[left]) / (chosen[right] - chosen[left]))[:, None]
         between = (1.0 - share) * coarse[:, left] + share * coarse[:, right]
-        return between, [places[key] for key in keys]
+        self._equilibria.update(zip(new, between, strict=True))
+
+
+def _equilibrium_key(departure: Departure) -> tuple[bytes, float]:
+    """Return what the static equilibrium of an arm depends on."""
+    return departure.stiffness.tobytes(), departure.payload
+
+
+def _batches(members: Sequence[Member], size: int) -> Iterator[Sequence[Member]]:
+    """Yield members, `size` at a time, one at least."""
+    for first in range(0, len(members), max(1, size)):
+        yield members[first : first + max(1, size)]
 
 
 def _integrate_compiled(core: CDLL, many: UncertainArms, members: Sequence[Member]) -> np.ndarray:

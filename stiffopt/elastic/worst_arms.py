@@ -7,6 +7,8 @@ parameters whose change alone makes the error larger are changed together, those
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
 from stiffopt.elastic.motor import MotorMotion
@@ -19,21 +21,26 @@ _MAX_ROUNDS = 5
 _MIN_INCREASE = 1e-3
 
 
-def worst_levels(many: UncertainArms, command: MotorMotion, box: ParameterBox) -> np.ndarray:
+def peaks_on_levels(
+    many: UncertainArms, command: MotorMotion, box: ParameterBox, levels: np.ndarray
+) -> np.ndarray:
+    """Peaks (2, ..) in flight and after arrival on arms of levels (.., 2 n + 3) [m]."""
+    flat = levels.reshape(-1, levels.shape[-1])
+    members = [Member(command=command, departure=box.departure(each)) for each in flat]
+    return many.position_peaks(members).reshape(2, *levels.shape[:-1])
+
+
+def worst_levels(
+    many: UncertainArms, command: MotorMotion, box: ParameterBox, peaks: np.ndarray | None = None
+) -> np.ndarray:
     """Search the levels of the worst arms of a command: the worst in flight, then after arrival.
 
     Levels (s, 2 n + 3) are those of s searches, of which each phase has one from soft and one from
-    stiff joints.
+    stiff joints. `peaks` (2, c): on the corners with joints alike, where they are known.
     """
-
-    def simulated(levels: np.ndarray) -> np.ndarray:
-        """Peaks (2, ...) in flight and after arrival on arms of levels (..., m)."""
-        flat = levels.reshape(-1, levels.shape[-1])
-        members = [Member(command=command, departure=box.departure(each)) for each in flat]
-        return many.position_peaks(members).reshape(2, *levels.shape[:-1])
-
+    simulated = functools.partial(peaks_on_levels, many, command, box)
     corners = box.alike_corners()
-    peaks = simulated(corners)
+    peaks = simulated(corners) if peaks is None else peaks
     # The first half of the corners is soft, the second stiff.
     halves = np.array_split(np.arange(len(corners)), 2 if len(corners) > 1 else 1)
     chosen = [half[np.argmax(own[half])] for own in peaks for half in halves]

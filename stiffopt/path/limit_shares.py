@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d
+import scipy
 
 from stiffopt.problem.limit import Limits
 from stiffopt.result.assessment import Assessment, DriveHistory, Violation
@@ -85,7 +85,7 @@ class LimitShares:
     ) -> None:
         """Divide the shares of a limit by its use (K,) at instants (K,) of the motion."""
         width = 1 + 2 * int(np.ceil(self._window / np.diff(time).mean()))
-        about = maximum_filter1d(used, width)
+        about = scipy.ndimage.maximum_filter1d(used, width)
         over = np.where(about > 1.0, np.minimum(about, 1.0 + _MAX_BACK_OFF), 1.0 - _BACK_OFF_EXTRA)
         for (begin, law), places, shares in zip(laws, self._places, self._shares, strict=True):
             at = np.interp(places, law(np.clip(time - begin, 0.0, law.duration))[:, 0], over)

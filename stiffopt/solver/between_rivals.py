@@ -117,7 +117,8 @@ class BetweenRivals(OutcomeOracle):
 
         Of a motion that is not `below` another rank, one that is not below it either.
         """
-        led = led or self._errors.of_plan(plan)
+        # Where no error is above a rival's, the sum of both phases decides.
+        led = led or self._errors.of_plan(plan, below[1] if below[0] == 1.0 else np.inf)
         if (1.0, led.whole) >= below:
             return below
         return max(*self._errors.ratios(plan, led, below[0]), 1.0), led.whole

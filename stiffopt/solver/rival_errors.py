@@ -49,7 +49,7 @@ class RivalErrors:
             fair = not slower or beaten
             yield led if fair else self.of_plan(plan.scaled_to(duration)), rival
 
-    def of_plan(self, plan: Trajectory) -> LedError:
-        """Return the errors of a motion of the links, led ideally."""
+    def of_plan(self, plan: Trajectory, below: float = np.inf) -> LedError:
+        """Return the errors of a motion of the links, led ideally; `below` as of `led_error`."""
         problem = self._run.problem
-        return led_error(self._run.arm, plan, problem.uncertainty, problem.servo)
+        return led_error(self._run.arm, plan, problem.uncertainty, problem.servo, below)

@@ -435,9 +435,10 @@ def guess_angle_unit(values: np.ndarray, robot: Robot) -> tuple[str, str]:
     most = _largest_magnitude(values)
     low, high = robot.position_lower, robot.position_upper
     finite = np.isfinite(high - low) & (np.arange(robot.n) < values.shape[1])
+    # A zero of another convention, or a sum of two joints, is beyond the limits as well.
     beyond = bool(
-        np.any(np.fmax.reduce(values, axis=0)[finite] > high[finite] + 0.1)
-        or np.any(np.fmin.reduce(values, axis=0)[finite] < low[finite] - 0.1)
+        np.any(np.fmax.reduce(values, axis=0)[finite] > high[finite] + np.pi)
+        or np.any(np.fmin.reduce(values, axis=0)[finite] < low[finite] - np.pi)
     )
     if _is_counted(values):
         turn = next((c for c in _COUNTS_PER_TURN if most < c), 0)
@@ -450,6 +451,6 @@ def guess_angle_unit(values: np.ndarray, robot: Robot) -> tuple[str, str]:
         return "counts", f"{told}; {_FACTOR_REQUESTS['counts']} in [signals.scale]"
     if most > np.degrees(_MAX_JOINT_ANGLE):
         return "counts", f"they reach {most:.4g}, {_FACTOR_REQUESTS['counts']} in [signals.scale]"
-    if most > 4.0 * np.pi or (beyond and most > np.pi):
+    if most > 4.0 * np.pi or beyond:
         return "deg", f"in deg: they reach {most:.4g}, beyond plausible rad"
     return "", f"in rad: they reach {most:.3g}"

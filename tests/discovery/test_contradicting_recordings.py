@@ -12,13 +12,14 @@ from own_machines import GANTRY, SCARA, Log
 from test_sanity_gate import doubted
 
 from stiffopt.discovery.diagnose import diagnose
-from stiffopt.discovery.sanity.gate import _is_odd, find_odd_runs
+from stiffopt.discovery.sanity.gate import SanityGate, _is_odd, find_odd_runs
 from stiffopt.discovery.sanity.interpretations import Samples
+from stiffopt.discovery.training import open_training_runs
+from stiffopt.recording.recording_set import load_recordings
 from stiffopt.report.diagnosis.sections import fault_lines
 from stiffopt.report.diagnosis.words import (
     headline,
     unassessed_joint_sentences,
-    unexplained_sentence,
 )
 
 
@@ -126,11 +127,34 @@ def test_a_run_without_a_position_is_left_out_by_name_and_reason(tmp_path: Path)
     assert any("position of joint 2 of run_2" in line for line in fault_lines(diagnosis))
 
 
-def test_run_with_another_payload_is_doubted(tmp_path: Path) -> None:
+def test_payload_of_one_run_is_named_with_its_run(tmp_path: Path) -> None:
     diagnosis = diagnose(SCARA.write(tmp_path / "set", payload=(1, 0.6)), experiment=False)
-    assert diagnosis.verdict == "outside_catalogue"
-    assert all(each.certainty == "possible" for each in diagnosis.findings)
-    assert "In run_2 the residual of the nominal model" in unexplained_sentence(diagnosis)
+    (finding,) = (each for each in diagnosis.findings if each.probability > 0.5)
+    assert (finding.effect.name, finding.located.run) == ("payload_in_run", "run_2")
+    mass = finding.parameters[0]
+    assert mass.name == "dm"
+    assert abs(mass.value - 0.6) < 3.0 * mass.sd < 0.2
+    assert headline(diagnosis).count("Run_2: 0.6") == 1
+
+
+def saturated(logs: list[Log]) -> None:
+    """Torques are demands: in one run they exceed those of the others, and what the drive gives."""
+    largest = max(np.abs(log["tau"][:, 1]).max() for log in (logs[0], logs[1], logs[3]))
+    demand = logs[2]["tau"][:, 1]
+    excess = np.maximum(np.abs(demand) - 1.02 * largest, 0.0)
+    assert np.count_nonzero(excess) > 30
+    demand += 10.0 * np.sign(demand) * excess
+
+
+def test_demand_beyond_a_limit_in_one_run_is_remarked_not_doubted(tmp_path: Path) -> None:
+    recordings = load_recordings(SCARA.write(tmp_path / "set", saturated))
+    gate = SanityGate(recordings, open_training_runs(recordings))
+    assert gate.doubts == ()
+    (odd,) = gate._odd_runs
+    assert (odd.run.name, odd.joints, odd.outside_range) == ("run_3", (1,), True)
+    assert "run_3 moves faster or further than the other runs, or with larger torques" in (
+        gate.remarks[0].evidence
+    )
 
 
 @pytest.mark.parametrize("reverses", [True, False])
@@ -144,8 +168,6 @@ def test_a_joint_that_moves_in_one_direction_alone_makes_no_run_odd(reverses: bo
         samples = Samples(0.0 * speed, speed, 0.0 * speed, torque, ())
         strict, motion = np.array([share]), SimpleNamespace(velocity=speed)
         own = SimpleNamespace(strict=strict, samples=samples, motion=motion)
-        own.robot = SimpleNamespace(recordings=SimpleNamespace(signals=SimpleNamespace()))
-        own.robot.recordings.signals.commanded = False
         return SimpleNamespace(name="run"), own
 
     last = searched(direction if reverses else np.abs(direction), 0.33)

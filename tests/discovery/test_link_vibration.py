@@ -16,6 +16,7 @@ from stiffopt.discovery.comparison.extension_change import added_inertia
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepared_run import prepare_run
+from stiffopt.discovery.comparison.recorded_scales import constants_over
 from stiffopt.discovery.prediction import Predictor
 from stiffopt.discovery.settings import Settings
 from stiffopt.recording.recording_set import load_recordings
@@ -43,9 +44,8 @@ def _opened(spec, folder):
     robot = RobotModel(recordings)
     entries = (*recordings.with_role("train"), *recordings.with_role("test"))
     runs = {entry.file: recordings.open(entry) for entry in entries}
-    ranged = robot.constants_over(
-        [prepare_run(robot, run, 0, None, Settings()).signals for run in runs.values()],
-        np.zeros(robot.n),
+    ranged = constants_over(
+        robot, [prepare_run(robot, run, 0, None, Settings()) for run in runs.values()]
     )
     return recordings, robot, runs, ranged
 

@@ -55,9 +55,16 @@ def add_servo(folder: Path) -> None:
         np.savez(run, **columns, **own)
 
 
-def search(folder: Path, *, beside_another: bool = False, **physics: float) -> LoopSearch:
+def search(
+    folder: Path,
+    *,
+    beside_another: bool = False,
+    gain: float = KP,
+    tolerance: float = 0.01,
+    **physics: float,
+) -> LoopSearch:
     """Return the search of a servo whose drive is stated but for some physics."""
-    actuator = f"kp = [{KP}]\nkd = [0.0]\ntolerance = 0.01\ndelay = {DELAY}"
+    actuator = f"kp = [{gain}]\nkd = [0.0]\ntolerance = {tolerance}\ndelay = {DELAY}"
     write_servo_set(folder, actuator=actuator, runs=2, **physics)
     state_drive(folder)
     if beside_another:
@@ -184,3 +191,35 @@ def test_a_stated_value_that_the_simulation_moves_beyond_its_tolerance_is_named(
     (value,) = first.parameters
     assert value.sd is not None
     assert abs(value.value - more) < 2.0 * value.sd < 0.5 * more
+
+
+@pytest.mark.parametrize(("deviations", "named"), [(2.0, []), (3.7, ["coulomb"])])
+def test_a_stated_value_is_named_where_no_stated_value_lies_by_chance(
+    tmp_path: Path, deviations: float, named: list[str]
+) -> None:
+    """The tolerance of the set is 5 %."""
+    coulomb = COULOMB * (1.0 + 0.05 * deviations)
+    _, findings = search(tmp_path / "set", coulomb=coulomb).run(Extension(), ())
+    assert [each.effect.name for each in findings] == named
+
+
+def test_a_stated_gain_that_is_wrong_is_the_gain_of_the_loop(tmp_path: Path) -> None:
+    """Three quarters of the true gain are stated: torque by it reads a quarter too little."""
+    searched = search(tmp_path / "set", gain=0.75 * KP, tolerance=0.05)
+    model, (first,) = replace(searched, asked=[effect("torque_gain")]).run(Extension(), ())
+    assert model is not None
+    assert first.effect.name == "torque_gain"
+    assert first.parameters[0].value == pytest.approx(-0.25, abs=0.02)
+    again = searched._fit(Extension(effects=(first.estimated,)))
+    assert again is not None
+    np.testing.assert_allclose(again.fitted.of("gain"), model.fitted.of("gain"), atol=0.01)
+
+
+def test_a_limit_is_told_where_a_fit_without_it_strains_all_others(tmp_path: Path) -> None:
+    limit = 1.6
+    searched = search(tmp_path / "set", limit=limit)
+    _, findings = replace(searched, asked=[effect("saturation")]).run(Extension(), ())
+    assert [each.effect.name for each in findings] == ["saturation"]
+    (told,) = findings[0].parameters
+    assert told.sd is not None
+    assert abs(told.value - limit) < 2.0 * told.sd < 0.1 * limit

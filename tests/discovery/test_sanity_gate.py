@@ -413,8 +413,8 @@ def test_public_sets_have_no_remarks():
 
 
 def other_arm(columns: Columns) -> None:
-    """As of links of other masses."""
-    columns["tau1"] = 1.5 * columns["tau1"]
+    """As of a first link whose mass lies off its axis: no load at the tool does that."""
+    columns["tau1"] = columns["tau1"] + 25.0 * np.sin(columns["q1"])
     columns["tau2"] = 0.6 * columns["tau2"]
 
 
@@ -428,7 +428,7 @@ def test_run_of_another_arm_is_doubted(tmp_path, capsys):
     (told,) = doubted(folder)
     assert told.kind == "another arm"
     assert told.evidence.startswith("train_2 does not fit")
-    assert re.search(r"is [\d.]+ % at joint 2 \(at most 0\.\d+ % in the others\)", told.evidence)
+    assert re.search(r"is [\d.]+ % at joint 1 \(at most 0\.\d+ % in the others\)", told.evidence)
     assert run(["diagnose", str(folder), "--out", str(tmp_path / "out"), "--quiet"]) == 2
     assert "Remove its [[runs]] section" in capsys.readouterr().err
     # Without it there is nothing to say.

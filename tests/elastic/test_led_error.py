@@ -65,6 +65,10 @@ def test_no_uncertainty_leaves_no_error(planned):
     sure = Uncertainty(stiffness=0.0, damping=0.0, payload=0.0, **servo)
     found = led_error(elastic, link, sure, Servo())
     unsure = led_error(elastic, link, Uncertainty(), Servo())
+    # What is not below a bound on the corners is not searched any further.
+    corners = led_error(elastic, link, Uncertainty(), Servo(), below=0.0)
+    assert 0.5 * unsure.whole < corners.whole <= (1.0 + 1e-12) * unsure.whole
+    assert led_error(elastic, link, Uncertainty(), Servo(), 1.01 * unsure.whole) == unsure
     assert found.shares == {}
     assert found.in_flight < 1e-2 * unsure.in_flight
 

@@ -241,6 +241,17 @@ def test_speed_unit_is_guessed_from_positions(position, factor, unit, unsure, tm
     assert said.endswith("check") == unsure
 
 
+@pytest.mark.parametrize(
+    ("beyond", "unit"), [(0.5 * np.pi, ""), (0.9 * np.pi, ""), (1.2 * np.pi, "deg")]
+)
+def test_angles_beyond_a_limit_are_degrees_only_where_no_zero_explains_them(beyond, unit, tmp_path):
+    """Another zero or a sum of two joints is still in rad: dynamics tell it later."""
+    upper = load_robot(URDF).position_upper[0]
+    first = (upper + beyond) * VALUES[0] / VALUES[0].max()
+    assert upper + beyond < 4.0 * np.pi
+    assert guessed(tmp_path, lines(columns=[TIME, first, *VALUES[1:]])).units["position"] == unit
+
+
 @pytest.mark.parametrize("name", [[["x"]], [{"a": 1}], np.array([1.0, 2.0]), 5, "arm"])
 def test_message_names_other_than_joints_are_ignored(name):
     found = _joint_fields("/t", {"name": name, "position": [1.0, 2.0]}, ["a", "b"])

@@ -113,7 +113,7 @@ def changes_in(effects: Sequence[Effect], runs: Sequence[str]) -> tuple[Effect, 
     return tuple(
         replace(each, only_in=tuple(runs), usual=False)
         for each in effects
-        if each.scope != "run" and each.of_runs is None
+        if each.scope not in ("run", "recording") and each.of_runs is None
     )
 
 

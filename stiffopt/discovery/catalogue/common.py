@@ -28,13 +28,15 @@ _MAX_RATED_OVER_CARRIED = 15.0
 
 
 def dry_friction(constants: JointConstants) -> float:
-    """Return the Coulomb friction, or that of a usual geared joint [N m]."""
-    return constants.coulomb if constants.coulomb > 0.0 else 0.08 * constants.torque_rated
+    """Return the Coulomb friction, stated, shown or that of a usual geared joint [N m]."""
+    usual = max(0.08 * constants.torque_rated, constants.shown_coulomb)
+    return constants.coulomb if constants.coulomb > 0.0 else usual
 
 
 def viscous_friction(constants: JointConstants) -> float:
-    """Return the viscous coefficient, or that of a usual geared joint [N m s/rad]."""
+    """Return the viscous coefficient, stated, shown or that of a usual geared joint [N m s/rad]."""
     usual = 0.08 * constants.torque_rated / max(constants.fastest, 1e-3)
+    usual = max(usual, constants.shown_viscous)
     return constants.viscous if constants.viscous > 0.0 else usual
 
 

@@ -152,6 +152,28 @@ PAYLOAD = Effect(
     " tilted base's does not.",
 )
 
+PAYLOAD_IN_RUN = Effect(
+    name="payload_in_run",
+    family="inertial",
+    scope="recording",
+    equation="s += Y_last(q, v, a)*(dm, dm*c, dI) in one run",
+    signature="link torques of several joints off together in one run alone, as a mass at the last"
+    " link makes them",
+    phrase=(
+        "{dm} heavier in this run than in the others, at {cx/cy/cz} of the last joint",
+        "{dm} lighter in this run than in the others, at {cx/cy/cz} of the last joint",
+    ),
+    remedy="Check what the arm carried in that run: make a set of each payload, or leave the run"
+    " out.",
+    needs=("torque", "moves", "runs"),
+    confused_with=("payload",),
+    term=lambda signals, a, s: body_term(signals, a, signals.last_link),
+    amplitudes=PAYLOAD.amplitudes,
+    report=_report_payload,
+    units=PAYLOAD.units,
+    separate="Repeat the run with the gripper empty and with the part: the difference is the part.",
+)
+
 INERTIAL_ERROR = Effect(
     name="inertial_error",
     family="inertial",
@@ -174,4 +196,4 @@ INERTIAL_ERROR = Effect(
     " postures of the others: friction turns with the direction, masses do not.",
 )
 
-INERTIAL = (ROTOR_INERTIA, PAYLOAD, INERTIAL_ERROR)
+INERTIAL = (ROTOR_INERTIA, PAYLOAD, PAYLOAD_IN_RUN, INERTIAL_ERROR)

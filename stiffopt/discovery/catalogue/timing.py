@@ -16,7 +16,7 @@ _SHORTEST_SHIFT = 1e-9
 # Longest delay and lead [s]: some cycles of a slow controller.
 _MAX_DELAY = 0.05
 # Longest offset of the clock of one run [s]; the plausibility check finds longer ones.
-_MAX_OFFSET = 0.2
+MAX_CLOCK_OFFSET = 0.2
 # Largest relative difference of two clocks: 1 % is a rate in the place of another; crystals agree
 # to 1e-4.
 _MAX_RATE_DIFFERENCE = 0.01
@@ -165,7 +165,7 @@ RUN_CLOCK = Effect(
     reads_torque=True,
     term=delay_term,
     amplitudes=(Amplitude("d", "s", 0.02, -10.0, 10.0),),
-    shapes=(_shift_about("s", (1e-3, 0.005, 0.02, 0.08), _MAX_OFFSET, 1e-4),),
+    shapes=(_shift_about("s", (1e-3, 0.005, 0.02, 0.08), MAX_CLOCK_OFFSET, 1e-4),),
     linear_about=True,
     separate="Repeat the run with one clock for all signals: a cause in the robot stays.",
 )

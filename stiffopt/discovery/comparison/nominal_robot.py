@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from copy import copy
 from dataclasses import replace
 from functools import cached_property, partial
@@ -18,7 +18,6 @@ from stiffopt.discovery.signals import (
     PARAMETERS_PER_BODY,
     JointConstants,
     RobotConstants,
-    RobotSignals,
     smooth_sign,
 )
 from stiffopt.recording.recording_set import RecordingSet
@@ -56,7 +55,7 @@ class RobotModel:
 
     @cached_property
     def constants(self) -> RobotConstants:
-        """Constants without ranges from recordings."""
+        """Constants without ranges from recordings, see `constants_over`."""
         nominal, connections = self.recordings.nominal, self.recordings.nominal.connections
         torque_max = self.arm.torque_max[self.order]
         torque_max = np.where((torque_max > 0.0) & np.isfinite(torque_max), torque_max, np.nan)
@@ -90,39 +89,6 @@ class RobotModel:
             tool_range=np.array([[-1.0] * 3, [1.0] * 3]),
             gravity=np.asarray(self.recordings.gravity, dtype=float),
         )
-
-    def constants_over(
-        self, signals: Sequence[RobotSignals], measured: np.ndarray
-    ) -> RobotConstants:
-        """Return constants with the ranges of some runs, which also bound unknown torques.
-
-        `measured` (n,): largest measured drive torque [N m].
-        """
-        base = self.constants
-
-        def stack(name: str) -> np.ndarray:
-            return np.vstack([getattr(s, name) for s in signals])
-
-        motor, speed = stack("motor_position"), np.abs(stack("motor_velocity"))
-        spring, drive = np.abs(stack("spring_torque")), np.abs(stack("drive_torque"))
-        tool = stack("tool_position")
-        joints = []
-        for j, own in enumerate(base.joints):
-            largest = float(drive[:, j].max())
-            known = np.isfinite(own.torque_max)
-            joints.append(
-                replace(
-                    own,
-                    torque_max=own.torque_max if known else max(largest, 1e-6),
-                    torque_rated=own.torque_rated if known else max(largest / 2.0, 1e-6),
-                    stroke=(float(motor[:, j].min()), float(motor[:, j].max())),
-                    fastest=max(float(speed[:, j].max()), 1e-6),
-                    measured_torque=float(measured[j]),
-                    largest_torque=max(float(spring[:, j].max()), 1e-9),
-                )
-            )
-        span = np.array([tool.min(axis=0), tool.max(axis=0)])
-        return replace(base, joints=tuple(joints), tool_range=span)
 
     @cached_property
     def body_value_slopes(self) -> dict[ValueName, np.ndarray]:

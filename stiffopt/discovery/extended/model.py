@@ -127,7 +127,7 @@ class ExtendedModel:
     robot: MadeForSection | None  # robot that it was made for; None if not stated
     nominal: NominalSection  # stated values of the nominal robot
     chains: tuple[Chain | None, ...] | None  # (n,) nominal drivetrains; None for those of the robot
-    scales: dict[str, tuple[float, ...]]  # (n,) torque_rated, torque_max [N m], fastest [rad/s]
+    scales: dict[str, tuple[float, ...]]  # (n,) `JOINT_SCALES`
     extension: Extension
     parameters: tuple[dict[str, float], ...]  # reported values of every effect
     deviations: tuple[dict[str, float], ...] = ()  # their standard deviations, if stated
@@ -155,17 +155,13 @@ class ExtendedModel:
             nominal = nominal.model_copy(update={"pole_pairs": recordings.stated.pole_pairs})
         return recordings.with_nominal(nominal, self.source)
 
+    def scales_of(self, joint: int) -> dict[str, Any]:
+        """Return the constants of a joint (from 0) that scale terms."""
+        return {name: values[joint] for name, values in self.scales.items()}
+
     def scaled(self, constants: RobotConstants) -> RobotConstants:
         """Return constants with the scales that the effects were fitted with."""
-        joints = tuple(
-            replace(
-                own,
-                torque_rated=self.scales["torque_rated"][j],
-                torque_max=self.scales["torque_max"][j],
-                fastest=self.scales["fastest"][j],
-            )
-            for j, own in enumerate(constants.joints)
-        )
+        joints = tuple(replace(own, **self.scales_of(j)) for j, own in enumerate(constants.joints))
         return replace(constants, joints=joints)
 
 
@@ -181,7 +177,7 @@ def load_extended(path: str | os.PathLike[str], effects: Sequence[Effect] = ()) 
     n = len(document.joints)
     check_nominal(document.nominal, document.joints, Path(path))
     scales = {
-        name: _check_length(values, n, path, f"scales.{name}")
+        name: _check_length((0.0,) * n if values is None else values, n, path, f"scales.{name}")
         for name, values in document.scales.model_dump().items()
     }
     known = {entry.name: entry for entry in (*CATALOGUE, *effects)}

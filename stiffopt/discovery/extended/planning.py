@@ -210,13 +210,11 @@ def joint_constants(model: ExtendedModel, joint: int, own: Chain | None) -> Join
         ratio=stated(nominal.gear_ratio, 1.0),
         coulomb=stated(nominal.coulomb, 0.0),
         viscous=stated(nominal.viscous, 0.0),
-        torque_rated=model.scales["torque_rated"][joint],
-        torque_max=model.scales["torque_max"][joint],
         rotor_inertia=stated(nominal.rotor_inertia, 0.0),
         joint_damping=stated(nominal.joint_damping, 0.0),
         chain=own if model.chains is None else model.chains[joint],
         pole_pairs=nominal.pole_pairs,
-        fastest=model.scales["fastest"][joint],
+        **model.scales_of(joint),
     )
 
 

@@ -104,6 +104,14 @@ class ScalesSection(Section):
         tuple[Annotated[JointVelocity, POSITIVE], ...],
         Doc("Fastest velocities of the training runs."),
     ]
+    shown_coulomb: Annotated[
+        tuple[Annotated[JointTorque, NOT_NEGATIVE], ...] | None,
+        Doc("Dry friction that the training runs show; scales effects where none is stated."),
+    ] = None
+    shown_viscous: Annotated[
+        tuple[Annotated[JointViscous, NOT_NEGATIVE], ...] | None,
+        Doc("Viscous friction that the training runs show, likewise."),
+    ] = None
 
 
 class MadeForSection(Section):

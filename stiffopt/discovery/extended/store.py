@@ -13,7 +13,7 @@ from stiffopt.discovery.extended.model import robot_signature
 from stiffopt.discovery.extended.schema import ClosedLoopSection, LeftOpenSection
 from stiffopt.discovery.laws.law import Factor, Law, law_of
 from stiffopt.discovery.laws.table import ResidualTable, table_of
-from stiffopt.discovery.signals import RobotConstants
+from stiffopt.discovery.signals import JOINT_SCALES, RobotConstants
 from stiffopt.recording.schema import NominalSection
 
 if TYPE_CHECKING:
@@ -44,10 +44,7 @@ def extended_text(diagnosis: Diagnosis) -> str:
         *nominal_tables(recordings.stated),
         _format_table(
             "scales",
-            {
-                name: [float(getattr(joint, name)) for joint in joints]
-                for name in ("torque_rated", "torque_max", "fastest")
-            },
+            {name: [float(getattr(joint, name)) for joint in joints] for name in JOINT_SCALES},
         ),
         _format_table(
             "calibration", {str(k): v for k, v in diagnosis.extension.calibration.items() if v}

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.discovery.extended.model import VALUE_TOLERANCE, ExtendedModel, robot_signature
-from stiffopt.discovery.signals import RobotConstants
+from stiffopt.discovery.signals import JOINT_SCALES, RobotConstants
 from stiffopt.robot.robot import Robot
 from stiffopt.units import joint_unit
 
@@ -85,8 +85,7 @@ def extended_model(
         nominal=recordings.stated,
         chains=tuple(joint.chain for joint in joints),
         scales={
-            name: tuple(float(getattr(joint, name)) for joint in joints)
-            for name in ("torque_rated", "torque_max", "fastest")
+            name: tuple(float(getattr(joint, name)) for joint in joints) for name in JOINT_SCALES
         },
         extension=extension,
         # Terms use fitted amplitudes; reported values are for readers of the file.

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from stiffopt.discovery.catalogue.timing import MAX_CLOCK_OFFSET
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.sanity.interpretations import (
     DEGREE,
@@ -23,6 +24,7 @@ from stiffopt.discovery.sanity.torque_fit import (
     allowed_additions,
     fit_gain,
     residual_share,
+    without_payload,
 )
 from stiffopt.discovery.settings import MIN_MOVING_SPEED
 from stiffopt.discovery.signals import smooth_sign
@@ -122,6 +124,14 @@ class Explanations:
         additions = allowed_additions(self.robot, motion, joint)
         torque = self.samples.torque[:, joint]
         return float(residual_share(self.robot, motion, torque, joint, additions))
+
+    @property
+    def left_beside_effects(self) -> tuple[np.ndarray, np.ndarray]:
+        """Residual shares (n,) beside effects of the catalogue: of a payload, of a delay."""
+        delay, delayed = self._best_delay
+        rest = without_payload(self.robot, self.motion, self.samples.torque)
+        loaded = self._residual_shares(self.motion, rest)
+        return loaded, delayed if abs(delay) < MAX_CLOCK_OFFSET else self.strict
 
     @cached_property
     def torque_scale_known(self) -> np.ndarray:
@@ -357,15 +367,19 @@ class Explanations:
 
     def _explain_by_delay(self) -> Explanation | None:
         """Explain by a delay of all torques against the motion."""
-        best: tuple[float, np.ndarray] | None = None
+        delay, left = self._best_delay
+        if abs(delay) < _MIN_DELAY:
+            return None
+        return self._accept_explanation(left, self.own, delay=delay)
+
+    @cached_property
+    def _best_delay(self) -> tuple[float, np.ndarray]:
+        """Delay of all torques [s] with the least residual shares, and these shares (n,)."""
+        tried = []
         for delay in _DELAY_GRID:
             torque = np.vstack([each.shifted(float(delay)) for each in self.samples.series])
-            left = self._residual_shares(self.motion, torque)
-            if best is None or np.nansum(left) < np.nansum(best[1]):
-                best = float(delay), left
-        if best is None or abs(best[0]) < _MIN_DELAY:
-            return None
-        return self._accept_explanation(best[1], self.own, delay=best[0])
+            tried.append((float(delay), self._residual_shares(self.motion, torque)))
+        return min(tried, key=lambda each: float(np.nansum(each[1])))
 
     # ---- residual shares
 

@@ -102,7 +102,11 @@ class SanityGate:
         if search is not None:
             expected = self._extended_range_runs
             odd = [each for each in self._odd_runs if each not in expected]
-            odd = [each for each in odd if not _is_effect_of_all_runs(search, each)]
+            odd = [
+                each
+                for each in odd
+                if not (_is_effect_of_all_runs(search, each) or _is_effect_of_one_run(each))
+            ]
             explanation = search.best()
             if odd and (explanation is None or not _explains_odd_runs(explanation, odd)):
                 explanation = None
@@ -264,8 +268,9 @@ def _doubt_extended_range(odd: OddRun) -> Doubt:
     return Doubt(
         kind="another arm",
         joints=tuple(j + 1 for j in odd.joints),
-        evidence=f"{odd.run.name} moves faster or further than the other runs and does not fit the"
-        f" model there, in the torque of {which}. If it is the same arm with the same load, the"
+        evidence=f"{odd.run.name} moves faster or further than the other runs, or with larger"
+        f" torques, and does not fit the model there, in the torque of {which}. If it is the same"
+        f" arm with the same load, the"
         " model lacks an effect that shows only there.",
     )
 
@@ -369,11 +374,10 @@ def find_odd_runs(searches: Sequence[SingleRun]) -> list[OddRun]:
         if odd.any():
             joints = tuple(int(j) for j in np.flatnonzero(odd))
             beside = [other.samples for _, other in searches if other is not search]
-            there = _select_shared_range(
-                search.samples, beside, asked=search.robot.recordings.signals.commanded
-            )
-            outside_range = (
-                there is None or not _is_odd(Explanations(search.robot, there).strict, others).any()
+            shared = [_select_shared_range(search.samples, beside, joint=j) for j in joints]
+            outside_range = not any(
+                there is not None and _is_odd(Explanations(search.robot, there).strict, others)[j]
+                for j, there in zip(joints, shared, strict=True)
             )
             found.append(OddRun(run, search, joints, shares[k], others, outside_range))
     return found
@@ -398,6 +402,11 @@ def _is_effect_of_all_runs(together: Explanations, odd: OddRun) -> bool:
     )
 
 
+def _is_effect_of_one_run(odd: OddRun) -> bool:
+    """True if another payload or a delay of that run explains it: a diagnosis names these."""
+    return any(not _is_odd(left, odd.others).any() for left in odd.search.left_beside_effects)
+
+
 def _explains_odd_runs(explanation: Explanation, odd: Sequence[OddRun]) -> bool:
     """True if an explanation of all runs together explains the joints that are odd in some."""
     joints = sorted({joint for each in odd for joint in each.joints})
@@ -413,22 +422,24 @@ def _is_odd(shares: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 
 def _select_shared_range(
-    samples: Samples, others: Sequence[Samples], *, asked: bool
+    samples: Samples, others: Sequence[Samples], *, joint: int
 ) -> Samples | None:
-    """Select instants within the range of positions and speeds of other runs; None if too few.
+    """Select instants within the range of other runs: motion, torque of a joint; None if too few.
 
-    Torques that a law asks for (`asked`) count as well: a limit of the drive shows at the largest.
+    The torque counts since a limit of the drive shows at the largest demand.
     """
     inside = np.ones(len(samples.position), dtype=bool)
-    for name in ("position", "velocity", "acceleration", *(("torque",) if asked else ())):
-        beside = np.vstack([getattr(each, name) for each in others])
+    every = list(range(samples.position.shape[1]))
+    names = ("position", "velocity", "acceleration", "torque")
+    for name in names:
+        columns = [joint] if name == "torque" else every
+        beside = np.vstack([getattr(each, name)[:, columns] for each in others])
         low = np.where(np.isnan(beside), np.inf, beside).min(axis=0)
         high = np.where(np.isnan(beside), -np.inf, beside).max(axis=0)
         margin = _RANGE_MARGIN * (high - low)
-        own = getattr(samples, name)
+        own = getattr(samples, name)[:, columns]
         outside = (own < low - margin) | (own > high + margin)
         inside &= ~(outside & np.isfinite(beside).any(axis=0)).any(axis=1)
     if inside.sum() < _MIN_SHARED_INSTANTS:
         return None
-    names = ("position", "velocity", "acceleration", "torque")
     return replace(samples, **{name: getattr(samples, name)[inside] for name in names})

@@ -22,6 +22,8 @@ _MAX_LOAD_FRICTION = 0.4
 _MAX_OFFSET_SHARE = 0.5
 # Largest lever of a payload [m], whose mass may be that of the arm.
 _MAX_PAYLOAD_LEVER = 0.5
+# Rounds in which the inertia of a payload follows its mass and place.
+_PAYLOAD_ROUNDS = 5
 # Largest torque of a counterbalance over the largest gravity torque.
 _MAX_SPRING_SHARE = 0.9
 # Fewer moving instants give no result.
@@ -72,6 +74,51 @@ def residual_share(
     """
     reduced = _reduce_table(robot, motion, torque, joint, extra)
     return float("nan") if reduced is None else reduced.share(1.0)
+
+
+def without_payload(robot: RobotModel, motion: Motion, torque: np.ndarray) -> np.ndarray:
+    """Return torques (m, n) less those of the payload that fits them best beside any friction.
+
+    One mass at a point for all joints, added or removed, by least squares; its inertia follows from
+    mass and place, so that masses of other links are no payload.
+    """
+    last = int(np.argmax(robot.order))
+    body = robot.body_torques(last, motion.position, motion.velocity, motion.acceleration)
+    columns, targets = [], []
+    for j in range(robot.n):
+        speed, load = motion.velocity[:, j], motion.spring[:, j]
+        rows = (np.abs(speed) >= MIN_MOVING_SPEED) & np.isfinite(torque[:, j])
+        direction = smooth_sign(speed)
+        lines = np.column_stack(
+            [
+                np.ones_like(speed),
+                direction,
+                speed,
+                motion.acceleration[:, j],
+                abs(load) * direction,
+            ]
+        )[rows]
+        table = np.column_stack([torque[:, j] - load, body[:, j]])[rows]
+        size = float(np.std(table[:, 0])) if len(table) else 0.0
+        if len(table) < MIN_MOVING_INSTANTS or size == 0.0:
+            continue
+        table -= lines @ np.linalg.lstsq(lines, table, rcond=None)[0]
+        # Joints count by shares of their torques.
+        targets.append(table[:, 0] / size)
+        columns.append(table[:, 1:] / size)
+    if not columns:
+        return torque
+    stacked, target = np.vstack(columns), np.concatenate(targets)
+    moments, inertia = np.zeros(4), np.zeros(6)
+    for _ in range(_PAYLOAD_ROUNDS):
+        rest = target - stacked[:, 4:] @ inertia
+        moments = np.linalg.lstsq(stacked[:, :4], rest, rcond=None)[0]
+        if moments[0] == 0.0:
+            break
+        x, y, z = moments[1:] / moments[0]
+        about = np.array([y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y])
+        inertia = moments[0] * about
+    return np.asarray(torque - body @ np.concatenate([moments, inertia]))
 
 
 def fit_gain(
