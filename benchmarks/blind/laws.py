@@ -1,6 +1,7 @@
 """Sealed laws that no catalogue has: are they found, in the right form, and never where none is.
 
-    python -m benchmarks.blind.laws --cases 60 --none 20 --single 20 [--key dev-1] [--jobs 2]
+    python -m benchmarks.blind.laws --cases 60 --none 20 --single 20 [--key dev-1]
+        [--arms further]
 
 Cases are drawn, sealed, answered and kept as those of `python -m benchmarks.blind`. A third of the
 laws have an effect of the catalogue beside them.

@@ -17,7 +17,7 @@ from stiffopt.discovery.law_search.find import MIN_KEPT_SHARE
 from stiffopt.discovery.law_search.fit_law import fit_shapes
 from stiffopt.discovery.law_search.free_function import best_sum, residual_tables, screen
 from stiffopt.discovery.law_search.open_channel import OpenChannel
-from stiffopt.discovery.law_search.search import beats, search_channel
+from stiffopt.discovery.law_search.search import _laws_of_origin, beats, search_channel
 from stiffopt.discovery.laws import operators
 from stiffopt.discovery.laws.forms import FORMS
 from stiffopt.discovery.laws.law import Factor, Law, describe_test, law_effect, law_of
@@ -418,6 +418,21 @@ def test_functions_of_one_signal_are_one_law_whatever_it_is_called() -> None:
     )
     assert first.is_same_as(same, width=1.0)
     assert not first.is_same_as(other, width=1.0)
+
+
+def test_friction_near_standstill_is_found_whatever_function_of_speed_suggests_it() -> None:
+    """Splines of speed have too few knots for it; the one of nominal friction shows it."""
+    channel = KnownChannel(lambda s: 0.0 * s.time)
+    origin = LawSource("speed", 4)
+    base = (Factor(LawSource("speed", 4), "linear"),)
+    laws = _laws_of_origin(channel, base, origin)
+    forms = {tuple(sorted(f.form for f in law.factors)) for law in laws if SIGN in law.factors}
+    assert ("fading", "linear") in forms
+    assert {f.source.origin for law in laws for f in law.factors} == {origin}
+    beside = (Factor(LawSource("position", 1), "linear"),)
+    for law in _laws_of_origin(channel, beside, origin):
+        assert law.factors[0] == beside[0]
+        assert len(law.factors) == 2
 
 
 def test_the_best_pairs_of_every_carrier_are_tried() -> None:

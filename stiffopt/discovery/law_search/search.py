@@ -27,6 +27,7 @@ from stiffopt.discovery.thresholds import NAMED_EVIDENCE, PARAMETER_LOG_PRICE, R
 # Pairs of carrier and signal whose forms are tried: the best ones of every carrier, for one that
 # explains much does so with any signal; they explain at least this share of what the best one does.
 _PAIRS_PER_CARRIER, _MIN_PAIR_SHARE = 3, 0.5
+MAX_FACTORS = 3
 # Laws whose shapes are fitted, of the best initial shapes of every form; and of those with another
 # form, or a second one, of one signal of a fitted law, which are many and begin near it.
 _MAX_REFINED, _MAX_EXCHANGED = 10, 4
@@ -114,8 +115,28 @@ def _fit_pairs(channel: OpenChannel, terms: Sequence[FreeTerm]) -> list[FittedLa
             break
         taken[id(term.carrier)] += 1
         if taken[id(term.carrier)] <= _PAIRS_PER_CARRIER:
-            laws += _laws_of(channel, term.carrier, term.source)
+            laws += _laws_of_origin(channel, term.carrier, term.source.origin)
+    laws = list(dict.fromkeys(laws))
     return _fit_best(channel, laws, len(laws))
+
+
+def _laws_of_origin(channel: OpenChannel, base: Sequence[Factor], origin: LawSource) -> list[Law]:
+    """Return the laws of one signal beside given factors, whatever function of it is its source.
+
+    Where one of those is a function of the same signal, so are all carriers of it.
+    """
+    others = tuple(factor for factor in base if factor.source.origin != origin)
+    bases = [tuple(base)]
+    if len(others) < len(base):
+        own = [c for c in carriers(channel) if all(f.source.origin == origin for f in c)]
+        bases = [(*others, *carrier) for carrier in own]
+    return [
+        law
+        for each in bases
+        for source in channel.sources
+        if source.origin == origin and source not in {factor.source for factor in each}
+        for law in _laws_of(channel, each, source)
+    ]
 
 
 def _laws_of(channel: OpenChannel, base: Sequence[Factor], source: LawSource) -> list[Law]:
@@ -179,12 +200,8 @@ def _exchange_forms(channel: OpenChannel, found: Sequence[FittedLaw]) -> list[Fi
         laws = [
             law
             for origin in {factor.source.origin for factor in best.law.factors}
-            for source in channel.sources
-            if source.origin == origin
-            for law in _laws_of(
-                channel, [f for f in best.law.factors if f.source.origin != origin], source
-            )
-            if law.structure not in known
+            for law in _laws_of_origin(channel, best.law.factors, origin)
+            if len(law.factors) <= MAX_FACTORS and law.structure not in known
         ]
         others = _fit_best(channel, laws, best.tried + len(laws), _MAX_EXCHANGED)
         ranked = _ranked([*ranked, *others])
@@ -257,7 +274,7 @@ def _fit_near_frequencies(channel: OpenChannel, best: FittedLaw) -> list[FittedL
 
 def _add_factor(channel: OpenChannel, found: FittedLaw) -> list[FittedLaw]:
     """Return laws with one more factor, or with a fitted form in place of a carrier."""
-    if found.law.amplitude_count > 1 or len(found.law.factors) > 2:
+    if found.law.amplitude_count > 1 or len(found.law.factors) >= MAX_FACTORS:
         return []
     terms = screen(channel, found.law.factors)[:3]
     laws = [law for term in terms for law in _laws_of(channel, found.law.factors, term.source)]
