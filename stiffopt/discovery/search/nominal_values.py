@@ -18,9 +18,10 @@ from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.nuisance import MIN_TOLERANCES_OUTSIDE, OutsideValue
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.progress import Say
+from stiffopt.discovery.search.candidates import Candidate, Scorer
 from stiffopt.discovery.search.joint_fit import fit_jointly
 from stiffopt.discovery.search.rivals import Selected, rank_rivals
-from stiffopt.discovery.thresholds import UNEXPLAINED_RATIO
+from stiffopt.discovery.thresholds import NAMED_EVIDENCE, UNEXPLAINED_RATIO
 from stiffopt.recording.nominal import Tolerance
 
 # Largest standard deviation of a value outside its tolerance, in tolerances: a less determined one
@@ -61,16 +62,12 @@ def claim_outside_values(
     """Add the effects of nominal values outside their tolerances, and rank all effects anew.
 
     Only where nominal values and effects explain the recordings: beside a residual they stand for
-    an effect that is missing. More than `most` values at once stand for one as well.
+    an effect that is missing. More than `most` values at once stand for one as well. A default
+    tolerance says little of this robot: its values need the evidence of any other effect.
     """
     effects = [each.located for each in ranked]
     stated = current.robot.recordings.tolerance
-    # A default is no statement about this robot.
-    outside = [
-        each
-        for each in values_outside_tolerance(current, effects)
-        if getattr(stated, each.name.kind) is not None
-    ]
+    outside = values_outside_tolerance(current, effects)
     if not outside or len(outside) > most:
         return current, ranked
     left = current.channel_ratio(current.fit(effects, boxed=False).residual)
@@ -79,14 +76,22 @@ def claim_outside_values(
     wanted = list(effects)
     for value in outside:
         located = _locate_effect(value, catalogue, current)
-        if located is not None and not any(located.same_place(other) for other in wanted):
-            wanted.append(located)
+        if located is None or any(located.same_place(other) for other in wanted):
+            continue
+        by_default = getattr(stated, value.name.kind) is None
+        if by_default and not _is_evident(Scorer(current, effects).score(located)):
+            continue
+        wanted.append(located)
     if len(wanted) == len(effects):
         return current, ranked
     wider, found = fit_jointly(start, wanted)
     # The search has tried to exchange them: rivals that gained enough are among the effects.
     again = (rank_rivals(wider, found, each, catalogue, tell=tell) for each in found)
     return wider, [each for each in again if each is not None]
+
+
+def _is_evident(found: Candidate | None) -> bool:
+    return found is not None and found.evidence > NAMED_EVIDENCE
 
 
 def _locate_effect(

@@ -104,14 +104,45 @@ def mass_sentences(diagnosis: Diagnosis) -> list[str]:
     return [*found, *_single_body_sentence(diagnosis), *_impossible_mass_sentences(diagnosis)]
 
 
+def largest_moment_change(diagnosis: Diagnosis) -> str:
+    """Return the link whose re-identified first moment changed most, with the change; or "".
+
+    A first moment is the weight that a joint feels, of which masses alone say little.
+    """
+    moments = [
+        (abs(value[1]), body.link, value)
+        for body in moved_bodies(diagnosis)
+        for value in _determined_changes(body)
+        if value[0] != "m"
+    ]
+    if not moments:
+        return ""
+    _, link, value = max(moments)
+    return f"{link}, {_change_phrase(value)}"
+
+
+# Name, change, standard deviation and unit of an inertial parameter.
+_Change = tuple[str, float, float, str]
+_MASS_NAMES = {"m": "mass", **{f"m{axis}": f"first moment {axis}" for axis in "xyz"}}
+
+
+def _determined_changes(body: MovedBody) -> list[_Change]:
+    """Return the determined changes of mass and first moment of a link."""
+    return [
+        each
+        for each in body.shown
+        if each[0] in _MASS_NAMES and abs(each[1]) > _MIN_DEVIATIONS * each[2]
+    ]
+
+
+def _change_phrase(value: _Change) -> str:
+    name, change, sd, unit = value
+    return f"{_MASS_NAMES[name]} {'+' if change > 0.0 else ''}{pm(change, sd, unit)}"
+
+
 def _link_phrase(body: MovedBody) -> str:
     """Return the determined changes of mass and first moment of a link, or ""."""
-    names = {"m": "mass", "mx": "first moment x", "my": "first moment y", "mz": "first moment z"}
-    shown = [
-        f"{names[name]} {'+' if change > 0.0 else ''}{pm(change, sd, unit)}"
-        for name, change, sd, unit in body.shown
-        if name in names and abs(change) > _MIN_DEVIATIONS * sd
-    ]
+    shown = [_change_phrase(each) for each in _determined_changes(body)]
     return f"{body.link}: {', '.join(shown)}" if shown else ""
 
 

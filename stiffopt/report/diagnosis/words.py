@@ -22,6 +22,7 @@ from stiffopt.discovery.judging.unexplained import ToolForce, Unexplained
 from stiffopt.discovery.names import Channel, channel_name
 from stiffopt.discovery.thresholds import OPEN_RATIO
 from stiffopt.report.common.text import capital, listed, significant, words
+from stiffopt.report.diagnosis.values_to_enter import largest_moment_change
 
 CHANNEL_OUTCOMES = {
     "named": "explained by findings",
@@ -83,6 +84,8 @@ def headline(diagnosis: Diagnosis) -> str:
     if unstated and all(held_out_share(diagnosis, each) < least for each in leading):
         values = f"identified values without nominal value: {_unstated_phrase(unstated)}"
         text = f"{values}; small beside them: {text}" if leading else values
+    if rigid := _rigid_clause(diagnosis, least):
+        text = f"{text}; {rigid}"
     left = diagnosis.unexplained
     if left is None:
         return capital(text)
@@ -91,6 +94,16 @@ def headline(diagnosis: Diagnosis) -> str:
         return capital(f"{_describe_open_residual(left)}; {text}")
     more = is_partly_unexplained(diagnosis)
     return capital(f"{text}; {_describe_open_residual(left)}" if more else text)
+
+
+def _rigid_clause(diagnosis: Diagnosis, least: float) -> str:
+    """Return what re-identified masses changed most, where they explain the share `least`."""
+    rigid = diagnosis.search.rigid
+    own = (each.share for each in diagnosis.shares if each.part and each.part.kind == "nominal")
+    if rigid is None or not rigid.freed or max(own, default=0.0) < least:
+        return ""
+    change = largest_moment_change(diagnosis)
+    return f"masses re-identified (most: {change})" if change else ""
 
 
 def is_partly_unexplained(diagnosis: Diagnosis) -> bool:
