@@ -252,10 +252,15 @@ class _Search:
         self._fit(prune_effects(current, effects))
 
     def _add_forward(self) -> None:
-        """Add the best candidates, several per round, until none passes or Ctrl-C."""
+        """Add the best candidates, several per round, until none passes or Ctrl-C.
+
+        Effects that replace one another in turn end it as well: the same ones come again.
+        """
         most = self.most + len(self.effects)
+        fitted: set[frozenset[str]] = set()
         while len(self.effects) < most:
             effects = self.effects
+            fitted.add(frozenset(each.label for each in effects))
             scorer = Scorer(self.current, effects)
             room = min(self.together, most - len(effects))
             try:
@@ -271,7 +276,8 @@ class _Search:
                 self.say(STOPPED_MESSAGE)
                 self.stopped = True
                 break
-            if best[0].located.label not in [e.label for e in self.effects]:
+            now = frozenset(each.label for each in self.effects)
+            if best[0].located.label not in now or now in fitted:
                 break
         self._fit(self.effects)
 
