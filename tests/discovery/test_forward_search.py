@@ -12,7 +12,7 @@ from stiffopt.discovery.search import search as module
 
 @pytest.mark.parametrize("first", [{"dry friction"}, {"drag", "Stribeck"}])
 def test_effects_that_replace_one_another_end_the_search(first, monkeypatch):
-    """Each of two sets is likelier to add to than to keep: dry friction beside drag at low speed."""
+    """Each of two sets is likelier to add to than to keep, such as friction and drag."""
     follows = {
         frozenset({"dry friction"}): ("drag", {"drag", "Stribeck"}),
         frozenset({"drag", "Stribeck"}): ("dry friction", {"dry friction"}),
