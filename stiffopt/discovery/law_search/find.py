@@ -34,6 +34,7 @@ from stiffopt.discovery.search.uncertainty import estimate_parameters
 from stiffopt.discovery.thresholds import (
     CONFIRMED_DEVIATIONS,
     FAINT_RATIO,
+    NAMED_PROBABILITY,
     PARAMETER_LOG_PRICE,
     RIVAL_LOG_ODDS,
 )
@@ -279,7 +280,7 @@ class _State:
         first = self._named(outcome.best.law, outcome.best.fit.amplitudes.tolist())
         beside = self.comparison.linearised_at(self.comparison.fit([*self.effects, first]))
         ranked = self._rank_places(beside, (outcome.best, *outcome.near))
-        if not ranked:
+        if not ranked or not self._predicts_other_runs(ranked):
             return None
         located = ranked[0].located
         effects = [*self.effects, located]
@@ -303,6 +304,18 @@ class _State:
             attainable=outcome.attainable,
             tried=outcome.best.tried,
             evidence=outcome.best.evidence,
+        )
+
+    def _predicts_other_runs(self, ranked: Sequence[_Ranked]) -> bool:
+        """Return False where several frequencies of one wave share the probability.
+
+        Each fits the runs it was fitted to, and none tells the phase of another run.
+        """
+        first = ranked[0].law
+        probabilities = softmax(self._log_odds(ranked))
+        alike = [each.law.structure == first.structure for each in ranked]
+        return not first.frequencies or bool(
+            probabilities[0] >= NAMED_PROBABILITY * probabilities[alike].sum()
         )
 
     def _restorable(
