@@ -53,13 +53,13 @@ def function_errors(
         ("link_position", f"ql{true['joint']}", noise.deflection[joint]),
     )
     found = Extension(effects=model.extension.effects)
+    scaled = replace(training, constants=model.scaled(training.constants))
     # By role and kind: squares of the error and of the true effect, over the noise.
     sums: dict[str, np.ndarray] = {}
     compared: dict[str, list[_Compared]] = {}
     for entry in recordings.with_role("test", "extrapolate"):
         run = recordings.open(entry)
-        scaled = model.scaled(training.constants)
-        predictor = Predictor(replace(training, constants=scaled), run)
+        predictor = Predictor(scaled, run)
         added_to = _added_along(predictor, found)
         truth, healthy = (np.load(exact / f"{key}_{run.name}.npz") for key in ("pred", "healthy"))
         own = sums.setdefault(run.role, np.zeros((2, 2)))

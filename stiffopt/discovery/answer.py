@@ -152,12 +152,16 @@ def format_probability(probability: float) -> str:
 
 def statement_headline(diagnosis: Diagnosis, findings: list[Finding]) -> str:
     """Return the findings for a headline: the first ones with values and places."""
-    every = [each for each in statements(diagnosis) if each.finding in findings]
-    own = [each for each in every if each.certainty != "possible"] or every
+    own = _named_or_all([each for each in statements(diagnosis) if each.finding in findings])
     text = "; ".join(_with_rivals(each) for each in own[:MAX_HEADLINE_FINDINGS])
     if more := len(own) - MAX_HEADLINE_FINDINGS:
         text += f"; and {more} more" if more > 0 else ""
     return text
+
+
+def _named_or_all(every: list[Statement]) -> list[Statement]:
+    """Return the statements of findings that are more than possible, or all if none is."""
+    return [each for each in every if each.certainty != "possible"] or every
 
 
 def action(diagnosis: Diagnosis) -> str:
@@ -165,8 +169,7 @@ def action(diagnosis: Diagnosis) -> str:
 
     Between two states what changed comes before what both lack.
     """
-    told = statements(diagnosis)
-    own = [each for each in told if each.certainty != "possible"] or told
+    own = _named_or_all(statements(diagnosis))
     new = [each for each in own if not each.finding.located.calibrated]
     new.sort(key=lambda each: each.finding not in diagnosis.changes)
     first = next(iter(new or own), None)

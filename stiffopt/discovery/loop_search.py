@@ -6,8 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import special
-from scipy.special import expit, softmax
+from scipy.special import erfc, expit, softmax
 
 from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.parameters import Parameters
@@ -98,11 +97,11 @@ class LoopSearch:
             searched.add(worst)
             self.say("search the simulation's residual")
             whole = self._model(found, added)
-            for look in (self._limit, self._best):
+            least = NAMED_EVIDENCE / self._stretch_count
+            for look, gain in ((self._limit, least), (self._best, 0.0)):
                 new = look(model, whole, worst)
                 better = None if new is None else self._fit(found, [*added, new])
-                least = NAMED_EVIDENCE / self._stretch_count if look == self._limit else 0.0
-                if new is not None and better is not None and better.misfit < model.misfit - least:
+                if new is not None and better is not None and better.misfit < model.misfit - gain:
                     self.say(f"found {new.located.label} in the simulation")
                     model, added = better, [*added, new]
                     break
@@ -167,7 +166,7 @@ class LoopSearch:
             value, chance = float(parameter.convert(fitted_value)) - sum(alike), 0.0
             if stated is not None:
                 value -= stated[0]
-                chance = count * float(special.erfc(abs(value) / np.hypot(sd, stated[1]) / 2**0.5))
+                chance = count * float(erfc(abs(value) / np.hypot(sd, stated[1]) / 2**0.5))
             else:
                 evidence = 0.5 * (value / sd) ** 2
                 evidence -= float(np.log(model.expected_deviations[place] / sd))

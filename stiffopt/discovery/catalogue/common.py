@@ -35,8 +35,8 @@ def dry_friction(constants: JointConstants) -> float:
 
 def viscous_friction(constants: JointConstants) -> float:
     """Return the viscous coefficient, stated, shown or that of a usual geared joint [N m s/rad]."""
-    usual = 0.08 * constants.torque_rated / max(constants.fastest, 1e-3)
-    usual = max(usual, constants.shown_viscous)
+    geared = 0.08 * constants.torque_rated / max(constants.fastest, 1e-3)
+    usual = max(geared, constants.shown_viscous)
     return constants.viscous if constants.viscous > 0.0 else usual
 
 

@@ -429,10 +429,9 @@ def _select_shared_range(
     The torque counts since a limit of the drive shows at the largest demand.
     """
     inside = np.ones(len(samples.position), dtype=bool)
-    every = list(range(samples.position.shape[1]))
     names = ("position", "velocity", "acceleration", "torque")
     for name in names:
-        columns = [joint] if name == "torque" else every
+        columns = [joint] if name == "torque" else slice(None)
         beside = np.vstack([getattr(each, name)[:, columns] for each in others])
         low = np.where(np.isnan(beside), np.inf, beside).min(axis=0)
         high = np.where(np.isnan(beside), -np.inf, beside).max(axis=0)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import lsq_linear, minimize_scalar
 
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.settings import MIN_MOVING_SPEED
-from stiffopt.discovery.signals import smooth_sign
+from stiffopt.discovery.signals import PARAMETERS_PER_BODY, smooth_sign
 
 # Relative error of a stated friction or rotor inertia, down and up: far above the effect of cold
 # grease, far below that of a wrong unit.
@@ -82,23 +82,12 @@ def without_payload(robot: RobotModel, motion: Motion, torque: np.ndarray) -> np
     One mass at a point for all joints, added or removed, by least squares; its inertia follows from
     mass and place, so that masses of other links are no payload.
     """
-    last = int(np.argmax(robot.order))
-    body = robot.body_torques(last, motion.position, motion.velocity, motion.acceleration)
+    last, body = _torques_of_last_body(robot, motion)
     columns, targets = [], []
     for j in range(robot.n):
-        speed, load = motion.velocity[:, j], motion.spring[:, j]
-        rows = (np.abs(speed) >= MIN_MOVING_SPEED) & np.isfinite(torque[:, j])
-        direction = smooth_sign(speed)
-        lines = np.column_stack(
-            [
-                np.ones_like(speed),
-                direction,
-                speed,
-                motion.acceleration[:, j],
-                abs(load) * direction,
-            ]
-        )[rows]
-        table = np.column_stack([torque[:, j] - load, body[:, j]])[rows]
+        rows = _moving_rows(motion, torque[:, j], j)
+        lines = np.column_stack(_loss_columns(motion, j))[rows]
+        table = np.column_stack([torque[:, j] - motion.spring[:, j], body[:, j]])[rows]
         size = float(np.std(table[:, 0])) if len(table) else 0.0
         if len(table) < MIN_MOVING_INSTANTS or size == 0.0:
             continue
@@ -109,16 +98,34 @@ def without_payload(robot: RobotModel, motion: Motion, torque: np.ndarray) -> np
     if not columns:
         return torque
     stacked, target = np.vstack(columns), np.concatenate(targets)
-    moments, inertia = np.zeros(4), np.zeros(6)
+    link, added = robot.arm.tree.bodies[int(robot.order[last])], np.zeros(PARAMETERS_PER_BODY)
     for _ in range(_PAYLOAD_ROUNDS):
-        rest = target - stacked[:, 4:] @ inertia
-        moments = np.linalg.lstsq(stacked[:, :4], rest, rcond=None)[0]
-        if moments[0] == 0.0:
+        rest = target - stacked[:, 4:] @ added[4:]
+        mass, *moment = np.linalg.lstsq(stacked[:, :4], rest, rcond=None)[0]
+        if mass == 0.0:
             break
-        x, y, z = moments[1:] / moments[0]
-        about = np.array([y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y])
-        inertia = moments[0] * about
-    return np.asarray(torque - body @ np.concatenate([moments, inertia]))
+        point = replace(link, mass=mass, centre=np.array(moment) / mass, inertia=np.zeros((3, 3)))
+        added = point.inertial_parameters
+    return np.asarray(torque - body @ added)
+
+
+def _torques_of_last_body(robot: RobotModel, motion: Motion) -> tuple[int, np.ndarray]:
+    """Return the last body's place among the joints, and its torques by parameters (m, n, 10)."""
+    last = int(np.argmax(robot.order))
+    return last, robot.body_torques(last, motion.position, motion.velocity, motion.acceleration)
+
+
+def _moving_rows(motion: Motion, torque: np.ndarray, joint: int) -> np.ndarray:
+    """Return True at the instants (m,) at which a joint moves with a known torque (m,)."""
+    return np.asarray((np.abs(motion.velocity[:, joint]) >= MIN_MOVING_SPEED) & np.isfinite(torque))
+
+
+def _loss_columns(motion: Motion, joint: int) -> tuple[np.ndarray, ...]:
+    """Return offset, friction by load, dry and viscous friction and rotor inertia, of unit size."""
+    speed, spring = motion.velocity[:, joint], motion.spring[:, joint]
+    direction = smooth_sign(speed)
+    by_load = np.abs(spring) * direction
+    return np.ones_like(speed), by_load, direction, speed, motion.acceleration[:, joint]
 
 
 def fit_gain(
@@ -161,26 +168,18 @@ def fit_gain(
 def _reduce_table(
     robot: RobotModel, motion: Motion, torque: np.ndarray, joint: int, extra: Additions | None
 ) -> _ReducedTable | None:
-    speed = motion.velocity[:, joint]
-    rows = (np.abs(speed) >= MIN_MOVING_SPEED) & np.isfinite(torque)
+    rows = _moving_rows(motion, torque, joint)
     if rows.sum() < MIN_MOVING_INSTANTS or np.ptp(torque[rows]) == 0.0:
         return None
-    spring = motion.spring[:, joint]
-    direction = smooth_sign(speed)
-    acceleration = motion.acceleration[:, joint]
-    stated = (
-        (robot.coulomb[joint], direction),
-        (robot.viscous[joint], speed),
-        (robot.rotor_inertia[joint], acceleration),
-    )
-    nominal = spring + sum(value * column for value, column in stated)
+    columns = list(_loss_columns(motion, joint))
+    stated = (robot.coulomb[joint], robot.viscous[joint], robot.rotor_inertia[joint])
+    own = (value * column for value, column in zip(stated, columns[2:], strict=True))
+    nominal = motion.spring[:, joint] + sum(own)
     link_side = robot.recordings.torque_side == "link"
     largest = np.abs(motion.spring if link_side else nominal[rows]).max()
     offset = _MAX_OFFSET_SHARE * float(largest)
-    columns = [np.ones_like(speed), np.abs(spring) * direction]
     lower, upper = [-offset, 0.0], [offset, _MAX_LOAD_FRICTION]
-    for value, column in stated:
-        columns.append(column)
+    for value in stated:
         lower.append(-_MAX_RELATIVE_DECREASE * value)
         upper.append(_MAX_RELATIVE_INCREASE * value if value > 0.0 else np.inf)
     if extra is not None:
@@ -218,19 +217,18 @@ class _ReducedTable:
 
 def allowed_additions(robot: RobotModel, motion: Motion, joint: int) -> Additions:
     """Return a spring at the joint and another payload as possible additions."""
-    angle, at = motion.position[:, joint], motion.position
-    last = int(np.argmax(robot.order))
-    payload = robot.body_torques(last, at, motion.velocity, motion.acceleration)[:, joint]
+    angle = motion.position[:, joint]
+    last, payload = _torques_of_last_body(robot, motion)
     masses = robot.constants.masses
     mass = float(masses.sum())
-    weight = robot.gravity_torque(at, robot.recordings.gravity)[:, joint]
+    weight = robot.gravity_torque(motion.position, robot.recordings.gravity)[:, joint]
     spring = _MAX_SPRING_SHARE * max(float(np.abs(weight).max()), 1e-9)
     moment = mass * _MAX_PAYLOAD_LEVER
     stretch = spring / max(float(np.abs(angle).max()), 1e-9)
     inertia = moment * _MAX_PAYLOAD_LEVER
     body_lower = [-float(masses[last]), *[-moment] * 3, *[-inertia] * 6]
     return Additions(
-        columns=np.column_stack([angle, np.sin(angle), np.cos(angle), payload]),
+        columns=np.column_stack([angle, np.sin(angle), np.cos(angle), payload[:, joint]]),
         lower=np.array([-stretch, -spring, -spring, *body_lower]),
         upper=np.array([stretch, spring, spring, mass, *[moment] * 3, *[inertia] * 6]),
     )

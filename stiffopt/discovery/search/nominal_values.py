@@ -73,13 +73,13 @@ def claim_outside_values(
     left = current.channel_ratio(current.fit(effects, boxed=False).residual)
     if not np.nanmax(left / current.least) < UNEXPLAINED_RATIO:
         return current, ranked
-    wanted = list(effects)
+    wanted, scorer = list(effects), Scorer(current, effects)
     for value in outside:
         located = _locate_effect(value, catalogue, current)
         if located is None or any(located.same_place(other) for other in wanted):
             continue
         by_default = getattr(stated, value.name.kind) is None
-        if by_default and not _is_evident(Scorer(current, effects).score(located)):
+        if by_default and not _is_evident(scorer.score(located)):
             continue
         wanted.append(located)
     if len(wanted) == len(effects):
