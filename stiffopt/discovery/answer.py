@@ -218,10 +218,14 @@ def _state_finding(diagnosis: Diagnosis, finding: Finding) -> Statement:
     where = place(diagnosis, located)
     named = _name_parameters(diagnosis, finding)
     sentence = missing_physics(diagnosis, finding)
+    if where == located.run:  # its name keeps its case where a sentence begins
+        sentence = f"in {where}: {sentence}"
+    elif where != "robot":
+        sentence = f"{where}: {sentence}"
     return Statement(
         finding=finding,
         place=where,
-        sentence=sentence if where == "robot" else f"{where}: {sentence}",
+        sentence=sentence,
         certainty=finding.certainty,
         probability=format_probability(finding.probability),
         action=_describe_remedy(diagnosis, finding, named, where),

@@ -134,7 +134,7 @@ def test_payload_of_one_run_is_named_with_its_run(tmp_path: Path) -> None:
     mass = finding.parameters[0]
     assert mass.name == "dm"
     assert abs(mass.value - 0.6) < 3.0 * mass.sd < 0.2
-    assert headline(diagnosis).count("Run_2: 0.6") == 1
+    assert headline(diagnosis).count("In run_2: 0.6") == 1
 
 
 def saturated(logs: list[Log]) -> None:
