@@ -28,7 +28,7 @@ _WINDOW_HALVINGS, _REFINED_WINDOWS = 3, 3
 # Alternations of intervals and part, and of intervals and noise.
 _MAX_ALTERNATIONS, _MAX_NOISE_ROUNDS = 60, 4
 # Fits with joints weighted by the residual of the fit before.
-_REWEIGHTINGS = 3
+_REWEIGHTING_ROUNDS = 3
 # Relative eigenvalue below which a combination of base parameters is not excited.
 _MIN_EIGENVALUE = 1e-9
 
@@ -272,7 +272,7 @@ class _BaseFit:
         While a part is missing elsewhere, residuals there look like correlated noise that hides it:
         instants are first assigned as if they were independent.
         """
-        for _ in range(_REWEIGHTINGS):
+        for _ in range(_REWEIGHTING_ROUNDS):
             carried, _ = self._alternate(carried, correlated=False)
             self._set_noise_beside(_load_columns(self._instants, carried))
         return self._alternate(carried)
