@@ -96,10 +96,9 @@ def simulate_stretches(
 ) -> list[Simulated]:
     """Simulate stretches side by side, each from its first measured position.
 
-    `free`: parameters to derive by, beside the delay; default none. `refinement`: divides the
-    longest step.
+    `free`: parameters to derive by, beside the delay; default no derivatives. `refinement`: divides
+    the longest step.
     """
-    free = np.zeros(0, dtype=int) if free is None else free
     lanes, _ = loop.lanes(free, 1)
     found: list[Simulated] = []
     for first in range(0, len(stretches), lanes):
@@ -113,11 +112,11 @@ def _simulate_together(
     loop: CommandedArm,
     stretches: Sequence[Stretch],
     parameters: Parameters,
-    free: np.ndarray,
+    free: np.ndarray | None,
     refinement: float,
 ) -> list[Simulated]:
     """Simulate as many stretches as a call has lanes for."""
-    n, m = loop.n, len(free) + 1
+    n, m = loop.n, 0 if free is None else len(free) + 1
     lanes, function = loop.lanes(free, _CALL_STEPS)
     late = parameters.delay + parameters.of("lateness")
     drives = [_drive(own, late, _MAX_STEP / refinement) for own in stretches]
@@ -125,28 +124,28 @@ def _simulate_together(
     # Steps of no width change nothing: they fill lanes up.
     given = np.zeros((calls * _CALL_STEPS, lanes, 2 * n))
     width = np.zeros((calls * _CALL_STEPS, lanes))
-    state = np.zeros((loop.size * (1 + m), lanes))
+    state = np.zeros((lanes, loop.size * (1 + m)))
     found = []
     for lane, (own, drive) in enumerate(zip(stretches, drives, strict=True)):
         given[: len(drive.width), lane], width[: len(drive.width), lane] = drive.given, drive.width
         start = own.run.position[own.begin]
-        state[: loop.size, lane] = loop.begin(start, own.velocity, parameters.values)
+        state[lane, : loop.size] = loop.begin(start, own.velocity, parameters.values)
         rows = own.end - own.begin + 1
         found.append(Simulated(np.tile(start, (rows, 1)), np.zeros((rows, n, m))))
     given[:, len(stretches) :], width[:, len(stretches) :] = given[:, :1], width[:, :1]
-    state[:, len(stretches) :] = state[:, :1]
-    values = np.tile(parameters.values[:, None], (1, _CALL_STEPS))
+    state[len(stretches) :] = state[0]
+    values = np.tile(parameters.values, (_CALL_STEPS, 1))
     for first in range(0, calls * _CALL_STEPS, _CALL_STEPS):
         steps = slice(first, first + _CALL_STEPS)
-        states = np.asarray(
-            function(state, given[steps].reshape(-1, 2 * n).T, values, width[steps].reshape(1, -1))
-        ).reshape(len(state), _CALL_STEPS, lanes)
-        state = states[:, -1]
+        inputs = (state, given[steps], values, width[steps])
+        (found_states,) = function(*(own.reshape(-1) for own in inputs))
+        states = found_states.reshape(_CALL_STEPS, *state.shape)
+        state = states[-1]
         for lane, drive in enumerate(drives):
             met = np.flatnonzero((drive.ends > first) & (drive.ends <= first + _CALL_STEPS))
-            at_rows = states[:, drive.ends[met] - first - 1, lane].T
+            at_rows = states[drive.ends[met] - first - 1, lane]
             found[lane].position[met + 1] = at_rows[:, :n]
-            slopes = at_rows[:, loop.size :].reshape(-1, m, loop.size)[:, :, :n]
+            slopes = at_rows[:, loop.size :].reshape(len(met), m, loop.size)[:, :, :n]
             found[lane].slopes[met + 1] = slopes.transpose(0, 2, 1)
     return found
 
@@ -185,13 +184,12 @@ def initial_velocity(loop: CommandedArm, run: CommandedRun, parameters: Paramete
     span = int(np.searchsorted(run.time, run.time[0] + _BEGINNING_SECONDS))
     span = min(max(span, 1), len(run.time) - 1)
     rate = (run.command[span] - run.command[0]) / (run.time[span] - run.time[0])
-    step = loop.step_function(np.zeros(0, dtype=int))
+    step = loop.step_function()
     given = np.concatenate([run.command[0], np.zeros(loop.n)])
-    n, size = loop.n, loop.size
+    n = loop.n
     state = loop.begin(run.position[0], np.zeros(n), parameters.values)
     for _ in range(_SETTLING_STEPS):
-        moved = step(np.concatenate([state, np.zeros(size)]), given, parameters.values, _MAX_STEP)
-        state = np.asarray(moved)[:size, 0]
+        state = np.asarray(step(state, given, parameters.values, _MAX_STEP))[:, 0]
         state[:n] = run.position[0]
     velocity: np.ndarray = state[n : 2 * n]
     return velocity.clip(np.minimum(rate, 0.0), np.maximum(rate, 0.0))
