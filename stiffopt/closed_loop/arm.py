@@ -57,7 +57,7 @@ class CommandedArm:
             at_output = self.physics.springs[joint].encoder_at_output
             (self.motor_sides if at_output else self.link_sides)[joint] = self.n + k
         self._steps: dict[bytes | None, tuple[ca.Function, ca.Function]] = {}
-        self._lanes: dict[tuple[bytes | None, int], BufferedFunction] = {}
+        self._lanes: dict[bytes | None, BufferedFunction] = {}
 
     @property
     def size(self) -> int:
@@ -95,15 +95,15 @@ class CommandedArm:
         """
         return self._both_steps(free)[0]
 
-    def lanes(self, free: np.ndarray | None, count: int) -> tuple[int, BufferedFunction]:
-        """Return a number of lanes and `count` steps of all of them, side by side.
+    def lanes(self, free: np.ndarray | None) -> tuple[int, BufferedFunction]:
+        """Return a number of lanes and a step of all of them, side by side.
 
-        States, commands and steps of the lanes follow one another, those of a step together;
-        parameters are the same in all lanes. CasADi's own matrices would take longer than steps.
+        States, commands and steps of the lanes follow one another; parameters are the same in all
+        lanes.
         """
-        step, key = self._both_steps(free)[1], (_key(free), count)
+        step, key = self._both_steps(free)[1], _key(free)
         if key not in self._lanes:
-            self._lanes[key] = BufferedFunction(step.mapaccum(count))
+            self._lanes[key] = BufferedFunction(step)
         return int(step.size2_in(0)), self._lanes[key]
 
     def _both_steps(self, free: np.ndarray | None) -> tuple[ca.Function, ca.Function]:

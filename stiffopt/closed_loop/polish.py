@@ -405,10 +405,7 @@ class _Fit:
         noise = self.noise(point)
         hessian, _ = self._normal_equations(parameters, point, noise)
         inverse, weighted = np.linalg.inv(hessian), point.slopes / noise[:, None]
-        finer = (
-            self.simulate(parameters, refinement=_REFINEMENT_RATIO).residual
-            - point.residual
-        )
+        finer = self.simulate(parameters, refinement=_REFINEMENT_RATIO).residual - point.residual
         finer /= 1.0 - _REFINEMENT_RATIO**-2
         moved = inverse @ np.einsum("kjm,kj->m", weighted, np.nan_to_num(finer) / noise)
         error = np.sqrt(np.nanmean((finer - point.slopes @ moved) ** 2, axis=0))
