@@ -112,10 +112,11 @@ class LoopSearch:
         model, found, findings = self._leave_out_unsure(model, found, findings)
         model, found, findings = self._replace_losses(model, found, findings)
         # Joints by what they leave; what the initial shapes of an effect leave is no second effect.
+        # Where torque has no scale, sizes of effects are unknown.
         searched = set[int]()
         while len(added) < MAX_EFFECTS:
             assert model.noise_ratio is not None
-            ratio = np.where(model.lacks, model.noise_ratio, 0.0)
+            ratio = np.where(model.lacks & model.loop.law.scaled, model.noise_ratio, 0.0)
             ratio[list(searched)] = 0.0
             worst = int(np.argmax(ratio))
             if ratio[worst] == 0.0:
