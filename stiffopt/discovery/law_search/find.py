@@ -30,7 +30,7 @@ from stiffopt.discovery.search.joint_fit import passes_thresholds, prune_effects
 from stiffopt.discovery.search.left_out_gain import select_predictive
 from stiffopt.discovery.search.rivals import Selected, tempering_width
 from stiffopt.discovery.search.search import SearchResult
-from stiffopt.discovery.search.uncertainty import estimate_parameters
+from stiffopt.discovery.search.uncertainty import estimate_parameters, null_probability
 from stiffopt.discovery.thresholds import (
     CONFIRMED_DEVIATIONS,
     FAINT_RATIO,
@@ -266,12 +266,29 @@ class _State:
             apart = OpenChannel(self.comparison, others, number)
             if may_beat(apart, beside.square, own):
                 outcome = search_channel(apart)
-                if outcome.best is not None and beats(apart, outcome.best, beside.square, own):
+                if outcome.best is not None and beats(
+                    apart, outcome.best, beside.square, own, sized=self._are_sized(own)
+                ):
                     self.effects, self._dropped = others, replaced
                     return outcome
             if not is_open:
                 return None
         return search_channel(beside)
+
+    def _are_sized(self, findings: Sequence[Selected]) -> bool:
+        """Return False where one of the findings is as likely zero as not by its reported sizes.
+
+        Values that make up for one another are no explanation, however well they fit together.
+        """
+        estimate = estimate_parameters(self.comparison, self.effects)
+        chances = [
+            estimate.size_p_value(
+                self.effects.index(each.located),
+                each.located.constants(self.comparison.constants),
+            )
+            for each in findings
+        ]
+        return all(c is None or null_probability(c) < 1.0 - NAMED_PROBABILITY for c in chances)
 
     def add(self, outcome: ChannelLaw) -> FoundLaw | None:
         """Fit a law beside the effects; None where they leave it nothing."""
