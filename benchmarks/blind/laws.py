@@ -1,7 +1,7 @@
 """Sealed laws that no catalogue has: are they found, in the right form, and never where none is.
 
     python -m benchmarks.blind.laws --cases 60 --none 20 --single 20 [--key dev-1]
-        [--arms further]
+        [--arms further|heavy]
 
 Cases are drawn, sealed, answered and kept as those of `python -m benchmarks.blind`. A third of the
 laws have an effect of the catalogue beside them.
@@ -32,7 +32,11 @@ from .wilson import wilson
 WORK = Path(__file__).with_name("work")
 PAGE = Path(__file__).with_name("LAWS.md")
 # Robots of the cases and their shares, by the choice of the command line.
-ARMS = {"usual": (("small3", 0.75), ("arm6", 0.25)), "further": FURTHER_ARMS}
+ARMS = {
+    "usual": (("small3", 0.75), ("arm6", 0.25)),
+    "further": FURTHER_ARMS,
+    "heavy": (("big6", 0.5), ("pallet4", 0.5)),
+}
 SEVERITIES = (1.0, 1.5, 3.0, 6.0)
 WITH_CATALOGUE = 1.0 / 3.0
 TIMEOUT = 900.0  # [s]
