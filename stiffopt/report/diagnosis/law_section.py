@@ -17,6 +17,7 @@ from stiffopt.discovery.laws.sources import LawSource
 from stiffopt.report.common.svg import PALE, WIDTH, figure_style, panels
 from stiffopt.report.common.text import scale
 from stiffopt.report.diagnosis import regimes
+from stiffopt.report.diagnosis.values_to_enter import change_words
 from stiffopt.report.diagnosis.words import channel_words
 
 # Definitions of what an equation of a law may contain, for samples x_0, x_1, ... every dt seconds.
@@ -46,6 +47,8 @@ _HISTORY_DEFINITIONS = {
     "load": "before its first sample a load was x = y = x_0",
 }
 _HISTORY_DEFINITIONS["acceleration"] = _HISTORY_DEFINITIONS["speed"]
+# Share of a law's variance from which a nominal value is told beside it: others change little.
+_MIN_SHARED_VARIANCE = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,6 +75,7 @@ def _describe_law(diagnosis: Diagnosis, finding: Finding, law: Law) -> LawOnPage
     values = (*finding.estimated.amplitudes, *finding.located.shapes)
     lines = [
         _describe_share(diagnosis, finding),
+        _describe_values(diagnosis, finding),
         f"In words: {law.words}{resembled(law)}.",
         f"The test that would tell: {describe_test(law)}",
     ]
@@ -123,6 +127,40 @@ def _describe_share(diagnosis: Diagnosis, finding: Finding) -> str:
                 )
             return text
     return ""
+
+
+def _describe_values(diagnosis: Diagnosis, finding: Finding) -> str:
+    """Return the nominal values fitted beside a law that its size is told together with.
+
+    A part of a law may be in nominal values within their tolerances: both together are the model.
+    """
+    fit = diagnosis.search.fit
+    keys = [each.key for each in fit.effects]
+    if not fit.nuisance or finding.located.key not in keys:
+        return ""
+    place = keys.index(finding.located.key)
+    begin = fit.nuisance + sum(len(e.effect.amplitudes) for e in fit.effects[:place])
+    own = slice(begin, begin + len(finding.effect.amplitudes))
+    columns = diagnosis.search.comparison.stack_columns(fit.effects)[:, own]
+    squares, covariance = columns.T @ columns, fit.posterior.covariance
+    # Share of the law's variance, over all rows, that is gone where a nominal value is known.
+    shared = covariance[own, : fit.nuisance]
+    gone = np.sum(shared * (squares @ shared), axis=0) / np.diag(covariance)[: fit.nuisance]
+    shares = gone / np.sum(squares * covariance[own, own])
+    names = diagnosis.search.comparison.priors[0]
+    told = [
+        f"{change_words(names[k], diagnosis.extension.calibration[names[k]])} here, by"
+        f" {100 * shares[k]:.0f} %"
+        for k in np.argsort(-shares)
+        if shares[k] >= _MIN_SHARED_VARIANCE and names[k] in diagnosis.extension.calibration
+    ]
+    text = (
+        "Nominal values within their tolerances were fitted beside it and may hold a part of what"
+        " acts there: enter those of extended.toml together with the equation."
+    )
+    if told:
+        text += f" A measurement of one of them would lower the law's variance: {'; '.join(told)}."
+    return text
 
 
 def _signal_of(source: LawSource, run: PreparedRun) -> np.ndarray:
