@@ -319,6 +319,16 @@ def test_a_law_takes_the_place_of_a_known_effect_only_where_it_fits_better() -> 
     assert not wins(far * left, [doubted])
 
 
+def test_a_power_has_its_exponent_in_the_unit() -> None:
+    load, speed = LawSource("load", 1), LawSource("speed", 1)
+    power = Factor(load, "signed_power", (0.5,))
+    assert Law(1, "deflection", (power,)).amplitude_units == ("rad/(N m)^n",)
+    both = Law(1, "drive_torque", (Factor(speed, "power", (2.0,)), power))
+    assert both.amplitude_units == ("N m/(rad/s)^n1/(N m)^n2",)
+    summed = Law(1, "drive_torque", (Factor(speed, "power+signed_power", (2.0, 0.5)),))
+    assert summed.amplitude_units == ("N m/(rad/s)^n", "N m/(rad/s)^n_2")
+
+
 def test_a_constant_is_a_law() -> None:
     found = search_channel(KnownChannel(lambda s: 2.0 + 0.0 * s.time))
     assert found.best is not None

@@ -249,12 +249,13 @@ class Law:
     @property
     def amplitude_units(self) -> tuple[str, ...]:
         """Units of the amplitudes."""
-        found = [_PLACE_UNITS[self.place]]
+        found, names = [_PLACE_UNITS[self.place]], list(self.shape_names)
         for factor in self.factors:
+            shapes = {shape.name: names.pop(0) for shape in factor.own.shapes}
             unit = factor.source.own.unit
             name = f"({unit})" if "/" in unit or " " in unit else unit
-            powers = [n if unit else 0 for n in factor.own.unit_powers]
-            over = [f"/{name}" + f"^{n}" * (n > 1) if n else "" for n in powers]
+            powers = [shapes.get(str(n), n) if unit else 0 for n in factor.own.unit_powers]
+            over = [f"/{name}" + f"^{n}" * (n != 1) if n else "" for n in powers]
             found = [a + b for a in found for b in over]
         return tuple(found)
 
