@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.diagnosis import Diagnosis, Finding
-from stiffopt.discovery.laws.law import Law, describe_test, law_of, resembled
+from stiffopt.discovery.laws.law import Factor, Law, describe_test, law_of, resembled
 from stiffopt.discovery.laws.sources import LawSource
 from stiffopt.report.common.svg import PALE, WIDTH, figure_style, panels
 from stiffopt.report.common.text import scale
@@ -163,8 +163,33 @@ def _describe_values(diagnosis: Diagnosis, finding: Finding) -> str:
     return text
 
 
+def _drawn_signals(law: Law) -> dict[str, Callable[[PreparedRun], np.ndarray]]:
+    """Return the signals of a law by label; past ones as the law takes them.
+
+    A residual that follows the past of a signal has no curve over its present value.
+    """
+    found: dict[str, Callable[[PreparedRun], np.ndarray]] = {}
+    for factor in law.factors:
+        source, words = factor.source, factor.source.words
+        value = partial(_signal_of, source)
+        if source.kind == "direction":
+            continue
+        if factor.own.has_memory and len(factor.own.formulas) == 1:
+            value = partial(_value_of, factor)
+            words = f"{replace(law, factors=(factor,)).formulas(code=False)[0]} of the {words}"
+        found[f"{words} [{source.own.unit}]" if source.own.unit else words] = value
+    if not found:
+        own = LawSource("position", law.joint)
+        found[f"{own.words} [{own.own.unit}]"] = partial(_signal_of, own)
+    return found
+
+
 def _signal_of(source: LawSource, run: PreparedRun) -> np.ndarray:
     return np.asarray(source.value(run.signals))
+
+
+def _value_of(factor: Factor, run: PreparedRun) -> np.ndarray:
+    return np.asarray(factor.values(run.signals)[0])
 
 
 @figure_style()
@@ -175,19 +200,15 @@ def law_figure(
     law = law_of(finding.effect)
     if law is None:
         return None
-    sources = [f.source for f in law.factors if f.source.kind != "direction"] or [
-        LawSource("position", law.joint)
-    ]
+    drawn = _drawn_signals(law.with_shapes(finding.located.shapes))
     added = regimes.finding_contribution(diagnosis, finding, rows)
     residual = rows.after + added
     factor, unit = scale(float(np.quantile(np.abs(residual), 0.95)), rows.unit)
     sides = regimes.motion_direction(diagnosis, rows)
     sampled = diagnosis.search.comparison.rows.sample_signal
-    figure, grid = panels(len(sources), len(sources), (WIDTH, 3.2), sharey=True)
-    for axes, source in zip(grid, dict.fromkeys(sources), strict=False):
-        values = sampled(partial(_signal_of, source))
-        label = f"{source.words} [{source.own.unit}]" if source.own.unit else source.words
-        regime = regimes.Regime(source.symbol, label, values[rows.chosen])
+    figure, grid = panels(len(drawn), len(drawn), (WIDTH, 3.2), sharey=True)
+    for axes, (label, value) in zip(grid, drawn.items(), strict=True):
+        regime = regimes.Regime(label, label, sampled(value)[rows.chosen])
         noise = factor * float(np.median(rows.noise))
         axes.axhspan(-noise, noise, color=PALE, alpha=0.55, zorder=0, linewidth=0)
         for side, colour, words in regimes.DIRECTION_STYLES:
