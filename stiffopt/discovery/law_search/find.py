@@ -119,11 +119,16 @@ def find_laws(result: SearchResult, say: Say) -> LawSearch:
             {c for c in range(2 * n) if channel_name(c, n) in open_names}
         )
         number = next((c for c in waiting if c not in refused and c not in closed), None)
-        if number is None or len(refused) >= _MAX_REFUSED:
+        if number is None:
             break
         name = channel_name(number, n)
+        is_open = name in open_names
+        # Of channels near the noise, of which there may be many, none ends the search of open ones.
+        counted = [c for c in refused if not is_open or channel_name(c, n) in open_names]
+        if len(counted) >= _MAX_REFUSED:
+            break
         say(f"search {name} for a law that no catalogue has")
-        outcome = state.search(number, is_open=name in open_names)
+        outcome = state.search(number, is_open=is_open)
         if outcome is None:
             closed.add(number)
             continue
@@ -213,9 +218,9 @@ class _State:
     def searched_channels(self, unexplained: set[int]) -> list[int]:
         """Return channels that hold more than noise, and those whose findings may stand for a law.
 
-        A channel with findings that explain it is searched in their place alone. Torques come
-        first, then the worst: a torque on a link winds up its joint too, a deflection does not
-        change the torque.
+        A channel with findings that explain it is searched in their place alone. Joints with an
+        unexplained channel come first. Of these and of the others, torques come first, then the
+        worst: a torque on a link winds up its joint too, a deflection does not change the torque.
         """
         fit, n = self.comparison.fit(self.effects), self.comparison.robot.n
         beyond = np.nan_to_num(self.comparison.channel_ratio(fit.residual) / self.comparison.least)
@@ -234,7 +239,8 @@ class _State:
                 or (beyond[c] > FAINT_RATIO and c % n not in named)
             )
         ]
-        return sorted(found, key=lambda c: c >= n)
+        open_joints = {c % n for c in unexplained}
+        return sorted(found, key=lambda c: (c % n not in open_joints, c >= n))
 
     def _findings_at(self, channel: int) -> list[Selected]:
         """Return the findings at a channel's joint that a law could take the place of."""
