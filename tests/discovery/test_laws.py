@@ -319,6 +319,17 @@ def test_a_law_takes_the_place_of_a_known_effect_only_where_it_fits_better() -> 
     assert not wins(far * left, [doubted])
 
 
+def test_a_more_general_form_keeps_the_bounds_of_its_shapes() -> None:
+    """Orders of a motor are sought beyond those of the grid, where the residual has peaks."""
+    ripple = Factor(LawSource("position", 4), "harmonic", (240.0,), ((2.5, 264.0),))
+    more = ripple.generalised(SignalRange(low=-1.0, high=1.0, duration=5.0, rate=24.0))
+    assert (more.form, more.shapes, more.bounds) == (
+        "harmonic_overtone",
+        (240.0,),
+        ((2.5, 264.0),),
+    )
+
+
 def test_a_power_has_its_exponent_in_the_unit() -> None:
     load, speed = LawSource("load", 1), LawSource("speed", 1)
     power = Factor(load, "signed_power", (0.5,))
