@@ -43,6 +43,7 @@ def test_page_has_the_equation_with_its_numbers_in_full():
     assert law["equation"].replace("+=", "").split()[0] in page
     assert f"A = {estimated.amplitudes[0]!r}" in page
     assert "Residual over the signals of the law" in page
+    assert "The law adds to the torque that the drive of joint 1 has to give" in page
 
 
 def test_page_names_the_nominal_values_that_the_law_is_told_together_with():

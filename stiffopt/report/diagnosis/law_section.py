@@ -38,6 +38,15 @@ _OPERATOR_DEFINITIONS = {
     "stop": "stop(x, r) follows x and slides where it would leave -r to r: it is x_k - y_k with"
     " y_0 = x_0 and y_k = min(max(y_(k-1), x_k - r), x_k + r)",
 }
+# What a law adds to, with its sign, for whoever types it into a simulator.
+_TARGET_SENTENCES = {
+    "drive_torque": "The law adds to the torque that the drive of joint {} has to give for a"
+    " motion: in a forward simulation it acts on the motor with the opposite sign.",
+    "link_torque": "The law adds to the torque that joint {} has to pass on to its link for a"
+    " motion, and winds up the joint: in a forward simulation it acts on the link with the opposite"
+    " sign.",
+    "deflection": "The law adds to the angle of the motor of joint {} less that of its link.",
+}
 # What linear operators take their signal for before the recording.
 _HISTORY_DEFINITIONS = {
     "speed": "before its first sample a joint has started from rest: with its speed w_0 and"
@@ -74,6 +83,7 @@ def laws_on_page(diagnosis: Diagnosis) -> dict[Finding, LawOnPage]:
 def _describe_law(diagnosis: Diagnosis, finding: Finding, law: Law) -> LawOnPage:
     values = (*finding.estimated.amplitudes, *finding.located.shapes)
     lines = [
+        _TARGET_SENTENCES[law.place].format(law.joint + 1),
         _describe_share(diagnosis, finding),
         _describe_values(diagnosis, finding),
         f"In words: {law.words}{resembled(law)}.",
