@@ -146,7 +146,7 @@ def test_worst_error_is_the_lateness_of_the_servo_plus_the_errors_of_the_other_p
 
     for servo in (Servo(), Servo(bandwidth=20.0, feed_forward=0.9, delay=4e-3)):
         own = replace(problem, servo=servo)
-        given = TermInputs(objective, own, model, (bound, 1e-5), scales)
+        given = TermInputs(objective, own, model, (bound, 0.1), scales)
         error = model.commanded_error(own.uncertainty, servo)
         parts = [
             *objective.kind.terms(given).path_rows[0].expressions,
@@ -170,7 +170,7 @@ def test_least_value_over_its_variable_is_the_error_in_flight_plus_the_ringing(p
     scales = Scales({"tool_error": scale, "tool_error in flight over across": 1.0})
     rate = model.commanded_error(problem.uncertainty, problem.servo).ringing_rate
     values = []
-    for variable in largest * np.array([0.5, 0.9, 1.0, 1.1, 2.0]):
+    for variable in largest / scale * np.array([0.5, 0.9, 1.0, 1.1, 2.0]):
         given = TermInputs(objective, problem, model, (bound, variable), scales)
         terms = objective.kind.terms(given)
         ratio = ca.Function("ratio", rates, [terms.integrands[0] / rate])
