@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from stiffopt.problem.motor_model import MotorModel
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.assessment import Assessment
-    from stiffopt.symbolic import Quantity
 
 # Worst error in flight over the root of the summed squares of all parameters at their bounds: of
 # plans and rivals 1.4 to 1.6. The servo's lateness, which may be most of the error, adds to that of
@@ -104,18 +103,13 @@ class CommandedToolError(ObjectiveKind):
             sum((each + _SMALL_ERROR_SHARE**2) ** 0.5 for each in both) ** 2 - limit
             for both in squares.values()
         ]
-
-        def rings(integrals: Quantity) -> Quantity:
-            # The root of a square is the least mean of a length and the square over it.
-            return 0.5 * given.scale * (ringing + integrals[0])
-
         return ObjectiveTerms(
-            value=lambda integrals, duration: bound + rings(integrals),
+            # The root of a square is the least mean of a length and the square over it.
+            value=lambda integrals, duration: bound + 0.5 * given.scale * (ringing + integrals[0]),
             integrands=(share * error.ringing_rate / ringing,),
             path_rows=(
                 PathRows(name="tool error", labels=tuple(squares), expressions=tuple(rows)),
             ),
-            robust_value=lambda integrals, duration: bound + 2.0 * rings(integrals),
         )
 
     def scales(self, objective: Objective, motions: Sequence[Assessment]) -> dict[str, float]:
