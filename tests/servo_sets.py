@@ -30,8 +30,12 @@ def commanded_motion(
     limit: float = np.inf,
     coulomb: float = COULOMB,
     stribeck: float = 0.0,
+    integral: float = 0.0,
 ) -> tuple[np.ndarray, ...]:
-    """Return time, held commands and positions (K,) of one run."""
+    """Return time, held commands and positions (K,) of one run.
+
+    `integral`: gain of the error's integral over that of the error [1/s].
+    """
     rng = np.random.default_rng(seed)
     time = np.arange(round(seconds / STEP)) * STEP
     smooth = sum(
@@ -40,7 +44,8 @@ def commanded_motion(
     )
     smooth = smooth * np.minimum(time / 0.5, 1.0)
     command = np.repeat(smooth[::HELD], HELD)[: len(time)]
-    h, position, q, v = STEP / _SUBSTEPS, np.empty(len(time)), 0.0, 0.0
+    h, position = STEP / _SUBSTEPS, np.empty(len(time))
+    q = v = lasting = 0.0
     about = INERTIA + MASS * LEVER**2 + ARMATURE
     late = round(DELAY / h)
     sent = np.repeat(command, _SUBSTEPS).tolist()
@@ -50,7 +55,10 @@ def commanded_motion(
             u = sent[max(k * _SUBSTEPS + s - late, 0)]
             # Leapfrog, dry friction as an impulse that at most stops the link.
             q += 0.5 * h * v
-            drive = min(max(KP * (u - q), -limit), limit) - MASS * gravity * LEVER * math.sin(q)
+            lasting += h * integral * KP * (u - q)
+            drive = min(
+                max(KP * (u - q) + lasting, -limit), limit
+            ) - MASS * gravity * LEVER * math.sin(q)
             slow = 0.5 * h * VISCOUS / about
             free = ((1.0 - slow) * v + h * drive / about) / (1.0 + slow)
             most = h * (coulomb + stribeck * math.exp(-((v / STRIBECK_SPEED) ** 2))) / about

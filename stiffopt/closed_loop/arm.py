@@ -16,6 +16,7 @@ from stiffopt.closed_loop.step import take_step
 from stiffopt.dynamics.newton_euler import own_bodies, torque_of_bodies
 from stiffopt.interpreter.batched import read_batch
 from stiffopt.robot.body_tree import BodyTree
+from stiffopt.symbolic import BufferedFunction
 
 # Inputs of a step that all lanes share: parameters.
 _SHARED_INPUTS = (2,)
@@ -55,8 +56,8 @@ class CommandedArm:
         for k, joint in enumerate(self.elastic):
             at_output = self.physics.springs[joint].encoder_at_output
             (self.motor_sides if at_output else self.link_sides)[joint] = self.n + k
-        self._steps: dict[bytes, tuple[ca.Function, ca.Function]] = {}
-        self._lanes: dict[tuple[bytes, int], ca.Function] = {}
+        self._steps: dict[bytes | None, tuple[ca.Function, ca.Function]] = {}
+        self._lanes: dict[bytes | None, BufferedFunction] = {}
 
     @property
     def size(self) -> int:
@@ -86,51 +87,54 @@ class CommandedArm:
         )
         return ca.Function("weight", [q, parameters], [ca.densify(found)])
 
-    def step_function(self, free: np.ndarray) -> ca.Function:
-        """Return one step with derivatives by some parameters (indices), and by the delay.
+    def step_function(self, free: np.ndarray | None = None) -> ca.Function:
+        """Return one step with derivatives by some parameters (indices) and the delay; or without.
 
         (state and sensitivities (size (1 + m),), command and its slope (2 n,), parameters, step) ->
         the same state after the step. The last sensitivity is that by the delay.
         """
         return self._both_steps(free)[0]
 
-    def lanes(self, free: np.ndarray, count: int) -> tuple[int, ca.Function]:
-        """Return a number of lanes and `count` steps of all of them, side by side.
+    def lanes(self, free: np.ndarray | None) -> tuple[int, BufferedFunction]:
+        """Return a number of lanes and a step of all of them, side by side.
 
-        States, commands and steps of the lanes are columns, those of a step together; parameters
-        are the same in all lanes.
+        States, commands and steps of the lanes follow one another; parameters are the same in all
+        lanes.
         """
-        step, key = self._both_steps(free)[1], (free.tobytes(), count)
+        step, key = self._both_steps(free)[1], _key(free)
         if key not in self._lanes:
-            self._lanes[key] = step.mapaccum(count)
+            self._lanes[key] = BufferedFunction(step)
         return int(step.size2_in(0)), self._lanes[key]
 
-    def _both_steps(self, free: np.ndarray) -> tuple[ca.Function, ca.Function]:
+    def _both_steps(self, free: np.ndarray | None) -> tuple[ca.Function, ca.Function]:
         """Return a step of one lane, and of as many as the compiled core has."""
-        key = free.tobytes()
+        key = _key(free)
         if key not in self._steps:
             step, path = self._build_step(free), native.library()
             several = None if path is None else read_batch(step, _SHARED_INPUTS).load(path)
             self._steps[key] = step, several or step
         return self._steps[key]
 
-    def _build_step(self, free: np.ndarray) -> ca.Function:
+    def _build_step(self, free: np.ndarray | None) -> ca.Function:
         state, command, parameters, h, following, held, values = self._symbols()
-        n, m = self.n, len(free)
-        sensitivity, slope = ca.SX.sym("S", self.size, m + 1), ca.SX.sym("slope", n)
-        by_state, by_command = (ca.jacobian(following, each) for each in (state, command))
-        by_parameter = ca.densify(ca.jacobian(following, parameters))
-        late = list(JOINT_PARAMETERS).index("lateness") * n
-        by_parameter[:, late : late + n] = ca.mtimes(by_command, ca.diag(slope))
-        after = ca.mtimes(by_state, sensitivity) + ca.horzcat(
-            by_parameter[:, [int(k) for k in free]], ca.mtimes(by_command, slope)
-        )
-        (found,) = ca.substitute([ca.vertcat(following, ca.vec(after))], [held], [values])
-        return ca.Function(
-            "step",
-            [ca.vertcat(state, ca.vec(sensitivity)), ca.vertcat(command, slope), parameters, h],
-            [ca.densify(found)],
-        )
+        slope = ca.SX.sym("slope", self.n)
+        known = ca.vertcat(command, slope)
+        if free is not None:
+            sensitivity = ca.SX.sym("S", self.size, len(free) + 1)
+            # Backward from few states: all derivatives together cost hardly more than one kind.
+            whole = ca.jacobian(following, ca.vertcat(state, command, parameters))
+            ends = np.cumsum([0, self.size, self.n, self._parameter_count]).tolist()
+            by_state, by_command, by_parameter = ca.horzsplit(whole, ends)
+            by_parameter = ca.densify(by_parameter)
+            late = list(JOINT_PARAMETERS).index("lateness") * self.n
+            by_parameter[:, late : late + self.n] = ca.mtimes(by_command, ca.diag(slope))
+            after = ca.mtimes(by_state, sensitivity) + ca.horzcat(
+                by_parameter[:, [int(k) for k in free]], ca.mtimes(by_command, slope)
+            )
+            state = ca.vertcat(state, ca.vec(sensitivity))
+            following = ca.vertcat(following, ca.vec(after))
+        (found,) = ca.substitute([following], [held], [values])
+        return ca.Function("step", [state, known, parameters, h], [ca.densify(found)])
 
     @property
     def _parameter_count(self) -> int:
@@ -181,3 +185,7 @@ class CommandedArm:
             first * ca.repmat(factor, 3, 1) + each[1:4, :],
             inertia * ca.kron(factor, ca.DM.ones(3, 3)) + about,
         )
+
+
+def _key(free: np.ndarray | None) -> bytes | None:
+    return None if free is None else free.tobytes()

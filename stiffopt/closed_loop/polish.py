@@ -212,8 +212,6 @@ class _Point:
 class _Fit:
     """Normal equations of a fit in units of the prior's deviations."""
 
-    _no_parameters = np.zeros(0, dtype=int)
-
     def __init__(
         self,
         loop: CommandedArm,
@@ -297,12 +295,12 @@ class _Fit:
 
     def misfit(self, parameters: Parameters) -> float:
         """Return the sum of the logarithms of the residuals, root mean squares."""
-        residual = self.simulate(parameters, self._no_parameters).residual
+        residual = self.simulate(parameters).residual
         return 0.5 * float(np.log(np.nanmean(residual**2, axis=0)).sum())
 
     def restrict(self, parameters: Parameters, joint: int) -> None:
         """Keep the stretches in which a joint leaves most, of the duration of a leading fit."""
-        residual = self.simulate(parameters, self._no_parameters).residual[:, joint]
+        residual = self.simulate(parameters).residual[:, joint]
         squares = [np.nanmean(own**2) for own in np.split(residual, np.cumsum(self._rows)[:-1])]
         count = max(1, round(_LEADING_SECONDS / self._loop.n / STRETCH_SECONDS))
         kept = sorted(np.argsort(squares)[::-1][:count])
@@ -320,14 +318,17 @@ class _Fit:
         """Simulate all runs by stretches."""
         return self.simulate(parameters, self._free)
 
-    def simulate(self, parameters: Parameters, free: np.ndarray, refinement: float = 1.0) -> _Point:
+    def simulate(
+        self, parameters: Parameters, free: np.ndarray | None = None, refinement: float = 1.0
+    ) -> _Point:
+        """Simulate all runs by stretches, with derivatives by some parameters."""
         found = simulate_stretches(self._loop, self._stretches, parameters, free, refinement)
         residual, slopes = [], []
         for each, own, lead in zip(found, self._stretches, self._leads, strict=True):
             measured = own.run.position[own.begin + lead : own.end + 1]
             residual.append(each.position[lead:] - measured)
             slopes.append(each.slopes[lead:])
-        size = self._size if len(free) else 1.0
+        size = 1.0 if free is None else self._size
         return _Point(np.vstack(residual), np.concatenate(slopes) * size)
 
     def encoder_noise(self, point: _Point) -> np.ndarray:
@@ -404,10 +405,7 @@ class _Fit:
         noise = self.noise(point)
         hessian, _ = self._normal_equations(parameters, point, noise)
         inverse, weighted = np.linalg.inv(hessian), point.slopes / noise[:, None]
-        finer = (
-            self.simulate(parameters, self._no_parameters, _REFINEMENT_RATIO).residual
-            - point.residual
-        )
+        finer = self.simulate(parameters, refinement=_REFINEMENT_RATIO).residual - point.residual
         finer /= 1.0 - _REFINEMENT_RATIO**-2
         moved = inverse @ np.einsum("kjm,kj->m", weighted, np.nan_to_num(finer) / noise)
         error = np.sqrt(np.nanmean((finer - point.slopes @ moved) ** 2, axis=0))

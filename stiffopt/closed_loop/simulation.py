@@ -16,8 +16,6 @@ from stiffopt.closed_loop.parameters import Parameters
 STRETCH_SECONDS, _LEAD_SECONDS = 2.0, 0.5
 # Longest step of the integrator [s]: a servo's own motion takes ten or more of them.
 _MAX_STEP = 1e-3
-# Steps that one call simulates: their states and derivatives are kept until it ends.
-_CALL_STEPS = 128
 # Commands at the beginning of a run that bound its initial velocity [s], and steps in which this
 # settles while the position is held.
 _BEGINNING_SECONDS, _SETTLING_STEPS = 0.05, 200
@@ -96,11 +94,10 @@ def simulate_stretches(
 ) -> list[Simulated]:
     """Simulate stretches side by side, each from its first measured position.
 
-    `free`: parameters to derive by, beside the delay; default none. `refinement`: divides the
-    longest step.
+    `free`: parameters to derive by, beside the delay; default no derivatives. `refinement`: divides
+    the longest step.
     """
-    free = np.zeros(0, dtype=int) if free is None else free
-    lanes, _ = loop.lanes(free, 1)
+    lanes, _ = loop.lanes(free)
     found: list[Simulated] = []
     for first in range(0, len(stretches), lanes):
         found += _simulate_together(
@@ -113,42 +110,39 @@ def _simulate_together(
     loop: CommandedArm,
     stretches: Sequence[Stretch],
     parameters: Parameters,
-    free: np.ndarray,
+    free: np.ndarray | None,
     refinement: float,
 ) -> list[Simulated]:
     """Simulate as many stretches as a call has lanes for."""
-    n, m = loop.n, len(free) + 1
-    lanes, function = loop.lanes(free, _CALL_STEPS)
+    n, m = loop.n, 0 if free is None else len(free) + 1
+    lanes, step = loop.lanes(free)
     late = parameters.delay + parameters.of("lateness")
     drives = [_drive(own, late, _MAX_STEP / refinement) for own in stretches]
-    calls = -(-max(len(drive.width) for drive in drives) // _CALL_STEPS)
+    steps = max(len(drive.width) for drive in drives)
     # Steps of no width change nothing: they fill lanes up.
-    given = np.zeros((calls * _CALL_STEPS, lanes, 2 * n))
-    width = np.zeros((calls * _CALL_STEPS, lanes))
-    state = np.zeros((loop.size * (1 + m), lanes))
-    found = []
+    given, width = np.zeros((steps, lanes, 2 * n)), np.zeros((steps, lanes))
+    state = np.zeros((lanes, loop.size * (1 + m)))
+    row = np.zeros((steps, lanes), dtype=int)  # that each step ends at, 0 for none
+    rows = max(len(drive.ends) for drive in drives) + 1
+    position, slopes = np.zeros((lanes, rows, n)), np.zeros((lanes, rows, n, m))
     for lane, (own, drive) in enumerate(zip(stretches, drives, strict=True)):
         given[: len(drive.width), lane], width[: len(drive.width), lane] = drive.given, drive.width
-        start = own.run.position[own.begin]
-        state[: loop.size, lane] = loop.begin(start, own.velocity, parameters.values)
-        rows = own.end - own.begin + 1
-        found.append(Simulated(np.tile(start, (rows, 1)), np.zeros((rows, n, m))))
-    given[:, len(stretches) :], width[:, len(stretches) :] = given[:, :1], width[:, :1]
-    state[:, len(stretches) :] = state[:, :1]
-    values = np.tile(parameters.values[:, None], (1, _CALL_STEPS))
-    for first in range(0, calls * _CALL_STEPS, _CALL_STEPS):
-        steps = slice(first, first + _CALL_STEPS)
-        states = np.asarray(
-            function(state, given[steps].reshape(-1, 2 * n).T, values, width[steps].reshape(1, -1))
-        ).reshape(len(state), _CALL_STEPS, lanes)
-        state = states[:, -1]
-        for lane, drive in enumerate(drives):
-            met = np.flatnonzero((drive.ends > first) & (drive.ends <= first + _CALL_STEPS))
-            at_rows = states[:, drive.ends[met] - first - 1, lane].T
-            found[lane].position[met + 1] = at_rows[:, :n]
-            slopes = at_rows[:, loop.size :].reshape(-1, m, loop.size)[:, :, :n]
-            found[lane].slopes[met + 1] = slopes.transpose(0, 2, 1)
-    return found
+        row[drive.ends - 1, lane] = np.arange(1, len(drive.ends) + 1)
+        position[lane, 0] = own.run.position[own.begin]
+        state[lane, : loop.size] = loop.begin(position[lane, 0], own.velocity, parameters.values)
+    state[len(stretches) :] = state[0]
+    after = state.reshape(-1)
+    for own_given, own_width, own_row in zip(given, width, row, strict=True):
+        (after,) = step(after, own_given.reshape(-1), parameters.values, own_width)
+        met = np.flatnonzero(own_row)
+        if len(met):
+            reading = after.reshape(lanes, 1 + m, loop.size)[met, :, :n]
+            position[met, own_row[met]] = reading[:, 0]
+            slopes[met, own_row[met]] = reading[:, 1:].transpose(0, 2, 1)
+    return [
+        Simulated(position[lane, : len(drive.ends) + 1], slopes[lane, : len(drive.ends) + 1])
+        for lane, drive in enumerate(drives)
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,13 +179,12 @@ def initial_velocity(loop: CommandedArm, run: CommandedRun, parameters: Paramete
     span = int(np.searchsorted(run.time, run.time[0] + _BEGINNING_SECONDS))
     span = min(max(span, 1), len(run.time) - 1)
     rate = (run.command[span] - run.command[0]) / (run.time[span] - run.time[0])
-    step = loop.step_function(np.zeros(0, dtype=int))
+    step = loop.step_function()
     given = np.concatenate([run.command[0], np.zeros(loop.n)])
-    n, size = loop.n, loop.size
+    n = loop.n
     state = loop.begin(run.position[0], np.zeros(n), parameters.values)
     for _ in range(_SETTLING_STEPS):
-        moved = step(np.concatenate([state, np.zeros(size)]), given, parameters.values, _MAX_STEP)
-        state = np.asarray(moved)[:size, 0]
+        state = np.asarray(step(state, given, parameters.values, _MAX_STEP))[:, 0]
         state[:n] = run.position[0]
     velocity: np.ndarray = state[n : 2 * n]
     return velocity.clip(np.minimum(rate, 0.0), np.maximum(rate, 0.0))

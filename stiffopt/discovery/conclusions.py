@@ -13,6 +13,7 @@ from stiffopt.closed_loop.parameters import BODY_PARAMETERS
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension
+from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.diagnosis import (
     Finding,
     Parameter,
@@ -35,6 +36,7 @@ from stiffopt.discovery.search.uncertainty import (
     null_probability,
 )
 from stiffopt.discovery.thresholds import (
+    EXPLAINED_SHARE,
     OPEN_RATIO,
     OPEN_SHARE,
     UNSTATED_DEVIATIONS,
@@ -236,17 +238,20 @@ def findings_with_loop_values(
     model: ClosedLoopModel,
     findings: Sequence[Finding],
     before: Sequence[Extension],
+    runs: Sequence[PreparedRun] = (),
 ) -> tuple[Finding, ...]:
     """Return findings with the values of the simulation, where it has them as parameters.
 
     `before`: extensions of the model that the diagnosis started from: their part of a value is no
-    finding's.
+    finding's. `runs`: training runs, in which findings that it has not give their torques.
 
     Torques derived from commands are filtered, and so are friction and its reversals: simulated,
     they are where the arm has them. What a value adds to its nominal one is as uncertain as both.
     """
     known = [each for extension in before for each in extension.effects]
-    return tuple(_with_loop_value(recordings, constants, model, each, known) for each in findings)
+    return tuple(
+        _with_loop_value(recordings, constants, model, each, known, runs) for each in findings
+    )
 
 
 def _with_loop_value(
@@ -255,6 +260,7 @@ def _with_loop_value(
     model: ClosedLoopModel,
     finding: Finding,
     known: Sequence[EstimatedEffect],
+    runs: Sequence[PreparedRun],
 ) -> Finding:
     located, entry = finding.located, finding.effect
     scaled = model.loop.law.scaled
@@ -264,9 +270,10 @@ def _with_loop_value(
     if entry.only_in or not np.all(scaled[places]):
         return finding
     if found is None:
-        # One with memory, without which the simulation leaves nothing in its joint.
-        spare = located.is_of_one_joint and located.run is None and not model.lacks[places]
-        return refuted(finding, 1.0) if spare and not located.calibrated else finding
+        # One with memory, without which the simulation leaves nothing like it in its joint.
+        if located.run is not None or not located.is_of_one_joint or located.calibrated:
+            return finding
+        return finding if _is_missed(recordings, model, finding, runs) else refuted(finding, 1.0)
     numbers, values, covariance = found
     count = len(finding.estimated.amplitudes)
     whole = np.array([*finding.estimated.amplitudes, *located.shapes])
@@ -307,6 +314,29 @@ def _with_loop_value(
         for own, value, sd in each
     )
     return replace(finding, parameters=tuple(parameters))
+
+
+def _is_missed(
+    recordings: RecordingSet,
+    model: ClosedLoopModel,
+    finding: Finding,
+    runs: Sequence[PreparedRun],
+) -> bool:
+    """Return whether a simulation without a finding leaves what its torque would move the joint.
+
+    Of filtered torques that a law derives from commands, much may be an error of these.
+    """
+    located = finding.located
+    assert located.joint is not None
+    place = int(recordings.order[located.joint])
+    if not model.lacks[place]:
+        return False
+    given = [located.contribution(run, finding.estimated.amplitudes) for run in runs]
+    torques = (own for each in given for own in (each.torque, each.link_torque) if own is not None)
+    squares = [float(np.var(own[:, located.joint])) for own in torques]
+    gain = model.loop.law.stiffness[place] * (1.0 + model.fitted.of("gain")[place])
+    left = float(gain * model.left[place]) ** 2
+    return not squares or left > (1.0 - EXPLAINED_SHARE) * float(np.mean(squares))
 
 
 def refuted(finding: Finding, chance: float) -> Finding:

@@ -50,7 +50,7 @@ from stiffopt.discovery.judging.unexplained import (
     judge_channels,
 )
 from stiffopt.discovery.law_search.find import LawSearch, find_laws, located_tables
-from stiffopt.discovery.loop_search import LoopSearch, with_findings
+from stiffopt.discovery.loop_search import FittedLoop, LoopSearch, with_findings
 from stiffopt.discovery.opening import open_set
 from stiffopt.discovery.position_fit import model_section, simulate_held_out
 from stiffopt.discovery.prediction import choose_prediction_bands
@@ -210,7 +210,17 @@ def _run_diagnosis(
     steps = OptionalSteps(result, say)
     if settings.cutoff is None:  # bands that were asked for hold
         training = _with_prediction_bands(training, result, steps)
-    laws = steps.run(LAWS, lambda: find_laws(result, say)) or LawSearch(result=result)
+    simulation = LoopSearch(
+        recordings=recordings,
+        training=training,
+        asked=sought,
+        runs=opened.recorded,
+        estimated=opened.actuator,
+        say=say,
+    )
+    fitted = _fit_simulation(simulation, result, base, steps)
+    explained = () if fitted is None else fitted.explained_joints(recordings)
+    laws = steps.run(LAWS, lambda: find_laws(result, say, explained)) or LawSearch(result=result)
     result = laws.result
 
     def assessed() -> tuple[tuple[Selected, ...], Unexplained | None]:
@@ -239,26 +249,17 @@ def _run_diagnosis(
     limits = steps.run(
         LIMITS, lambda: detection_limits(Scorer(result.comparison, located), sought, result.effects)
     )
-    found = Extension(calibration=parameters.calibration(), effects=parameters.effects)
+    found, whole = _with_found(parameters, base)
     if unexplained is None and not findings and not opened.at_rest:
         unexplained = steps.run(BURSTS, lambda: find_bursts(training, found))
     new = [s for s in selected if not s.located.calibrated]
     pair = leading_pair(new or selected) if experiment and not opened.at_rest else None
-    whole = found if base is None else base.extension.plus(found)
     plan = loop = None
     if pair is not None:
         plan = steps.run(EXPERIMENT, lambda: plan_experiment(training, result, pair, say=say))
     if recordings.signals.commanded:
-        simulation = LoopSearch(
-            recordings=recordings,
-            training=training,
-            asked=sought,
-            runs=opened.recorded,
-            estimated=opened.actuator,
-            say=say,
-        )
         before = findings
-        loop, findings = steps.run(SIMULATION, lambda: simulation.run(whole, before)) or (
+        loop, findings = steps.run(SIMULATION, lambda: simulation.run(whole, before, fitted)) or (
             None,
             before,
         )
@@ -326,6 +327,22 @@ def _run_diagnosis(
 
     # Ctrl-C has no effect any more: all results exist.
     return complete_step(concluded)[0]
+
+
+def _with_found(estimate: Estimate, base: ExtendedModel | None) -> tuple[Extension, Extension]:
+    """Return what was found, and the starting model with it."""
+    found = Extension(calibration=estimate.calibration(), effects=estimate.effects)
+    return found, found if base is None else base.extension.plus(found)
+
+
+def _fit_simulation(
+    simulation: LoopSearch, result: SearchResult, base: ExtendedModel | None, steps: OptionalSteps
+) -> FittedLoop | None:
+    """Return the simulation of a set of commands with what a search found."""
+    if not simulation.recordings.signals.commanded:
+        return None
+    estimate = steps.finish(lambda: estimate_parameters(result.comparison, result.effects))
+    return steps.run(SIMULATION, lambda: simulation.fit(_with_found(estimate, base)[1]))
 
 
 def _estimate_parameters(

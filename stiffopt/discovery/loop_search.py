@@ -49,6 +49,25 @@ MAX_CHANCE = 0.01
 _EQUAL_MISFIT = 0.05
 
 
+@dataclass(frozen=True, eq=False)
+class FittedLoop:
+    """Fit of the simulation that begins with some findings; without a model it is unstable."""
+
+    found: Extension
+    model: ClosedLoopModel | None
+
+    def explained_joints(self, recordings: RecordingSet) -> tuple[int, ...]:
+        """Return the joints (from 0) of a set in which it leaves no more than noise."""
+        if self.model is None:
+            return ()
+        return tuple(np.flatnonzero(~self.model.lacks[recordings.order]).tolist())
+
+    def begins_with(self, found: Extension) -> bool:
+        """Return whether its findings are these, with whatever amplitudes."""
+        own, other = ([e.located.key for e in each.effects] for each in (self.found, found))
+        return own == other
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LoopSearch:
     """Fits of the simulation, with one more effect at a time."""
@@ -60,19 +79,28 @@ class LoopSearch:
     estimated: Parameters | None  # drives of joints whose gain gives torque no scale
     say: Say
 
+    def fit(self, found: Extension) -> FittedLoop:
+        """Return the fit beginning with some findings, or with none where they are unstable."""
+        model = self._fit(found)
+        if model is None and found.effects:
+            found = Extension()
+            model = self._fit(found)
+        return FittedLoop(found, model)
+
     def run(
-        self, found: Extension, findings: Sequence[Finding]
+        self, found: Extension, findings: Sequence[Finding], fitted: FittedLoop | None = None
     ) -> tuple[ClosedLoopModel | None, tuple[Finding, ...]]:
         """Return the fit beginning with some findings, and these with what it needs besides.
 
-        Findings whose values it takes to be zero may only stand in for simpler ones: it is tried
-        without them. Findings that another one brings about are left out.
+        `fitted`: a fit at hand, which is taken if it begins with the same.
+
+        Findings that another one brings about are left out.
         """
         given, added = found.effects, list[Finding]()
-        model = self._fit(found)
-        if model is None:  # the findings make it unstable
-            found = Extension()
-            model = self._fit(found)
+        if fitted is None or not fitted.begins_with(found):
+            fitted = self.fit(found)
+            found = fitted.found
+        model = fitted.model
         if model is None:
             return None, tuple(findings)
         if model.lacks.any():
@@ -81,15 +109,14 @@ class LoopSearch:
             model, found = self._fit_without(limits, model, found)
             wrong = [each for each in limits if each not in found.effects]
             findings = [refuted(f, 1.0) if f.estimated in wrong else f for f in findings]
-        judged = self._judge(model, findings)
-        zero = [each.estimated for each in judged if each.certainty == "possible"]
-        model, found = self._fit_without(zero, model, found, _EQUAL_MISFIT)
+        model, found, findings = self._leave_out_unsure(model, found, findings)
         model, found, findings = self._replace_losses(model, found, findings)
         # Joints by what they leave; what the initial shapes of an effect leave is no second effect.
+        # Where torque has no scale, sizes of effects are unknown.
         searched = set[int]()
         while len(added) < MAX_EFFECTS:
             assert model.noise_ratio is not None
-            ratio = np.where(model.lacks, model.noise_ratio, 0.0)
+            ratio = np.where(model.lacks & model.loop.law.scaled, model.noise_ratio, 0.0)
             ratio[list(searched)] = 0.0
             worst = int(np.argmax(ratio))
             if ratio[worst] == 0.0:
@@ -110,7 +137,32 @@ class LoopSearch:
         # The model that is stored has effects that this simulation is without.
         without = tuple(e.located.label for e in given if e not in found.effects)
         own = self._judge(model, tuple(self._own_values(model, claimed)))
+        # One value is told once.
+        judged = tuple(f for f in judged if not any(f.located.same_place(o.located) for o in own))
         return replace(model, without=without), (*judged, *own)
+
+    def _leave_out_unsure(
+        self, model: ClosedLoopModel, found: Extension, findings: Sequence[Finding]
+    ) -> tuple[ClosedLoopModel, Extension, Sequence[Finding]]:
+        """Leave out findings that are not sure and that the simulation fits as well without.
+
+        Those whose values it takes to be zero may only stand in for simpler ones. Physics of their
+        own that it does not need is refuted; a value that every fit has is not left out by this.
+        """
+        judged = self._judge(model, findings)
+        physics = {key for key, _ in model.loop.physics.amplitudes.names}
+        zero = [each for each in judged if each.certainty == "possible"]
+        unsure = [f for f in judged if f.certainty != "found" and f.located.key in physics]
+        every = [each.estimated for each in (*zero, *unsure)]
+        simpler, rest = self._fit_without(every, model, found, _EQUAL_MISFIT)
+        if rest is not found:
+            spare = [each.estimated for each in unsure]
+            own = [refuted(f, 1.0) if f.estimated in spare else f for f in findings]
+            return simpler, rest, own
+        if any(each not in zero for each in unsure):
+            only = [each.estimated for each in zero]
+            model, found = self._fit_without(only, model, found, _EQUAL_MISFIT)
+        return model, found, findings
 
     def _fit_without(
         self,
@@ -127,8 +179,10 @@ class LoopSearch:
         return model, found
 
     def _judge(self, model: ClosedLoopModel, findings: Sequence[Finding]) -> tuple[Finding, ...]:
-        constants, before = self.training.constants, self.training.before
-        return findings_with_loop_values(self.recordings, constants, model, findings, before)
+        known = self.training
+        return findings_with_loop_values(
+            self.recordings, known.constants, model, findings, known.before, known.runs
+        )
 
     def _own_values(
         self, model: ClosedLoopModel, taken: Sequence[LocatedEffect]

@@ -73,6 +73,14 @@ class ClosedLoopModel:
         return float(np.log(self.polished.residual[changing]).sum())
 
     @property
+    def left(self) -> np.ndarray:
+        """Return what it leaves in each joint (n,) beyond noise and its own error [rad]."""
+        assert self.polished is not None
+        fit = self.polished
+        known = np.nan_to_num(fit.noise) ** 2 + fit.discretisation**2
+        return np.asarray(np.sqrt(np.maximum(fit.residual**2 - known, 0.0)))
+
+    @property
     def lacks(self) -> np.ndarray:
         """Return the joints (n,) in which it leaves more than noise and its own error."""
         assert self.noise_ratio is not None

@@ -40,8 +40,18 @@ from stiffopt.discovery.position_fit import (
     read_model,
     simulate_run,
 )
-from stiffopt.discovery.sanity.actuator_estimate import estimate_actuator, resolve_actuator
-from stiffopt.discovery.sanity.command_doubts import doubt_commands, take_errors_as_commands
+from stiffopt.discovery.sanity.actuator_estimate import (
+    estimate_actuator,
+    joint_rows,
+    resolve_actuator,
+)
+from stiffopt.discovery.sanity.command_doubts import (
+    _doubt_units,
+    doubt_commands,
+    take_errors_as_commands,
+)
+from stiffopt.discovery.sanity.doubt import DoubtfulRecordings
+from stiffopt.discovery.sanity.integral_part import doubt_integral_parts, integral_rate
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import open_training_runs, prepare_training
 from stiffopt.errors import InputError
@@ -71,6 +81,23 @@ def test_weight_tells_the_gain_and_motion_the_delay(servo: RecordingSet) -> None
     assert abs(law.delay - DELAY) < 4e-3  # refined by the simulation
     assert all(np.isfinite(run.torque).all() for run in runs)
     assert any("estimated from the arm's weight" in note for note in notes)
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.5, 2.0])
+def test_an_integral_part_is_told_from_errors_that_fade(tmp_path: Path, rate: float) -> None:
+    """Gains and delay need not be known."""
+    found = load_recordings(write_servo_set(tmp_path / "set", integral=rate))
+    runs = open_training_runs(found)
+    law = estimate_actuator(RobotModel(found), runs, found.actuator).law
+    rows = joint_rows(RobotModel(found), runs, 0)
+    told, spread, _ = integral_rate(rows, law.delay)
+    assert abs(told - rate) < max(0.1 * rate, 3.0 * spread)
+    doubts = list(doubt_integral_parts(found.with_actuator(law), RobotModel(found), runs))
+    assert [each.joints for each in doubts] == ([(1,)] if rate else [])
+    if rate:
+        assert "integral part" in doubts[0].evidence
+        with pytest.raises(DoubtfulRecordings, match="integral part"):
+            diagnose(tmp_path / "set", experiment=False)
 
 
 def test_a_gain_that_recordings_told_is_free_beside_effects(servo: RecordingSet) -> None:
@@ -230,6 +257,14 @@ def _leave_gaps(columns: Columns) -> Columns:
 def _stop(columns: Columns) -> Columns:
     noise = 1e-5 * np.random.default_rng(0).normal(size=len(columns["t"]))
     return columns | {"present_position": 0.3 + noise, "goal_position": np.full(len(noise), 0.3)}
+
+
+def test_degrees_of_one_joint_are_a_factor_of_that_joint(servo: RecordingSet) -> None:
+    position = np.column_stack([np.linspace(0.0, 1.0, 50), np.linspace(0.5, -0.5, 50)])
+    command = position * [1.0, np.degrees(1.0)]
+    (doubt,) = _doubt_units(servo, position, command, np.array([True, True]))
+    assert doubt.joints == (2,)
+    assert doubt.line == "command = [1, 0.0174533] in [signals.scale]"
 
 
 MISTAKES: dict[str, tuple[Callable[[Columns], Columns], str, str]] = {

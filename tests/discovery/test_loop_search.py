@@ -106,6 +106,37 @@ def test_a_joint_that_no_effect_explains_hides_no_other(tmp_path: Path) -> None:
     assert [(each.effect.name, each.joint) for each in findings] == [("stribeck", 2)]
 
 
+def test_effects_are_not_sought_where_torque_has_no_scale(tmp_path: Path) -> None:
+    searched = search(tmp_path / "set", stribeck=RISE)
+    law = searched.recordings.actuator
+    assert law is not None
+    guessed = replace(law, estimated=np.ones(1, dtype=bool), tolerance=np.full(1, 0.5))
+    recordings = searched.recordings.with_actuator(guessed)
+    model, findings = replace(searched, recordings=recordings).run(Extension(), ())
+    assert model is not None
+    assert model.lacks.all()
+    assert not any(each.effect.name == "stribeck" for each in findings)
+
+
+def test_a_finding_that_the_simulation_fits_as_well_without_is_refuted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Even if its value is as likely as not."""
+    monkeypatch.setattr(LoopSearch, "_judge", lambda _, model, findings: tuple(findings))
+    searched = search(tmp_path / "set")
+    located = LocatedEffect(effect=effect("stribeck"), joint=0, shapes=(0.1, 2.0))
+    small = EstimatedEffect(located=located, amplitudes=(0.002,))
+    found = Extension(effects=(small,))
+    fitted = searched.fit(found)
+    assert fitted.begins_with(found)
+    assert fitted.explained_joints(searched.recordings) == (0,)
+    likely = searched._finding(small, 0.4, 0.9)
+    model, (judged,) = searched.run(found, [likely], fitted)
+    assert model is not None
+    assert model.without == (located.label,)
+    assert judged.certainty == "possible"
+
+
 def test_findings_that_make_the_loop_unstable_are_searched_without(tmp_path: Path) -> None:
     located = LocatedEffect(effect=effect("cable_spring"), joint=0, shapes=(0.0,))
     pushing = EstimatedEffect(located=located, amplitudes=(-400.0, 0.0))

@@ -92,10 +92,12 @@ class LawSearch:
     refused: tuple[RefusedChannel, ...] = ()
 
 
-def find_laws(result: SearchResult, say: Say) -> LawSearch:
+def find_laws(result: SearchResult, say: Say, simulated: Collection[int] = ()) -> LawSearch:
     """Search the residual that the catalogue leaves for laws.
 
     `result`: of the catalogue, by training runs. `say`: called with a sentence at every step.
+    `simulated`: joints (from 0) that a simulation from commands explains: what is left of their
+    derived torques is an error of these.
 
     It runs only where a channel holds more than noise beside the catalogue, in more than one run
     and within the band of the fit. A finding that a law makes superfluous is dropped.
@@ -104,7 +106,8 @@ def find_laws(result: SearchResult, say: Say) -> LawSearch:
     if comparison.after_model or result.stopped:
         return LawSearch(result=result)
     refused: dict[int, ChannelLaw] = {}
-    closed: set[int] = set()
+    n = comparison.robot.n
+    closed = {c for c in range(2 * n) if c % n in simulated}
     laws: list[FoundLaw] = []
     irreplaceable: set[tuple[object, ...]] = set()
     open_names: tuple[str, ...] = ()
@@ -112,7 +115,6 @@ def find_laws(result: SearchResult, say: Say) -> LawSearch:
         kept, left = assess_findings(result)
         if left is not None and (left.brief or left.alone is not None):
             break
-        n = comparison.robot.n
         open_names = () if left is None else left.channels
         state = _State(result.comparison, kept, irreplaceable)
         waiting = state.searched_channels(
@@ -147,9 +149,9 @@ def find_laws(result: SearchResult, say: Say) -> LawSearch:
         result=result,
         laws=tuple(laws),
         refused=tuple(
-            _describe_refusal(each, comparison.robot.n)
+            _describe_refusal(each, n)
             for number, each in refused.items()
-            if channel_name(number, comparison.robot.n) in open_names
+            if channel_name(number, n) in open_names
         ),
     )
 

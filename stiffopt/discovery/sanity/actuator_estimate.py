@@ -46,17 +46,20 @@ _SCALE_ROUNDS = 5
 
 
 @dataclass(frozen=True, eq=False)
-class _JointRows:
+class JointRows:
     """Rows of one joint: regressors (m, k), weight and inertia (m,), error by delay.
 
-    The first three regressors are acceleration, velocity and direction; `stated` (3, 2) are their
-    nominal factors and deviations, infinite where no value is stated.
+    The first three regressors are acceleration, velocity and direction, the last is constant;
+    `stated` (3, 2) are nominal factors of the first and deviations, infinite where no value is
+    stated. `integral`: of the error over time by delay, from its mean in each `run` (m,).
     """
 
     columns: np.ndarray
     load: np.ndarray
     velocity: np.ndarray
     error: Callable[[float], np.ndarray]
+    integral: Callable[[float], np.ndarray]
+    run: np.ndarray
     independent: float
     stated: np.ndarray
 
@@ -116,7 +119,7 @@ def estimate_actuator(
     are known, so that the factor of their torque is 1 / k, and so are stated friction and rotor
     inertia. Where that is not significant, the gain is guessed from the acceleration.
     """
-    rows = [_joint_rows(robot, runs, j) for j in range(robot.n)]
+    rows = [joint_rows(robot, runs, j) for j in range(robot.n)]
     delay, evidence = law.delay, np.inf
     if not np.isfinite(delay):
         delay, evidence = _estimate_delay(rows, law)
@@ -131,7 +134,7 @@ def estimate_actuator(
                 stiffness[j] = 1.0 / factors[0]
                 drives[:, j] = np.maximum(factors[1:4], 0.0) * stiffness[j]
                 continue
-            factors = _least_squares(own.columns, own.error(delay), own.independent)[0]
+            factors = least_squares(own.columns, own.error(delay), own.independent)[0]
             per_acceleration = max(float(factors[0]), 0.1 * per_acceleration)
         # As if rotors had the inertia of the links.
         stiffness[j] = 2.0 * inertia[j] / per_acceleration
@@ -216,10 +219,10 @@ def _describe(law: ActuatorLaw, found: ActuatorLaw, evidence: float) -> list[str
     return notes
 
 
-def _joint_rows(robot: RobotModel, runs: Sequence[RecordedRun], joint: int) -> _JointRows | None:
+def joint_rows(robot: RobotModel, runs: Sequence[RecordedRun], joint: int) -> JointRows | None:
     """Return the filtered rows of one joint over all runs; None if it hardly moves."""
     parts: list[tuple[np.ndarray, ...]] = []
-    commands: list[tuple[CubicSpline, np.ndarray, np.ndarray]] = []
+    commands: list[tuple[CubicSpline, np.ndarray, np.ndarray, np.ndarray]] = []
     seconds = 0.0
     for run in runs:
         if run.command is None or not np.isfinite(run.command[:, joint]).any() or not run.usable:
@@ -238,18 +241,29 @@ def _joint_rows(robot: RobotModel, runs: Sequence[RecordedRun], joint: int) -> _
         chosen = np.arange(len(own))[inside]
         chosen = chosen[np.abs(speed[chosen]) >= MIN_MOVING_SPEED]
         smooth = slow.low_pass(delayed_command(run, 0.0)[:, joint : joint + 1])[:, 0]
-        commands.append((CubicSpline(run.time, smooth), slow.time[chosen], own[chosen]))
+        commands.append((CubicSpline(run.time, smooth), slow.time, own, chosen))
         parts.append(tuple(x[chosen] for x in (columns, load, speed)))
         seconds += len(chosen) * run.step
     if not parts or sum(len(part[0]) for part in parts) < MIN_MOVING_INSTANTS:
         return None
 
     def error(delay: float) -> np.ndarray:
-        return np.concatenate([spline(time - delay) - own for spline, time, own in commands])
+        return np.concatenate(
+            [spline(time[rows] - delay) - own[rows] for spline, time, own, rows in commands]
+        )
+
+    def integral(delay: float) -> np.ndarray:
+        found = []
+        for spline, time, own, rows in commands:
+            whole = np.cumsum(spline(time - delay) - own) * (time[1] - time[0])
+            found.append(whole[rows] - whole.mean())
+        return np.concatenate(found)
 
     columns, load, speed = (np.concatenate(each) for each in zip(*parts, strict=True))
     independent = max(2.0 * SLOW_CUTOFF * seconds, 1.0)
-    return _JointRows(columns, load, speed, error, independent, _stated_factors(robot, joint))
+    run_of_row = np.repeat(np.arange(len(commands)), [len(each[-1]) for each in commands])
+    stated = _stated_factors(robot, joint)
+    return JointRows(columns, load, speed, error, integral, run_of_row, independent, stated)
 
 
 def _stated_factors(robot: RobotModel, joint: int) -> np.ndarray:
@@ -264,7 +278,7 @@ def _stated_factors(robot: RobotModel, joint: int) -> np.ndarray:
     return np.array(found)
 
 
-def _estimate_delay(rows: Sequence[_JointRows | None], law: ActuatorLaw) -> tuple[float, float]:
+def _estimate_delay(rows: Sequence[JointRows | None], law: ActuatorLaw) -> tuple[float, float]:
     """Return the likeliest delay [s] and its log likelihood ratio to none; 0 where none shows.
 
     A delay acts as viscous friction k d does: stated friction and rotor inertia of all joints
@@ -295,14 +309,14 @@ def _estimate_delay(rows: Sequence[_JointRows | None], law: ActuatorLaw) -> tupl
     return float(fine[best]), evidence
 
 
-def _misfit(own: _JointRows, joint: int, law: ActuatorLaw, delay: float) -> float:
+def _misfit(own: JointRows, joint: int, law: ActuatorLaw, delay: float) -> float:
     """Return minus the log likelihood of one joint's error at a delay."""
     error, count = own.error(delay), len(own.load)
     if not np.isfinite(law.stiffness[joint]):
         table = np.column_stack([own.load, own.columns])
-        return 0.5 * own.independent * float(np.log(_least_squares(table, error, count)[2]))
+        return 0.5 * own.independent * float(np.log(least_squares(table, error, count)[2]))
     target = law.stiffness[joint] * error - law.damping[joint] * own.velocity - own.load
-    left = _least_squares(own.columns, target, count)[2]
+    left = least_squares(own.columns, target, count)[2]
     # Rows that repeat one another count once; stated values are rows of their own.
     known = np.isfinite(own.stated[:, 1])
     weight = np.sqrt(left * count / own.independent) / own.stated[known, 1]
@@ -310,17 +324,17 @@ def _misfit(own: _JointRows, joint: int, law: ActuatorLaw, delay: float) -> floa
     extra[np.arange(len(weight)), np.flatnonzero(known)] = weight
     table = np.vstack([own.columns, extra])
     wanted = np.concatenate([target, weight * own.stated[known, 0]])
-    return 0.5 * own.independent * float(np.log(_least_squares(table, wanted, count)[2]))
+    return 0.5 * own.independent * float(np.log(least_squares(table, wanted, count)[2]))
 
 
-def _load_factor(own: _JointRows, delay: float) -> tuple[np.ndarray, float]:
+def _load_factor(own: JointRows, delay: float) -> tuple[np.ndarray, float]:
     """Return the factors in the error and the deviation of the first, the load, over stretches.
 
     Stated friction and rotor inertia weigh as much as their tolerance allows: over the gain, which
     is sought, they are known relative to its own factor.
     """
     table, target = np.column_stack([own.load, own.columns]), own.error(delay)
-    factors, spread, square = _least_squares(table, target, own.independent)
+    factors, spread, square = least_squares(table, target, own.independent)
     known = np.flatnonzero(np.isfinite(own.stated[:, 1]))
     noise = float(np.sqrt(square * len(target) / own.independent))
     parts = np.array_split(np.arange(len(target)), _JACKKNIFE_STRETCHES)
@@ -331,7 +345,7 @@ def _load_factor(own: _JointRows, delay: float) -> tuple[np.ndarray, float]:
         extra[:, 0], extra[range(len(known)), 1 + known] = -value, 1.0
         extra *= (noise / (deviation * scale))[:, None]
         whole = np.vstack([table[rows], extra])
-        found = _least_squares(whole, np.append(target[rows], np.zeros(len(known))), independent)
+        found = least_squares(whole, np.append(target[rows], np.zeros(len(known))), independent)
         return found[0], found[1]
 
     scale = 1.0
@@ -363,7 +377,7 @@ def _joint_inertias(robot: RobotModel, runs: Sequence[RecordedRun]) -> np.ndarra
     return np.diagonal(moved - robot.spring_torque(pose, still, still))
 
 
-def _least_squares(
+def least_squares(
     table: np.ndarray, target: np.ndarray, independent: float
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Return factors, their standard deviations (k,) and the mean square of the residual.

@@ -63,7 +63,7 @@ def doubt_commands(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> Ite
                 tuple(kind)
                 for kind in (
                     _doubt_copies(position, command, moving),
-                    _doubt_units(position, command, moving),
+                    _doubt_units(recordings, position, command, moving),
                     _doubt_other_joints(position, command, moving),
                     _doubt_swapped(recordings, commanded, moving),
                     _doubt_thinned(commanded, moving),
@@ -97,7 +97,9 @@ def _travel_ratio(position: np.ndarray, command: np.ndarray) -> np.ndarray:
         return np.asarray(np.nanstd(command, axis=0) / np.nanstd(position, axis=0))
 
 
-def _doubt_units(position: np.ndarray, command: np.ndarray, moving: np.ndarray) -> Iterator[Doubt]:
+def _doubt_units(
+    recordings: RecordingSet, position: np.ndarray, command: np.ndarray, moving: np.ndarray
+) -> Iterator[Doubt]:
     """Doubt commands whose travel is not that of the positions; a joint may be held in place."""
     ratio = _travel_ratio(position, command)
     odd = (
@@ -113,6 +115,10 @@ def _doubt_units(position: np.ndarray, command: np.ndarray, moving: np.ndarray) 
     degree = 180.0 / np.pi
     if max(usual / degree, degree / usual) < _DEGREE_RATIO_TOLERANCE and not whole:
         what, line = "commands are in degrees", 'command = "deg" in [signals.scale]'
+        if not odd[moving].all():
+            scale = recordings.signals.scale_of("command", len(odd)) / np.where(odd, degree, 1.0)
+            each = ", ".join(f"{own:.6g}" for own in scale)
+            line = f"command = [{each}] in [signals.scale]"
     elif max(usual * degree, 1.0 / (usual * degree)) < _DEGREE_RATIO_TOLERANCE:
         what = "positions are in degrees"
         line = 'position = "deg" and command = 1.0 in [signals.scale]'
