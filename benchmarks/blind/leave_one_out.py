@@ -110,17 +110,17 @@ def page(rows: list[Outcome], key: Key) -> str:
     """The results as a page."""
     close = [_within(row.law) for row in rows]
     held = [_within(row.whole or row.law) for row in rows]
-    alike = sum(row.law.beside["test"] <= CLOSE for row in rows)
+    alike = sum(row.law.whole["test"] <= CLOSE for row in rows)
     lines = [
         "# Effects taken from the catalogue, found again as laws",
         "",
         f"Key `{key.text}`{' (development)' if key.development else ''}, commit `{key.commit}`."
-        f" Function within 10 % over the range met in {sum(close)} of {len(close)}, up to nominal"
-        f" values within tolerance in {alike}; by the law or else the whole catalogue in"
-        f" {sum(held)}. Excess removed on test runs in the median"
+        f" Function within 10 % over the range met in {sum(close)} of {len(close)}, that of the"
+        f" findings with the reported nominal values in {alike}; by the law or else the whole"
+        f" catalogue in {sum(held)}. Excess removed on test runs in the median"
         f" {np.median([row.law.removed['test'] for row in rows]):.0%}.",
         "",
-        "| effect | verdict | law at the joint | error | up to nominal values"
+        "| effect | verdict | law at the joint | error | of the whole model"
         " | error of the whole catalogue | excess removed |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
@@ -128,7 +128,7 @@ def page(rows: list[Outcome], key: Key) -> str:
         known = "" if whole is None else f"{whole.error['test']:.2f}"
         lines.append(
             f"| {law.kind} | {law.verdict} | {'yes' if law.joint else 'no'}"
-            f" | {law.error['test']:.2f} | {law.beside['test']:.2f} | {known}"
+            f" | {law.error['test']:.2f} | {law.whole['test']:.2f} | {known}"
             f" | {law.removed['test']:.2f} |"
         )
     return "\n".join(lines) + "\n"

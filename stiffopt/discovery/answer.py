@@ -54,12 +54,17 @@ class ChangedValue:
 
 
 def statements(diagnosis: Diagnosis) -> list[Statement]:
-    """Return the findings in words, in the order of what they explain, the named ones first."""
+    """Return the findings in words, in the order of what they explain, the named ones first.
+
+    On held-out runs; alike there, of the excess that nominal values within tolerance leave.
+    """
     listed_findings = [f for f in diagnosis.findings if f.probability >= MIN_LISTED_PROBABILITY]
-    order = sorted(
-        listed_findings, key=lambda f: (f.certainty == "possible", -explained_squares(diagnosis, f))
-    )
-    return [_state_finding(diagnosis, finding) for finding in order]
+
+    def order(f: Finding) -> tuple[bool, float, float]:
+        explained = (held_out_share(diagnosis, f), explained_squares(diagnosis, f))
+        return f.certainty == "possible", -explained[0], -explained[1]
+
+    return [_state_finding(diagnosis, f) for f in sorted(listed_findings, key=order)]
 
 
 def explained_squares(diagnosis: Diagnosis, finding: Finding) -> float:

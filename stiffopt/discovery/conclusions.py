@@ -45,11 +45,8 @@ from stiffopt.discovery.training import Training
 from stiffopt.recording.recording_set import RecordingSet
 
 if TYPE_CHECKING:
-    from stiffopt.discovery.effect import Constants
     from stiffopt.discovery.signals import RobotConstants
 
-# Share of the amplitudes at which reported values are compared with the fitted ones.
-_SMALL_SHARE = 1e-3
 # Two-sided p-value of one standard deviation: a value beyond it is zero within its deviation.
 _ONE_DEVIATION = float(2.0 * special.ndtr(-1.0))
 # Odds that a joint has no friction or no rotor worth measuring, before the recordings.
@@ -99,10 +96,10 @@ def build_findings(
             )
             for name, (value, sd) in values.items()
         )
-        chance = max(
-            parameters.p_value(index),
-            _reported_p_value(parameters.effects[index], reported, located.constants(constants)),
-        )
+        sized = parameters.size_p_value(index, located.constants(constants))
+        if sized is None:
+            sized = 0.0 if any(each.determined for each in reported) else _UNDETERMINED_P_VALUE
+        chance = max(parameters.p_value(index), sized)
         # The mean of few runs differs between two states by chance, at any of the joints and in
         # any effect of its family.
         alike = sum(each.family == effect.family for each in CATALOGUE)
@@ -149,27 +146,6 @@ def _null_share(chance: float, places: int = 1) -> float:
     """
     beyond = max(chance - _ONE_DEVIATION, 0.0) / (1.0 - _ONE_DEVIATION)
     return max(null_probability(chance, places), 0.5 + 0.5 * beyond if beyond > 0.0 else 0.0)
-
-
-def _reported_p_value(
-    found: EstimatedEffect, reported: Sequence[Parameter], constants: Constants
-) -> float:
-    """Return the p-value of the reported sizes of an effect.
-
-    A size is a value that falls with the amplitudes; a place, a factor or a ratio is none. Without
-    a size the effect is told by values of which one at least has to be determined.
-    """
-    located = found.located
-    smaller = tuple(_SMALL_SHARE * amplitude for amplitude in found.amplitudes)
-    small = located.effect.parameters(smaller, located.shapes, constants)
-    ratios = [
-        abs(each.value) / each.sd
-        for each in reported
-        if each.sd > 0.0 and abs(small[each.name]) <= 2.0 * _SMALL_SHARE * abs(each.value)
-    ]
-    if not ratios:
-        return 0.0 if any(each.determined for each in reported) else _UNDETERMINED_P_VALUE
-    return min(1.0, 2.0 * len(ratios) * float(special.ndtr(-max(ratios))))
 
 
 def decide_verdict(

@@ -238,6 +238,8 @@ class Effect:
     lags: bool = False
     # True where its parameter "limit" is the largest torque of the joint's drive.
     limits_drive: bool = False
+    # True if it acts at times that the recorded torques alone tell, such as from grasp to release.
+    acts_for_a_while: bool = False
     # Nominal value of the joint of which the last amplitude is a share that is lost.
     loses: str = ""
     # True for free travel of a joint as a function of its spring torque alone, across which links

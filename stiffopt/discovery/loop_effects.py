@@ -19,6 +19,7 @@ from stiffopt.discovery.comparison.located_effect import EstimatedEffect
 from stiffopt.discovery.effect import Effect, Term, Values
 from stiffopt.discovery.extended.model import ExtendedModel
 from stiffopt.discovery.extended.planning import joint_constants, planner_model
+from stiffopt.discovery.laws.law import law_of
 from stiffopt.discovery.loop_fit import DRIVE_PARAMETERS, stated_tolerance
 from stiffopt.discovery.signals import (
     JOINT_SIGNAL_NAMES,
@@ -29,7 +30,6 @@ from stiffopt.discovery.signals import (
 )
 from stiffopt.dynamics.kinematics import point_jacobian, tool_pose
 from stiffopt.recording.recording_set import RecordingSet
-from stiffopt.robot.added_torque import AddedTorque, MotionState
 from stiffopt.robot.robot import Robot
 
 # Samples at which a formula is compared with the term, over a time in which memory would show; and
@@ -125,7 +125,7 @@ def robot_in_loop(
                 values[DRIVE_PARAMETERS[each.effect.loses], place] -= each.amplitudes[-1] * whole
     for each in more:
         instant.add(each, with_shapes=False)
-    return planner.robot, instant.physics(planner.robot.added_torques), values
+    return planner.robot, instant.physics(), values
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,14 +203,21 @@ class _Instant:
     def _unknown_shapes(self, each: EstimatedEffect) -> dict[int, ca.SX]:
         """Return symbols of the shapes that a report tells, by number.
 
-        Their initial values of a search tell how far they may be.
+        Their initial values of a search tell how far they may be, those of a law its bounds.
         """
-        starts = each.located.starts(self.constants)
+        ranges = self._shape_ranges(each)
         return {
             k: ca.SX.sym(entry.name)
             for k, entry in enumerate(each.effect.shapes)
-            if entry.reported and entry.fit == "free" and len(starts[k]) > 1
+            if entry.reported and entry.fit == "free" and ranges[k] > 0.0
         }
+
+    def _shape_ranges(self, each: EstimatedEffect) -> list[float]:
+        """Return how far each shape may be from its value."""
+        law = law_of(each.effect)
+        if law is not None:
+            return [high - low for low, high in law.bounds]
+        return [float(np.ptp(own)) for own in each.located.starts(self.constants)]
 
     def _unknowns(
         self, each: EstimatedEffect, amplitudes: ca.SX, shapes: Mapping[int, ca.SX]
@@ -222,7 +229,7 @@ class _Instant:
             size, (least, greatest) = float(sizes[k]), sizes[k] * bounds[k]
             yield (key, k), amplitudes[k], value, max(size, abs(value)), least, greatest
         for k, shape in shapes.items():
-            spread = 0.5 * float(np.ptp(located.starts(self.constants)[k]))
+            spread = 0.5 * self._shape_ranges(each)[k]
             number, own = len(each.amplitudes) + k, each.effect.shapes[k]
             yield (key, number), shape, each.shapes[k], spread, own.lower, own.upper
 
@@ -238,18 +245,9 @@ class _Instant:
         if not ca.depends_on(ca.jacobian(torque, s.acceleration), s.acceleration):
             self.torque[place] += torque
 
-    def physics(self, laws: Sequence[AddedTorque]) -> LoopPhysics:
-        """Return the physics of all findings, and of laws."""
+    def physics(self) -> LoopPhysics:
+        """Return the physics of all findings."""
         s = self.symbols
-        state = MotionState(
-            position=ca.vertsplit(s.position),
-            velocity=ca.vertsplit(s.velocity),
-            acceleration=ca.vertsplit(s.acceleration),
-            direction=ca.vertsplit(s.direction),
-            load=ca.vertsplit(s.spring),
-        )
-        for each in laws:
-            self._add_torque(each.joint, ca.SX(each.value(state)))
         inputs = [getattr(s, name) for name in _SIGNAL_NAMES]
 
         def added(given: LoopSignals) -> ca.SX:
@@ -304,7 +302,12 @@ class _Instant:
         try:
             inside = [np.array([own], dtype=object) for own in split]
             units = np.eye(len(each.amplitudes)).tolist()
-            symbolic: Any = tuple(shapes.get(k, value) for k, value in enumerate(each.shapes))
+            # Signals of one joint are single symbols, those of a robot arrays of them.
+            alone = each.located.is_of_one_joint
+            given_shapes = {
+                k: own if alone else np.array([[own]], dtype=object)[0] for k, own in shapes.items()
+            }
+            symbolic: Any = tuple(given_shapes.get(k, v) for k, v in enumerate(each.shapes))
             found = [self._evaluate(each, symbolic, unit, inside, 0.0) for unit in units]
         except (TypeError, RuntimeError, ValueError, AttributeError, LookupError):
             return None  # written for arrays of samples alone

@@ -18,10 +18,12 @@ from stiffopt.discovery.identifiable import (
     select_unseen,
     widen_for_changes,
 )
+from stiffopt.discovery.judging.carried_parts import find_carried_parts
 from stiffopt.discovery.judging.episodes import (
     Episode,
     find_episodes,
     mask_episodes,
+    mask_load_changes,
     training_tracks,
 )
 from stiffopt.discovery.progress import Say
@@ -35,6 +37,8 @@ from stiffopt.discovery.thresholds import (
 from stiffopt.discovery.training import Training, prepare_training
 from stiffopt.interrupts import complete_step
 from stiffopt.recording.recording_set import RecordingSet
+from stiffopt.recording.run import RecordedRun
+from stiffopt.recording.state_pair import StatePair
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,6 +53,7 @@ class TrainingSearch:
 
     def run(self, training: Training) -> tuple[Training, SearchResult, tuple[Episode, ...]]:
         """Search, and return the runs searched, the result, and contact intervals left out."""
+        training = self._with_carried_parts(training)
         comparison = training.comparison()
         # Contacts that show already beside the nominal model are excluded from the first search.
         # Torque that a drive at its limit is asked for in vain looks like one.
@@ -64,6 +69,21 @@ class TrainingSearch:
             training, result = self._retry_quasi_static(training, result)
         training, result, later = self._exclude_contacts(training, result)
         return training, result, (*touched, *later)
+
+    def _with_carried_parts(self, training: Training) -> Training:
+        """Return the training runs with the intervals in which the arm carries a part."""
+        commanded = self.recordings.signals.commanded
+        if commanded or training.runs[0].at_rest or isinstance(self.recordings, StatePair):
+            return training
+        found = find_carried_parts(training.robot, training.runs)
+        if not any(found):
+            return training
+        runs = [run.name for run, own in zip(training.runs, found, strict=True) if own]
+        self.say(f"a part is carried for a while ({', '.join(runs)})")
+        recorded = zip(training.recorded, found, strict=True)
+        return self._prepare(
+            training, [mask_load_changes(replace(run, carried=own)) for run, own in recorded]
+        )
 
     def _retry_quasi_static(
         self, training: Training, result: SearchResult
@@ -131,7 +151,10 @@ class TrainingSearch:
 
     def _prepare_without(self, training: Training, episodes: Sequence[Episode]) -> Training:
         """Prepare the training runs without contact intervals, which distort bands and noise."""
-        runs = [mask_episodes(run, episodes) for run in training.recorded]
+        return self._prepare(training, [mask_episodes(run, episodes) for run in training.recorded])
+
+    def _prepare(self, training: Training, runs: Sequence[RecordedRun]) -> Training:
+        """Prepare changed training runs as those before."""
         vibrating = training.runs[0].vibration is not None
         return prepare_training(
             self.recordings, self.settings, self.base, self.say, runs, vibrating=vibrating

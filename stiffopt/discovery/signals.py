@@ -205,6 +205,8 @@ class MotionSignals:
     asked_torque: Quantity | None = None
     # The same torque per time that its commands are later than assumed [N m/s]; else None.
     command_rate: Quantity | None = None
+    # 1 while the arm carries a part (K,), else 0; None where it never does.
+    carrying: Quantity | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

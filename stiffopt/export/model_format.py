@@ -18,6 +18,7 @@ from stiffopt.discovery.extended.value_changes import (
     torque_gains,
     value_changes,
 )
+from stiffopt.discovery.loop_effects import loop_parameter
 from stiffopt.discovery.store import MODEL_FILE
 from stiffopt.errors import InputFileError
 from stiffopt.folders import check_result
@@ -71,8 +72,13 @@ def read_diagnosed_robot(
     gain, zeros = np.ones(loaded.robot.n), np.zeros(loaded.robot.n)
     gain[loaded.order] = torque_gains(model)
     zeros[loaded.order] = joint_zeros(model)
+    elsewhere = ["torque_gain", "joint_zero"]
+    if model.closed_loop is not None:
+        # Parameters of the simulation that was fitted, told by their values there.
+        parts = [e.located for e in planner.not_in_robot if loop_parameter(e.effect) is not None]
+        elsewhere += [each.label for each in parts]
     left_out = tuple(
-        each for each in planner.left_out if not each.startswith(("torque_gain", "joint_zero"))
+        each for each in planner.left_out if not each.startswith(tuple(elsewhere))
     ) + tuple(each.label for each in planner.robot.added_torques)
     found = DiagnosedRobot(
         name=model.name,
@@ -120,10 +126,13 @@ def _with_closed_loop(
         stiffness=np.array(loop.stiffness)[place] * (1.0 + own["gain"]),
         damping=np.array(loop.damping)[place] * (1.0 + own["damping"]),
         changes=tuple(value_changes(found.nominal, robot, order)),
-        left_out=tuple(
-            f"{name} of joint {j + 1}"
-            for name in _UNREPRESENTED_PARAMETERS
-            for j in np.flatnonzero(own[name])
+        left_out=(
+            *found.left_out,
+            *(
+                f"{name} of joint {j + 1}"
+                for name in _UNREPRESENTED_PARAMETERS
+                for j in np.flatnonzero(own[name])
+            ),
         ),
     )
 

@@ -35,6 +35,7 @@ from stiffopt.path.time_law import (
 )
 from stiffopt.problem.limits.joint_curve import curve_at
 from stiffopt.result.trajectory import Trajectory, join_motions
+from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
     from stiffopt.problem.limit import Limits
@@ -196,6 +197,7 @@ class _PathTiming:
         path, limits = self._path, self._limits
         q, d1, d2, d3 = (path(s, k) for k in range(4))
         a, b, c, tool = torque_rows(self._robot, q, d1, d2, self._forces(s))
+        self._check_hold(s, c + self._robot.coulomb * np.sign(d1))
         with np.errstate(divide="ignore", invalid="ignore"):
             left = np.maximum(limits.torque - np.abs(c) - self._robot.coulomb, 1e-2 * limits.torque)
             caps = [
@@ -216,6 +218,19 @@ class _PathTiming:
                 "limits of velocity, and of acceleration or torque."
             )
         return _FIRST_SHARE * speed, _FIRST_SHARE * push
+
+    def _check_hold(self, s: np.ndarray, hold: np.ndarray) -> None:
+        """Raise `ProblemError` where torques (K, n), however slow the motion, exceed a limit."""
+        allowed = self._demands.share("torque", s)[:, None] * self._torque(np.zeros_like(hold))
+        k, j = np.unravel_index(np.argmax(np.abs(hold) / allowed), hold.shape)
+        if abs(hold[k, j]) > allowed[k, j]:
+            unit = joint_unit("N m", bool(self._robot.prismatic[j]))
+            raise ProblemError(
+                f"at {100.0 * s[k]:.3g} % of the path weight, process force and dry friction take "
+                f"{abs(hold[k, j]):.4g} {unit} at joint {j + 1}, above its torque limit of "
+                f"{allowed[k, j]:.4g} {unit}, however slow the motion. Lighten the payload or the "
+                "force, move the path or narrow its freedom, or raise limits.torque."
+            )
 
     def uses(self, law: TimeLaw) -> dict[str, np.ndarray]:
         """Largest use (K,) of each limit in every step, relative to it; of torque beside the hold.

@@ -52,7 +52,8 @@ def timed_path(
     It is not below the problem's least duration and uses the `shares` of the limits. Where a
     command is asked for, its law is averaged over the widest window that costs little time, so that
     the motors can lead. None where it exceeds a limit of another kind, or the largest duration.
-    Raises `ProblemError` where no allowed duration keeps the limits of the duty.
+    Raises `ProblemError` where the drives cannot hold the arm on the path, nothing bounds the
+    speed, or no allowed duration keeps the limits of the duty.
     """
     path = problem.path
     assert path is not None
@@ -101,6 +102,8 @@ def _timed_motion(
         try:
             parts = fastest_laws(frozenset(margins.items()))
         except ProblemError:
+            if not margins:
+                raise
             return None
         # Not across a stop, where the path may have a corner that the average would not rest at.
         law = join_motions(

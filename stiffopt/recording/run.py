@@ -11,6 +11,7 @@ from stiffopt.actuator.law import ActuatorLaw, mean_command
 from stiffopt.recording.signals import Kind
 
 Role = Literal["train", "test", "extrapolate"]
+Interval = tuple[float, float]  # begin and end, times of a run [s]
 FaultKind = Literal[
     "constant",
     "saturated",
@@ -83,6 +84,8 @@ class RecordedRun:
     recorded_stamps: np.ndarray | None = None
     # (K, n) commanded position, held until the next [rad]; None if no joint has one.
     command: np.ndarray | None = None
+    # Intervals in which the arm carries a part that it does not carry at other times.
+    carried: tuple[Interval, ...] = ()
 
     @property
     def n(self) -> int:

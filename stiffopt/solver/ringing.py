@@ -71,7 +71,7 @@ class RingingBesideRivals(OutcomeOracle):
         flight, after, _ = self._ratios(last)
         if max(flight, after) <= 1.0 or not last.raw.converged:
             return None
-        # The ringing enters as its square.
+        # The ringing falls about with the root of its weight.
         factor = np.clip((after / _TARGET_RATIO) ** 2, 1.0 / _MAX_WEIGHT_FACTOR, _MAX_WEIGHT_FACTOR)
         if (factor > 1.0) != (after > 1.0):
             return None

@@ -16,6 +16,7 @@ from stiffopt.discovery.sanity.gate import SanityGate, _is_odd, find_odd_runs
 from stiffopt.discovery.sanity.interpretations import Samples
 from stiffopt.discovery.training import open_training_runs
 from stiffopt.recording.recording_set import load_recordings
+from stiffopt.report.diagnosis.mismatch import carried_part_sentences
 from stiffopt.report.diagnosis.sections import fault_lines
 from stiffopt.report.diagnosis.words import (
     headline,
@@ -130,11 +131,14 @@ def test_a_run_without_a_position_is_left_out_by_name_and_reason(tmp_path: Path)
 def test_payload_of_one_run_is_named_with_its_run(tmp_path: Path) -> None:
     diagnosis = diagnose(SCARA.write(tmp_path / "set", payload=(1, 0.6)), experiment=False)
     (finding,) = (each for each in diagnosis.findings if each.probability > 0.5)
-    assert (finding.effect.name, finding.located.run) == ("payload_in_run", "run_2")
+    assert finding.effect.name == "carried_part"
     mass = finding.parameters[0]
-    assert mass.name == "dm"
+    assert mass.name == "m"
     assert abs(mass.value - 0.6) < 3.0 * mass.sd < 0.2
-    assert headline(diagnosis).count("In run_2: 0.6") == 1
+    assert headline(diagnosis).startswith("A part of 0.6")
+    (sentence,) = carried_part_sentences(diagnosis)
+    assert "run_2 0.00 to" in sentence
+    assert "run_1" not in sentence
 
 
 def saturated(logs: list[Log]) -> None:

@@ -11,6 +11,7 @@ from typed_laws import typed_torque
 
 from stiffopt.discovery.extended.model import load_extended
 from stiffopt.discovery.laws.law import law_of
+from stiffopt.discovery.names import ValueName
 from stiffopt.discovery.user_effects import load_effects, sample_signals
 
 pytestmark = pytest.mark.slow
@@ -42,6 +43,16 @@ def test_page_has_the_equation_with_its_numbers_in_full():
     assert law["equation"].replace("+=", "").split()[0] in page
     assert f"A = {estimated.amplitudes[0]!r}" in page
     assert "Residual over the signals of the law" in page
+    assert "The law adds to the torque that the drive of joint 1 has to give" in page
+
+
+def test_page_names_the_nominal_values_that_the_law_is_told_together_with():
+    """Friction by a load is, over the loads that were met, partly the dry friction of the joint."""
+    found = answered(SHARED_BEARING)
+    page = html.unescape((found.out / "report.html").read_text(encoding="utf-8"))
+    (told,) = re.findall(r"would lower the law's variance: (.*?)\.</p>", page)
+    values = load_extended(found.out / "extended.toml").extension.calibration
+    assert f"dry friction of joint 1, {100 * values[ValueName('coulomb', 0)]:+.4g} % here" in told
 
 
 def test_the_equation_typed_from_the_page_gives_the_torque_of_the_model():

@@ -58,7 +58,7 @@ REPORTED = {
     "rotor_ripple": {"B": "N m", "waves": ""},
     "rotor_inertia": {"dJ": "kg m^2"},
     "payload": {"dm": "kg", "cx": "m", "cy": "m", "cz": "m"},
-    "payload_in_run": {"dm": "kg", "cx": "m", "cy": "m", "cz": "m"},
+    "carried_part": {"m": "kg", "cx": "m", "cy": "m", "cz": "m"},
     "gravity_spring": {"k": "N m/rad", "offset": "rad"},
     "cable_spring": {"k1": "N m/rad", "k3": "N m/rad^3", "q0": "rad"},
     "end_stop": {"k": "N m/rad", "q0": "rad"},

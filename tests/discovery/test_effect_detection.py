@@ -137,7 +137,7 @@ NOT_SIMULATED = {
     "friction_drift",
     "joint_damping",
     "output_backlash",
-    "payload_in_run",
+    "carried_part",
     "rotor_ripple",
 }
 

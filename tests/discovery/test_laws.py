@@ -1,6 +1,7 @@
 """Laws beyond the catalogue: grammar, files, and the search in a channel of known content."""
 
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -295,20 +296,48 @@ def test_a_law_takes_the_place_of_a_known_effect_only_where_it_fits_better() -> 
     law = Law(4, "drive_torque", (Factor(LawSource("position", 4), "linear"),))
     best = fit_shapes(channel, law, 1)
     left = channel.square - best.fit.removed
+    wins = partial(beats, channel, best, sized=True)
     cable = LocatedEffect(effect=catalogue.effect("cable_spring"), joint=4, shapes=(0.1,))
     sure, doubted = (Selected(cable, 100.0, 14.0, p, (), 4) for p in (1.0, 0.1))
-    assert not beats(channel, best, left, [sure])
+    assert not wins(left, [sure])
     spring = LocatedEffect(effect=catalogue.effect("gravity_spring"), joint=4, shapes=(0.1,))
-    assert not beats(channel, best, left, [sure, replace(sure, located=spring)])
+    assert not wins(left, [sure, replace(sure, located=spring)])
+    # Eight values that make up for one another, none of which is told from zero, name nothing.
+    lubricated = catalogue.effect("lubricated_friction")
+    many = LocatedEffect(effect=lubricated, joint=4, shapes=(0.1,) * len(lubricated.shapes))
+    assert not wins(left, [replace(sure, located=many)])
+    assert wins(left, [replace(sure, located=many)], sized=False)
+    assert not wins(left, [sure], sized=False)
     # Values of four runs are no function, and random: equal to them a law is likelier, not below.
     drift = LocatedEffect(effect=friction_drift(tuple("abcd")), joint=4, shapes=(0.5,))
     values = Selected(drift, 100.0, 14.0, 1.0, (), 4)
-    assert beats(channel, best, left, [values])
-    assert not beats(channel, best, 0.9 * left, [values])
+    assert wins(left, [values])
+    assert not wins(0.9 * left, [values])
     # By as much as it has to be ahead of a sure finding, it is not of several rivals.
-    far = next(f for f in np.geomspace(1.0, 4.0, 200) if beats(channel, best, f * left, [sure]))
+    far = next(f for f in np.geomspace(1.0, 4.0, 200) if wins(f * left, [sure]))
     assert 1.0 < far < 2.0
-    assert not beats(channel, best, far * left, [doubted])
+    assert not wins(far * left, [doubted])
+
+
+def test_a_more_general_form_keeps_the_bounds_of_its_shapes() -> None:
+    """Orders of a motor are sought beyond those of the grid, where the residual has peaks."""
+    ripple = Factor(LawSource("position", 4), "harmonic", (240.0,), ((2.5, 264.0),))
+    more = ripple.generalised(SignalRange(low=-1.0, high=1.0, duration=5.0, rate=24.0))
+    assert (more.form, more.shapes, more.bounds) == (
+        "harmonic_overtone",
+        (240.0,),
+        ((2.5, 264.0),),
+    )
+
+
+def test_a_power_has_its_exponent_in_the_unit() -> None:
+    load, speed = LawSource("load", 1), LawSource("speed", 1)
+    power = Factor(load, "signed_power", (0.5,))
+    assert Law(1, "deflection", (power,)).amplitude_units == ("rad/(N m)^n",)
+    both = Law(1, "drive_torque", (Factor(speed, "power", (2.0,)), power))
+    assert both.amplitude_units == ("N m/(rad/s)^n1/(N m)^n2",)
+    summed = Law(1, "drive_torque", (Factor(speed, "power+signed_power", (2.0, 0.5)),))
+    assert summed.amplitude_units == ("N m/(rad/s)^n", "N m/(rad/s)^n_2")
 
 
 def test_a_constant_is_a_law() -> None:

@@ -24,13 +24,14 @@ from stiffopt.discovery.comparison.located_effect import (
 from stiffopt.discovery.conclusions import _null_share, findings_with_loop_values
 from stiffopt.discovery.diagnosis import Finding, Parameter, Rival
 from stiffopt.discovery.effect import Term, Values
+from stiffopt.discovery.extended.model import ExtendedModel
 from stiffopt.discovery.extended.value_changes import extended_model
 from stiffopt.discovery.laws.law import Factor, Law, law_effect
 from stiffopt.discovery.laws.sources import LawSource
 from stiffopt.discovery.loop_effects import robot_in_loop
 from stiffopt.discovery.loop_fit import build_loop, commanded_run, nominal_parameters
 from stiffopt.discovery.position_fit import ClosedLoopModel
-from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
+from stiffopt.discovery.sanity.actuator_estimate import ResolvedActuator, resolve_actuator
 from stiffopt.discovery.settings import DEFAULT_TOLERANCE, Settings
 from stiffopt.discovery.signals import RobotConstants
 from stiffopt.discovery.training import open_training_runs, prepare_training
@@ -48,11 +49,18 @@ def servo_set(tmp_path_factory: pytest.TempPathFactory) -> RecordingSet:
     )
 
 
-def simulated(recordings: RecordingSet, *found: EstimatedEffect) -> np.ndarray:
-    """Return positions (K,) of the training run, simulated with findings."""
+def prepared(
+    recordings: RecordingSet, *found: EstimatedEffect
+) -> tuple[ResolvedActuator, ExtendedModel]:
+    """Return the set with the law of its actuator, and the nominal model with findings."""
     own = resolve_actuator(recordings, open_training_runs(recordings))
     training = prepare_training(own.recordings, Settings(), None, lambda _: None, own.runs)
-    model = extended_model(own.recordings, training.constants, Extension(effects=found))
+    return own, extended_model(own.recordings, training.constants, Extension(effects=found))
+
+
+def simulated(recordings: RecordingSet, *found: EstimatedEffect) -> np.ndarray:
+    """Return positions (K,) of the training run, simulated with findings."""
+    own, model = prepared(recordings, *found)
     robot, physics, own_values = robot_in_loop(own.recordings, model)
     run = commanded_run(own.recordings, own.runs[0])
     loop = build_loop(own.recordings, [run], robot.tree, physics)
@@ -184,6 +192,17 @@ def test_a_law_acts_as_the_effect_that_it_equals(servo: RecordingSet) -> None:
     sprung = simulated(servo, found("cable_spring", (SPRING, 0.0), (0.0,)))
     own = simulated(servo, law(Factor(LawSource("position", 0), "linear")))
     np.testing.assert_allclose(own, sprung, atol=1e-9)
+
+
+def test_the_values_of_a_law_are_unknowns_of_the_simulation(servo: RecordingSet) -> None:
+    """Held as the torques tell them, their errors would go to friction and rotor inertia."""
+    bounds = ((-1.0, 1.0), (0.1, 2.0))
+    dent = law(Factor(LawSource("position", 0), "bump", (0.2, 0.5), bounds))
+    resolved, model = prepared(servo, dent)
+    own = robot_in_loop(resolved.recordings, model)[1].amplitudes
+    np.testing.assert_allclose(own.values, [SPRING, 0.2, 0.5])
+    np.testing.assert_allclose(own.bounds[1:], bounds)
+    np.testing.assert_allclose(own.deviations[1:], [1.0, 0.95])
 
 
 def test_laws_of_accelerations_are_left_out(servo: RecordingSet) -> None:

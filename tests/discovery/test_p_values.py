@@ -131,6 +131,30 @@ def test_prior_of_reported_values_is_that_of_amplitudes_and_initial_shapes() -> 
     assert estimate.prior_deviations(0, constants)["tp"] == pytest.approx(expected)
 
 
+def test_a_finding_is_told_from_zero_by_its_sizes_and_not_by_its_places() -> None:
+    """A drag falls with its amplitude, the torque that a lost preload still carries does not."""
+
+    def chance(name: str, shapes: tuple[float, ...], sd: float) -> float | None:
+        effects = [LocatedEffect(effect=effect(name), joint=0, shapes=shapes)]
+        count = len(effects[0].effect.amplitudes)
+        values, shared = np.ones(count), sd**2 * np.eye(count + len(shapes))
+        estimate = replace(
+            _estimate(values, shared, shared),
+            covariance=shared,
+            common=0.0 * shared,
+            added=0.0 * shared,
+            effects=with_amplitudes(effects, values, [np.ones(count)]),
+            shape_sizes=(np.ones(len(shapes)),),
+        )
+        return estimate.size_p_value(0, JOINT)
+
+    sure, doubted = (chance("viscous", (), sd) for sd in (0.05, 2.0))
+    assert sure is not None
+    assert doubted is not None
+    assert sure < 1e-6 < 0.5 < doubted
+    assert chance("preload_loss", (0.1, 0.5), 0.05) is None
+
+
 def test_a_function_is_told_where_the_values_that_describe_it_are_not_each():
     """Of two columns that are nearly one, the sum is told and the shares are not."""
     rng = np.random.default_rng(3)

@@ -6,6 +6,7 @@ import pytest
 from diagnosed_two_link import TWO_LINK
 
 from stiffopt.cli import run
+from stiffopt.closed_loop.parameters import BODY_PARAMETERS, JOINT_PARAMETERS
 
 MODEL = """schema = 1
 kind = "extended"
@@ -27,11 +28,11 @@ term = {{ A = {value} }}
 
 @pytest.fixture
 def exported(tmp_path, capsys):
-    def export(*laws):
+    def export(*laws, more=""):
         source = tmp_path / "diagnosis"
         source.mkdir(exist_ok=True)
         parts = [LAW.format(name=n, factors=f, value=v) for n, f, v in laws]
-        (source / "extended.toml").write_text(MODEL + "".join(parts))
+        (source / "extended.toml").write_text(MODEL + more + "".join(parts))
         arguments = ["--recordings", str(TWO_LINK), "--out", str(tmp_path), "--to", "mjcf"]
         assert run(["export", str(source), *arguments]) == 0
         root = ET.parse(tmp_path / "found.xml").getroot()
@@ -51,6 +52,23 @@ def test_laws_that_a_joint_has_a_value_for_are_carried(exported):
     assert found["frictionloss"] - plain["frictionloss"] == pytest.approx(0.3)
     assert found["armature"] - plain["armature"] == pytest.approx(0.02)
     assert "finding without a value" not in told
+
+
+def test_a_law_beside_a_fitted_simulation_is_named(exported):
+    """The simulation's parameters replace the robot's values, and not what no robot file holds."""
+    none = {name: [0.0, 0.0] for name in (*JOINT_PARAMETERS, *BODY_PARAMETERS)}
+    loop = {
+        **{"stiffness": [20.0, 10.0], "damping": [1.5, 0.5], "delay": 0.004},
+        **{"drive_max": [90.0, 90.0], "torque_max": [90.0, 90.0]},
+        **{"tolerance": [0.1, 0.1], "middle": [0.0, 0.0]},
+    }
+    text = "[closed_loop]\n" + "\n".join(f"{key} = {value}" for key, value in loop.items())
+    for part in ("values", "deviations"):
+        text += f"\n[closed_loop.{part}]\n"
+        text += "\n".join(f"{name} = {value}" for name, value in none.items())
+    other = '{ signal = "position", joint = 1, form = "linear" }'
+    _, told = exported(("hose", other, 1.0), more=text + "\n")
+    assert "finding without a value in this model: hose of joint 2" in told
 
 
 def test_other_laws_are_named(exported):

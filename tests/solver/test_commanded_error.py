@@ -146,7 +146,7 @@ def test_worst_error_is_the_lateness_of_the_servo_plus_the_errors_of_the_other_p
 
     for servo in (Servo(), Servo(bandwidth=20.0, feed_forward=0.9, delay=4e-3)):
         own = replace(problem, servo=servo)
-        given = TermInputs(objective, own, model, (bound,), scales)
+        given = TermInputs(objective, own, model, (bound, 1e-5), scales)
         error = model.commanded_error(own.uncertainty, servo)
         parts = [
             *objective.kind.terms(given).path_rows[0].expressions,
@@ -161,6 +161,24 @@ def test_worst_error_is_the_lateness_of_the_servo_plus_the_errors_of_the_other_p
             (across, ratio * (late_across + 1.5 * others_across)),
         ):
             assert (own_row + (bound / scale) ** 2) * scale**2 == pytest.approx(worst**2, rel=1e-2)
+
+
+def test_least_value_over_its_variable_is_the_error_in_flight_plus_the_ringing(problem):
+    rates = [ca.SX.sym(f"d{k}", 2) for k in range(6)]
+    model = MotorModel(problem.robot, rates, 0.01, np.zeros(2), rest_poses=(np.zeros(2),))
+    (objective,), bound, scale, largest = problem.objectives, 3e-4, 2e-4, 4e-5
+    scales = Scales({"tool_error": scale, "tool_error in flight over across": 1.0})
+    rate = model.commanded_error(problem.uncertainty, problem.servo).ringing_rate
+    values = []
+    for variable in largest * np.array([0.5, 0.9, 1.0, 1.1, 2.0]):
+        given = TermInputs(objective, problem, model, (bound, variable), scales)
+        terms = objective.kind.terms(given)
+        ratio = ca.Function("ratio", rates, [terms.integrands[0] / rate])
+        # An integral of the rate that makes the largest ringing, 1.5 times its root, the given one.
+        integral = float(ratio(*np.ones((6, 2)))) * (largest / 1.5) ** 2
+        values.append(terms.value([integral], 1.0))
+    assert np.argmin(values) == 2
+    assert min(values) == pytest.approx(bound + largest)
 
 
 def test_error_across_is_that_perpendicular_to_the_speed_of_the_tool(problem):

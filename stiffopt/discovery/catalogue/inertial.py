@@ -49,6 +49,19 @@ def _report_payload(amplitudes: Values, shapes: Values, constants: Constants) ->
     return {"dm": mass, **dict(zip(("cx", "cy", "cz"), places, strict=True))}
 
 
+def _carried_term(signals: RobotSignals, amplitudes: Values, shapes: Values) -> Term:
+    """Return the torques of a part while it is carried."""
+    if signals.carrying is None or not any(amplitudes):
+        return Term()
+    body = body_term(signals, amplitudes, signals.last_link)
+    return Term(link_torque=body.link_torque * signals.carrying[:, None])
+
+
+def _report_part(amplitudes: Values, shapes: Values, constants: Constants) -> Reported:
+    payload = dict(_report_payload(amplitudes, shapes, constants))
+    return {"m": payload.pop("dm"), **payload}
+
+
 def _report_link(amplitudes: Values, shapes: Values, constants: Constants) -> Reported:
     mass, *moments = amplitudes[:4]
     xx, _, yy, _, _, zz = amplitudes[4:]
@@ -152,25 +165,22 @@ PAYLOAD = Effect(
     " tilted base's does not.",
 )
 
-PAYLOAD_IN_RUN = Effect(
-    name="payload_in_run",
+CARRIED_PART = Effect(
+    name="carried_part",
     family="inertial",
-    scope="recording",
-    equation="s += Y_last(q, v, a)*(dm, dm*c, dI) in one run",
-    signature="link torques of several joints off together in one run alone, as a mass at the last"
-    " link makes them",
-    phrase=(
-        "{dm} heavier in this run than in the others, at {cx/cy/cz} of the last joint",
-        "{dm} lighter in this run than in the others, at {cx/cy/cz} of the last joint",
-    ),
-    remedy="Check what the arm carried in that run: make a set of each payload, or leave the run"
-    " out.",
-    needs=("torque", "moves", "runs"),
+    scope="robot",
+    equation="s += Y_last(q, v, a)*(m, m*c, I) from grasp to release",
+    signature="link torques of several joints off together for a while, as a mass at the last link"
+    " makes them",
+    phrase="a part of {m} carried for a while, at {cx/cy/cz} of the last joint",
+    remedy="Enter the part of {m} as payload from grasp to release; record the gripper's state.",
+    needs=("torque", "moves"),
     confused_with=("payload",),
-    term=lambda signals, a, s: body_term(signals, a, signals.last_link),
+    acts_for_a_while=True,
+    term=_carried_term,
     amplitudes=PAYLOAD.amplitudes,
-    report=_report_payload,
-    units=PAYLOAD.units,
+    report=_report_part,
+    units={"m": "kg", **PAYLOAD.units},
     separate="Repeat the run with the gripper empty and with the part: the difference is the part.",
 )
 
@@ -196,4 +206,4 @@ INERTIAL_ERROR = Effect(
     " postures of the others: friction turns with the direction, masses do not.",
 )
 
-INERTIAL = (ROTOR_INERTIA, PAYLOAD, PAYLOAD_IN_RUN, INERTIAL_ERROR)
+INERTIAL = (ROTOR_INERTIA, PAYLOAD, CARRIED_PART, INERTIAL_ERROR)

@@ -94,7 +94,8 @@ class LocatedEffect:
     @property
     def is_run_specific(self) -> bool:
         """True where its contribution to a run predicts nothing of other runs."""
-        return self.run is not None or self.effect.of_runs is not None
+        effect = self.effect
+        return self.run is not None or effect.of_runs is not None or effect.acts_for_a_while
 
     def acts_in(self, run: str) -> bool:
         """Return True where it acts in a run of this name."""

@@ -29,7 +29,7 @@ from stiffopt.discovery.signals import (
     smooth_sign,
 )
 from stiffopt.recording.channel import DEVIATION_PER_MAD, resolution
-from stiffopt.recording.run import RecordedRun, delayed_command
+from stiffopt.recording.run import Interval, RecordedRun, delayed_command
 
 # Range of the cutoff of the motors' motion [Hz]: wider than the fit's filter, which all derived
 # signals pass later.
@@ -217,6 +217,16 @@ class PreparedRun:
         return found
 
 
+def within_intervals(time: np.ndarray, intervals: Sequence[Interval]) -> np.ndarray | None:
+    """Return 1 at the instants (K,) within intervals, else 0; None without intervals."""
+    if not intervals:
+        return None
+    inside = np.zeros(len(time))
+    for begin, end in intervals:
+        inside[(time >= begin) & (time <= end)] = 1.0
+    return inside
+
+
 def prepare_run(
     robot: RobotModel,
     run: RecordedRun,
@@ -272,6 +282,7 @@ def prepare_run(
         drive_torque=drive,
         drive_torque_rate=derivative(low_pass(drive), dt),
         asked_torque=np.where(np.isfinite(torque), torque, drive),
+        carrying=within_intervals(time, run.carried),
     )
     if (law := robot.recordings.actuator) is not None and law.known and run.command is not None:
         sent = np.nan_to_num(bridge_gaps(delayed_command(run, law.delay)))

@@ -46,7 +46,8 @@ class PlannerModel:
     robot: Robot
     changes: tuple[str, ...]  # changes, a sentence each
     left_out: tuple[str, ...]  # findings without influence on planning, with their place
-    not_in_robot: tuple[EstimatedEffect, ...]  # the same findings
+    # Findings that are no value of the robot: the same, and laws, which are torques beside it.
+    not_in_robot: tuple[EstimatedEffect, ...]
     # (n,) relative standard deviation of each joint's stiffness; NaN if not stated.
     stiffness_deviation: np.ndarray
     # Standard deviation of the identified payload over the payload of the robot; NaN if not stated
@@ -138,10 +139,11 @@ class _RobotUpdate:
             self.left_out.append(located.label)
         elif changed.robot is None:
             self.left_out.append(f"{located.label} ({changed.sentence})")
-        if changed is None or changed.robot is None:
+        robot = None if changed is None else changed.robot
+        if robot is None or len(robot.added_torques) > len(self.robot.added_torques):
             self.not_in_robot.append(estimated)
-        else:
-            self.robot = changed.robot
+        if changed is not None and robot is not None:
+            self.robot = robot
             self.changes.append(changed.sentence)
 
     def stiffness_deviation(self) -> np.ndarray:

@@ -355,6 +355,21 @@ def mask_episodes(run: RecordedRun, episodes: Sequence[Episode]) -> RecordedRun:
     for each in episodes:
         if each.run == run.name:
             out |= each.holds(run.time)
+    return _mask_samples(run, out)
+
+
+def mask_load_changes(run: RecordedRun) -> RecordedRun:
+    """Return the run masked where it grasps and releases the part that it carries.
+
+    There the load passes from the support to the arm, not at one instant.
+    """
+    ends = np.array(run.carried).ravel()
+    inner = ends[(ends > run.time[0]) & (ends < run.time[-1])]
+    away = np.abs(run.time[:, None] - inner)
+    return _mask_samples(run, np.any(away < _EXCLUSION_MARGIN, axis=1))
+
+
+def _mask_samples(run: RecordedRun, out: np.ndarray) -> RecordedRun:
     if not out.any():
         return run
 

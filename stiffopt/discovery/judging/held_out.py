@@ -10,20 +10,29 @@ import numpy as np
 from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
+from stiffopt.discovery.judging.carried_parts import find_known_part
 from stiffopt.discovery.judging.episodes import (
     Episode,
     ResidualTrack,
     find_episodes,
     held_out_track,
     mask_episodes,
+    mask_load_changes,
 )
 from stiffopt.discovery.judging.explained_shares import ExtensionPart, MismatchShares
 from stiffopt.discovery.judging.noise_ceiling import BlackBox, NoiseCeiling
-from stiffopt.discovery.prediction import Predictor, RunProof, compare_predictions, nrmse
+from stiffopt.discovery.prediction import (
+    Predictor,
+    RunProof,
+    compare_predictions,
+    nrmse,
+    residuals,
+)
 from stiffopt.discovery.progress import Say
 from stiffopt.discovery.training import Training
 from stiffopt.recording.decimation import decimate_run
 from stiffopt.recording.recording_set import RecordingSet
+from stiffopt.recording.run import RecordedRun
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -99,6 +108,7 @@ class HeldOutRuns:
             if not run.usable:
                 self.unusable.append(entry.file)
                 continue
+            run = _with_carried_part(training, self._found, run, vibrating=vibrating)
             predictor = Predictor(training, run, vibrating=vibrating)
             before, after = predictor.predict_each(
                 [training.before, (*training.before, self._found)]
@@ -142,6 +152,27 @@ class HeldOutRuns:
     def noise_ceiling(self) -> NoiseCeiling | None:
         """Return the noise ceiling; None if none was fitted."""
         return None if self._box is None else self._box.found()
+
+
+def _with_carried_part(
+    training: Training, found: Extension, run: RecordedRun, *, vibrating: bool
+) -> RecordedRun:
+    """Return a run with the intervals in which it carries the part that training runs carry.
+
+    The motion does not tell when a gripper closes: the recorded torque does, by the found part.
+    """
+    if not any(own.carried for own in training.recorded):
+        return run
+    always = replace(run, carried=((float(run.time[0]), float(run.time[-1])),))
+    predictors = [Predictor(training, own, vibrating=vibrating) for own in (run, always)]
+    without, beside = (own.predict(*training.before, found) for own in predictors)
+    used = np.zeros((len(run.time), run.n), dtype=bool)
+    left = np.zeros((2, len(run.time), run.n))
+    for kind, joint, compared, both in residuals(run, predictors[0].velocity, without, beside):
+        if kind == "torque":
+            used[:, joint] = compared
+            left[:, compared, joint] = both
+    return mask_load_changes(replace(run, carried=find_known_part(run.time, used, *left)))
 
 
 def _choose_vibrating_links(training: Training, found: Extension) -> bool:

@@ -30,7 +30,7 @@ from stiffopt.discovery.search.joint_fit import passes_thresholds, prune_effects
 from stiffopt.discovery.search.left_out_gain import select_predictive
 from stiffopt.discovery.search.rivals import Selected, tempering_width
 from stiffopt.discovery.search.search import SearchResult
-from stiffopt.discovery.search.uncertainty import estimate_parameters
+from stiffopt.discovery.search.uncertainty import estimate_parameters, null_probability
 from stiffopt.discovery.thresholds import (
     CONFIRMED_DEVIATIONS,
     FAINT_RATIO,
@@ -121,11 +121,16 @@ def find_laws(result: SearchResult, say: Say, simulated: Collection[int] = ()) -
             {c for c in range(2 * n) if channel_name(c, n) in open_names}
         )
         number = next((c for c in waiting if c not in refused and c not in closed), None)
-        if number is None or len(refused) >= _MAX_REFUSED:
+        if number is None:
             break
         name = channel_name(number, n)
+        is_open = name in open_names
+        # Of channels near the noise, of which there may be many, none ends the search of open ones.
+        counted = [c for c in refused if not is_open or channel_name(c, n) in open_names]
+        if len(counted) >= _MAX_REFUSED:
+            break
         say(f"search {name} for a law that no catalogue has")
-        outcome = state.search(number, is_open=name in open_names)
+        outcome = state.search(number, is_open=is_open)
         if outcome is None:
             closed.add(number)
             continue
@@ -215,9 +220,9 @@ class _State:
     def searched_channels(self, unexplained: set[int]) -> list[int]:
         """Return channels that hold more than noise, and those whose findings may stand for a law.
 
-        A channel with findings that explain it is searched in their place alone. Torques come
-        first, then the worst: a torque on a link winds up its joint too, a deflection does not
-        change the torque.
+        A channel with findings that explain it is searched in their place alone. Joints with an
+        unexplained channel come first. Of these and of the others, torques come first, then the
+        worst: a torque on a link winds up its joint too, a deflection does not change the torque.
         """
         fit, n = self.comparison.fit(self.effects), self.comparison.robot.n
         beyond = np.nan_to_num(self.comparison.channel_ratio(fit.residual) / self.comparison.least)
@@ -236,7 +241,8 @@ class _State:
                 or (beyond[c] > FAINT_RATIO and c % n not in named)
             )
         ]
-        return sorted(found, key=lambda c: c >= n)
+        open_joints = {c % n for c in unexplained}
+        return sorted(found, key=lambda c: (c % n not in open_joints, c >= n))
 
     def _findings_at(self, channel: int) -> list[Selected]:
         """Return the findings at a channel's joint that a law could take the place of."""
@@ -268,12 +274,29 @@ class _State:
             apart = OpenChannel(self.comparison, others, number)
             if may_beat(apart, beside.square, own):
                 outcome = search_channel(apart)
-                if outcome.best is not None and beats(apart, outcome.best, beside.square, own):
+                if outcome.best is not None and beats(
+                    apart, outcome.best, beside.square, own, sized=self._are_sized(own)
+                ):
                     self.effects, self._dropped = others, replaced
                     return outcome
             if not is_open:
                 return None
         return search_channel(beside)
+
+    def _are_sized(self, findings: Sequence[Selected]) -> bool:
+        """Return False where one of the findings is as likely zero as not by its reported sizes.
+
+        Values that make up for one another are no explanation, however well they fit together.
+        """
+        estimate = estimate_parameters(self.comparison, self.effects)
+        chances = [
+            estimate.size_p_value(
+                self.effects.index(each.located),
+                each.located.constants(self.comparison.constants),
+            )
+            for each in findings
+        ]
+        return all(c is None or null_probability(c) < 1.0 - NAMED_PROBABILITY for c in chances)
 
     def add(self, outcome: ChannelLaw) -> FoundLaw | None:
         """Fit a law beside the effects; None where they leave it nothing."""

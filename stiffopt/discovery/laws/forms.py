@@ -47,7 +47,8 @@ class Form:
     formulas: tuple[str, ...]
     words: str  # "{x}" is the signal
     shapes: tuple[FormShape, ...] = ()
-    unit_powers: tuple[int, ...] = (0,)  # power of the signal's unit in the value of each formula
+    # Power of the signal's unit in the value of each formula: a number, or the shape that it is.
+    unit_powers: tuple[int | str, ...] = (0,)
     analytic: bool = True  # False for formulas with comparisons, which have no complex derivative
     # True where no smooth function of the signal resembles it: with memory, or periodic.
     unscreened: bool = False
@@ -160,14 +161,16 @@ FORMS = {
         ),
         Form(
             "power",
-            ("np.exp(n * np.log(np.abs(x) + 1e-12))",),
+            ("(np.abs(x) + 1e-12) ** n",),
             "with a power of the magnitude of the {x}",
+            unit_powers=("n",),
             shapes=(fixed("n", "", (0.5,), 0.2, 5.0),),
         ),
         Form(
             "signed_power",
-            ("np.sign(x) * np.exp(n * np.log(np.abs(x) + 1e-12))",),
+            ("np.sign(x) * (np.abs(x) + 1e-12) ** n",),
             "with a power of the {x}, odd",
+            unit_powers=("n",),
             shapes=(fixed("n", "", (0.5,), 0.05, 5.0),),
         ),
         Form(
@@ -192,7 +195,7 @@ FORMS = {
         ),
         Form(
             "peaked",
-            ("x / s / (1.0 + np.exp(n * np.log(np.abs(x) / s + 1e-12)))",),
+            ("x / s / (1.0 + (np.abs(x) / s + 1e-12) ** n)",),
             "with the {x} up to a peak, and falls beyond it",
             shapes=(SCALE_SHAPE, fixed("n", "", (2.0, 4.0), 1.1, 8.0)),
             resembles="an eddy-current brake or a lubricant that thins",
@@ -245,15 +248,17 @@ FORMS = {
         ),
         Form(
             "power_above",
-            ("np.exp(n * np.log(0.5 * (x - c + np.sqrt((x - c) ** 2 + 1e-8))))",),
+            ("(0.5 * (x - c + np.sqrt((x - c) ** 2 + 1e-8))) ** n",),
             "with a power of the {x} above one value",
+            unit_powers=("n",),
             shapes=(PLACE_SHAPE, HINGE_POWER_SHAPE),
             resembles="a cable or spring that tightens from one place on",
         ),
         Form(
             "power_below",
-            ("np.exp(n * np.log(0.5 * (c - x + np.sqrt((x - c) ** 2 + 1e-8))))",),
+            ("(0.5 * (c - x + np.sqrt((x - c) ** 2 + 1e-8))) ** n",),
             "with a power of the {x} below one value",
+            unit_powers=("n",),
             shapes=(PLACE_SHAPE, HINGE_POWER_SHAPE),
             resembles="a cable or spring that tightens up to one place",
         ),
@@ -405,7 +410,7 @@ def form_named(name: str) -> Form:
         (*one.formulas, *(substitute_names(each, names) for each in other.formulas)),
         f"{one.words}, plus {other.words}",
         shapes=(*one.shapes, *(replace(s, name=names[s.name]) for s in other.shapes)),
-        unit_powers=(*one.unit_powers, *other.unit_powers),
+        unit_powers=(*one.unit_powers, *(names.get(str(n), n) for n in other.unit_powers)),
         analytic=one.analytic and other.analytic,
         unscreened=one.unscreened or other.unscreened,
         has_memory=one.has_memory or other.has_memory,

@@ -80,12 +80,14 @@ class Factor:
         return self.source.value_before(signals) if self.own.has_memory else None
 
     def generalised(self, extent: SignalRange) -> Factor:
-        """Return the factor in its more general form, from its own shapes."""
-        known = {s.name: value for s, value in zip(self.own.shapes, self.shapes, strict=True)}
+        """Return the factor in its more general form, from its own shapes and their bounds."""
+        own = zip(self.own.shapes, self.shapes, self.bounds, strict=True)
+        known = {shape.name: (value, bounds) for shape, value, bounds in own}
         first = next(Factor(self.source, self.own.general).starts(extent))
-        names = [shape.name for shape in first.own.shapes]
-        shapes = [known.get(n, v) for n, v in zip(names, first.shapes, strict=True)]
-        return replace(first, shapes=tuple(shapes))
+        begun = zip(first.own.shapes, first.shapes, first.bounds, strict=True)
+        kept = [known.get(shape.name, (value, bounds)) for shape, value, bounds in begun]
+        shapes, bounds = zip(*kept, strict=True)
+        return replace(first, shapes=shapes, bounds=bounds)
 
     def plus(self, form: str, extent: SignalRange) -> Iterator[Factor]:
         """Yield sums of the factor and another form of its signal, with all its initial shapes."""
@@ -249,12 +251,13 @@ class Law:
     @property
     def amplitude_units(self) -> tuple[str, ...]:
         """Units of the amplitudes."""
-        found = [_PLACE_UNITS[self.place]]
+        found, names = [_PLACE_UNITS[self.place]], list(self.shape_names)
         for factor in self.factors:
+            shapes = {shape.name: names.pop(0) for shape in factor.own.shapes}
             unit = factor.source.own.unit
             name = f"({unit})" if "/" in unit or " " in unit else unit
-            powers = [n if unit else 0 for n in factor.own.unit_powers]
-            over = [f"/{name}" + f"^{n}" * (n > 1) if n else "" for n in powers]
+            powers = [shapes.get(str(n), n) if unit else 0 for n in factor.own.unit_powers]
+            over = [f"/{name}" + f"^{n}" * (n != 1) if n else "" for n in powers]
             found = [a + b for a in found for b in over]
         return tuple(found)
 

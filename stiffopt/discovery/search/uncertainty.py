@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 # Relative step of numerical derivatives.
 _DIFFERENCE_STEP = 1e-4
+# Share of its amplitudes by which a reported value is told to be a size.
+_SMALL_SHARE = 1e-3
 # Prior standard deviation of a shape over its size: wide, so that only the data count.
 _SHAPE_PRIOR = 10.0
 # Fewer stretches give no jackknife estimate.
@@ -151,6 +153,23 @@ class Estimate:
             ]
             chances.append(min(_jackknife_p_value(values, *way) for way in ways if way[1] > 1))
         return max(chances)
+
+    def size_p_value(self, index: int, constants: Constants) -> float | None:
+        """Return the p-value of the reported sizes of one effect; None where it reports none.
+
+        A size is a value that falls with the amplitudes; a place, a factor or a ratio is none.
+        """
+        found = self.effects[index]
+        smaller = tuple(_SMALL_SHARE * amplitude for amplitude in found.amplitudes)
+        small = found.located.effect.parameters(smaller, found.located.shapes, constants)
+        ratios = [
+            abs(value) / sd
+            for name, (value, sd) in self.parameters(index, constants).items()
+            if sd > 0.0 and abs(small[name]) <= 2.0 * _SMALL_SHARE * abs(value)
+        ]
+        if not ratios:
+            return None
+        return min(1.0, 2.0 * len(ratios) * float(special.ndtr(-max(ratios))))
 
     def amplitude_deviations(self, index: int) -> float:
         """Return the largest ratio of an amplitude to its standard deviation, all else free."""

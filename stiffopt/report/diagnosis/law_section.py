@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -12,11 +12,12 @@ from matplotlib.figure import Figure
 
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.diagnosis import Diagnosis, Finding
-from stiffopt.discovery.laws.law import Law, describe_test, law_of, resembled
+from stiffopt.discovery.laws.law import Factor, Law, describe_test, law_of, resembled
 from stiffopt.discovery.laws.sources import LawSource
 from stiffopt.report.common.svg import PALE, WIDTH, figure_style, panels
 from stiffopt.report.common.text import scale
 from stiffopt.report.diagnosis import regimes
+from stiffopt.report.diagnosis.values_to_enter import change_words
 from stiffopt.report.diagnosis.words import channel_words
 
 # Definitions of what an equation of a law may contain, for samples x_0, x_1, ... every dt seconds.
@@ -37,6 +38,15 @@ _OPERATOR_DEFINITIONS = {
     "stop": "stop(x, r) follows x and slides where it would leave -r to r: it is x_k - y_k with"
     " y_0 = x_0 and y_k = min(max(y_(k-1), x_k - r), x_k + r)",
 }
+# What a law adds to, with its sign, for whoever types it into a simulator.
+_TARGET_SENTENCES = {
+    "drive_torque": "The law adds to the torque that the drive of joint {} has to give for a"
+    " motion: in a forward simulation it acts on the motor with the opposite sign.",
+    "link_torque": "The law adds to the torque that joint {} has to pass on to its link for a"
+    " motion, and winds up the joint: in a forward simulation it acts on the link with the opposite"
+    " sign.",
+    "deflection": "The law adds to the angle of the motor of joint {} less that of its link.",
+}
 # What linear operators take their signal for before the recording.
 _HISTORY_DEFINITIONS = {
     "speed": "before its first sample a joint has started from rest: with its speed w_0 and"
@@ -46,6 +56,8 @@ _HISTORY_DEFINITIONS = {
     "load": "before its first sample a load was x = y = x_0",
 }
 _HISTORY_DEFINITIONS["acceleration"] = _HISTORY_DEFINITIONS["speed"]
+# Share of a law's variance from which a nominal value is told beside it: others change little.
+_MIN_SHARED_VARIANCE = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +83,9 @@ def laws_on_page(diagnosis: Diagnosis) -> dict[Finding, LawOnPage]:
 def _describe_law(diagnosis: Diagnosis, finding: Finding, law: Law) -> LawOnPage:
     values = (*finding.estimated.amplitudes, *finding.located.shapes)
     lines = [
+        _TARGET_SENTENCES[law.place].format(law.joint + 1),
         _describe_share(diagnosis, finding),
+        _describe_values(diagnosis, finding),
         f"In words: {law.words}{resembled(law)}.",
         f"The test that would tell: {describe_test(law)}",
     ]
@@ -125,8 +139,67 @@ def _describe_share(diagnosis: Diagnosis, finding: Finding) -> str:
     return ""
 
 
+def _describe_values(diagnosis: Diagnosis, finding: Finding) -> str:
+    """Return the nominal values fitted beside a law that its size is told together with.
+
+    A part of a law may be in nominal values within their tolerances: both together are the model.
+    """
+    fit = diagnosis.search.fit
+    keys = [each.key for each in fit.effects]
+    if not fit.nuisance or finding.located.key not in keys:
+        return ""
+    place = keys.index(finding.located.key)
+    begin = fit.nuisance + sum(len(e.effect.amplitudes) for e in fit.effects[:place])
+    own = slice(begin, begin + len(finding.effect.amplitudes))
+    columns = diagnosis.search.comparison.stack_columns(fit.effects)[:, own]
+    squares, covariance = columns.T @ columns, fit.posterior.covariance
+    # Share of the law's variance, over all rows, that is gone where a nominal value is known.
+    shared = covariance[own, : fit.nuisance]
+    gone = np.sum(shared * (squares @ shared), axis=0) / np.diag(covariance)[: fit.nuisance]
+    shares = gone / np.sum(squares * covariance[own, own])
+    names = diagnosis.search.comparison.priors[0]
+    told = [
+        f"{change_words(names[k], diagnosis.extension.calibration[names[k]])} here, by"
+        f" {100 * shares[k]:.0f} %"
+        for k in np.argsort(-shares)
+        if shares[k] >= _MIN_SHARED_VARIANCE and names[k] in diagnosis.extension.calibration
+    ]
+    text = (
+        "Nominal values within their tolerances were fitted beside it and may hold a part of what"
+        " acts there: enter those of extended.toml together with the equation."
+    )
+    if told:
+        text += f" A measurement of one of them would lower the law's variance: {'; '.join(told)}."
+    return text
+
+
+def _drawn_signals(law: Law) -> dict[str, Callable[[PreparedRun], np.ndarray]]:
+    """Return the signals of a law by label; past ones as the law takes them.
+
+    A residual that follows the past of a signal has no curve over its present value.
+    """
+    found: dict[str, Callable[[PreparedRun], np.ndarray]] = {}
+    for factor in law.factors:
+        source, words = factor.source, factor.source.words
+        value = partial(_signal_of, source)
+        if source.kind == "direction":
+            continue
+        if factor.own.has_memory and len(factor.own.formulas) == 1:
+            value = partial(_value_of, factor)
+            words = f"{replace(law, factors=(factor,)).formulas(code=False)[0]} of the {words}"
+        found[f"{words} [{source.own.unit}]" if source.own.unit else words] = value
+    if not found:
+        own = LawSource("position", law.joint)
+        found[f"{own.words} [{own.own.unit}]"] = partial(_signal_of, own)
+    return found
+
+
 def _signal_of(source: LawSource, run: PreparedRun) -> np.ndarray:
     return np.asarray(source.value(run.signals))
+
+
+def _value_of(factor: Factor, run: PreparedRun) -> np.ndarray:
+    return np.asarray(factor.values(run.signals)[0])
 
 
 @figure_style()
@@ -137,19 +210,15 @@ def law_figure(
     law = law_of(finding.effect)
     if law is None:
         return None
-    sources = [f.source for f in law.factors if f.source.kind != "direction"] or [
-        LawSource("position", law.joint)
-    ]
+    drawn = _drawn_signals(law.with_shapes(finding.located.shapes))
     added = regimes.finding_contribution(diagnosis, finding, rows)
     residual = rows.after + added
     factor, unit = scale(float(np.quantile(np.abs(residual), 0.95)), rows.unit)
     sides = regimes.motion_direction(diagnosis, rows)
     sampled = diagnosis.search.comparison.rows.sample_signal
-    figure, grid = panels(len(sources), len(sources), (WIDTH, 3.2), sharey=True)
-    for axes, source in zip(grid, dict.fromkeys(sources), strict=False):
-        values = sampled(partial(_signal_of, source))
-        label = f"{source.words} [{source.own.unit}]" if source.own.unit else source.words
-        regime = regimes.Regime(source.symbol, label, values[rows.chosen])
+    figure, grid = panels(len(drawn), len(drawn), (WIDTH, 3.2), sharey=True)
+    for axes, (label, value) in zip(grid, drawn.items(), strict=True):
+        regime = regimes.Regime(label, label, sampled(value)[rows.chosen])
         noise = factor * float(np.median(rows.noise))
         axes.axhspan(-noise, noise, color=PALE, alpha=0.55, zorder=0, linewidth=0)
         for side, colour, words in regimes.DIRECTION_STYLES:

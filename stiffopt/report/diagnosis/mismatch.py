@@ -14,7 +14,12 @@ from stiffopt.discovery.names import Channel
 from stiffopt.discovery.settings import MAX_NOMINAL_DEVIATIONS
 from stiffopt.report.common.text import listed, significant
 from stiffopt.report.diagnosis.overview import moved_values
-from stiffopt.report.diagnosis.words import channel_words, joints_in_words, regressor_words
+from stiffopt.report.diagnosis.words import (
+    CONTACT_PHRASE,
+    channel_words,
+    joints_in_words,
+    regressor_words,
+)
 from stiffopt.units import joint_unit
 
 # Share of the mismatch that is written as none; all but that is written as all.
@@ -25,7 +30,6 @@ _NOMINAL_NAMES = {
     "viscous": "viscous friction",
     "com": "centre of mass",
 }
-_CONTACT_PHRASE = "Contact, load or offset"
 _CHANNEL_KINDS = {"torque": "the torques", "link_position": "the link encoders"}
 
 
@@ -200,11 +204,11 @@ def episode_sentences(diagnosis: Diagnosis) -> list[str]:
             for j, size in zip(each.joints, each.sizes, strict=True)
         )
         if each.role == "train":
-            head, tail = f"{_CONTACT_PHRASE} in", "excluded from the fit"
+            head, tail = f"{CONTACT_PHRASE} in", "excluded from the fit"
         elif each.stays:
             head, tail = "Permanent change, as of a load, in", "included in the validation"
         else:
-            head, tail = f"{_CONTACT_PHRASE} in", "excluded from the validation"
+            head, tail = f"{CONTACT_PHRASE} in", "excluded from the validation"
         if each.nrmse_with is not None and each.nrmse_without is not None:
             tail += (
                 f"; residual of {each.run} {significant(each.nrmse_with, 2)} times the noise with"
@@ -212,6 +216,22 @@ def episode_sentences(diagnosis: Diagnosis) -> list[str]:
             )
         found.append(f"{head} {each.run}: {each.begin:.2f} to {each.end:.2f} s, {sizes}; {tail}.")
     return found
+
+
+def carried_part_sentences(diagnosis: Diagnosis) -> list[str]:
+    """Return a sentence on when each run carries the part of the findings."""
+    runs = (*diagnosis.training.recorded, *(proof.run for proof in diagnosis.held_out))
+    told = [
+        f"{run.name} {listed(f'{begin:.2f} to {end:.2f} s' for begin, end in run.carried)}"
+        for run in runs
+        if run.carried
+    ]
+    if not told:
+        return []
+    return [
+        f"A part is carried, as the torques show: {'; '.join(told)}. Grasp and release themselves"
+        " are excluded from fit and validation."
+    ]
 
 
 def _part_phrase(diagnosis: Diagnosis, share: MismatchShare) -> str:

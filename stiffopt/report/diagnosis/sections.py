@@ -89,6 +89,7 @@ def mismatch_lines(diagnosis: Diagnosis) -> list[str]:
         *mismatch.counterbalance_sentences(diagnosis),
         *words.unassessed_joint_sentences(diagnosis),
         *words.saturation_sentences(diagnosis),
+        *mismatch.carried_part_sentences(diagnosis),
         *mismatch.episode_sentences(diagnosis),
         mismatch.noise_ceiling_sentence(diagnosis),
         *mismatch.transfer_sentences(diagnosis),

@@ -8,6 +8,7 @@ from stiffopt.discovery.answer import missing_physics
 from stiffopt.discovery.comparison.inertial_parameters import nominal_bodies
 from stiffopt.discovery.comparison.nuisance import OutsideValue
 from stiffopt.discovery.diagnosis import Diagnosis, Finding
+from stiffopt.discovery.names import ValueName
 from stiffopt.discovery.sanity.doubt import format_numbers
 from stiffopt.discovery.search.nominal_values import values_outside_tolerance
 from stiffopt.discovery.settings import MAX_NOMINAL_DEVIATIONS
@@ -72,22 +73,32 @@ def _signals_sentence(diagnosis: Diagnosis, finding: Finding) -> str:
 
 def _pinned_sentence(diagnosis: Diagnosis, value: OutsideValue) -> str:
     """Return that a value is far outside its tolerance and no finding accounts for it."""
-    kind, joint, part = value.name
-    unit = _KIND_UNITS.get(kind, "")
+    unit = _KIND_UNITS.get(value.name.kind, "")
     size = (
         f"{significant(value.change, 2)} ± {significant(value.sd, 1)} {unit}"
         if unit
         else f"{100.0 * value.change:+.2g} ± {100.0 * value.sd:.1g} %"
     )
-    axis = f" along {part}" if kind == "com" else ""
     most = MAX_NOMINAL_DEVIATIONS
     return (
-        f"Nominal value pinned at its tolerance: the {_KIND_WORDS.get(kind, kind)}"
-        f" joint {joint + 1}{axis} would have to change by {size},"
+        f"Nominal value pinned at its tolerance: the {_value_words(value.name)}"
+        f" would have to change by {size},"
         f" {significant(abs(value.change) / value.tolerance, 2)} times its tolerance (a fit allows"
         f" {most:g}). Measure it, or look for another cause: a value so far off seldom is the only"
         " one."
     )
+
+
+def _value_words(name: ValueName) -> str:
+    axis = f" along {name.part}" if name.kind == "com" else ""
+    return f"{_KIND_WORDS.get(name.kind, f'{name.kind} of')} joint {name.place + 1}{axis}"
+
+
+def change_words(name: ValueName, change: float) -> str:
+    """Return a nominal value in words with its change, exactly enough to be entered."""
+    unit = _KIND_UNITS.get(name.kind)
+    size = f"{100.0 * change:+.4g} %" if unit is None else f"{change:+.4g} {unit}"
+    return f"{_value_words(name)}, {size}"
 
 
 # Standard deviations from which a change of a mass or first moment is told.

@@ -24,6 +24,8 @@ from stiffopt.discovery.thresholds import OPEN_RATIO
 from stiffopt.report.common.text import capital, listed, significant, words
 from stiffopt.report.diagnosis.values_to_enter import largest_moment_change
 
+CONTACT_PHRASE = "Contact, load or offset"
+
 CHANNEL_OUTCOMES = {
     "named": "explained by findings",
     "nothing": "nothing missing",
@@ -62,7 +64,23 @@ def unchanged_sentence(diagnosis: Diagnosis) -> str:
 
 
 def headline(diagnosis: Diagnosis) -> str:
-    """Return the headline: missing effects with their places, or that nothing is missing."""
+    """Return the headline: missing effects with their places, or none, and contact intervals."""
+    return f"{_findings_headline(diagnosis)}{_contact_clause(diagnosis)}"
+
+
+def _contact_clause(diagnosis: Diagnosis) -> str:
+    """Return a clause on contact intervals, which no finding describes, or ""."""
+    times = [
+        f"{each.run} ({each.begin:.2f} to {each.end:.2f} s)"
+        for each in diagnosis.episodes
+        if not each.stays
+    ]
+    shown, more = times[:MAX_HEADLINE_FINDINGS], len(times) - MAX_HEADLINE_FINDINGS
+    told = listed([*shown, *([f"{more} more"] if more > 0 else [])])
+    return f"; {CONTACT_PHRASE.lower()} in {told}" if times else ""
+
+
+def _findings_headline(diagnosis: Diagnosis) -> str:
     if nothing := unchanged_sentence(diagnosis):
         return nothing.removesuffix(".")
     if diagnosis.verdict == "nothing_missing":
