@@ -27,7 +27,6 @@ from stiffopt.starter import guessing, table_layouts
 from stiffopt.starter.recorded_robot import RecordedRobot, store_robot
 from stiffopt.starter.writing import toml_list, toml_string, write_new
 from stiffopt.units import to_si
-from stiffopt.units import to_si
 
 # Training share of a single recording; the rest is held out. Fewest rows for training.
 _TRAINING_SHARE = 0.7
