@@ -260,7 +260,12 @@ def entries_of_columns(entry: Any, count: int, path: Path, where: str) -> list[f
     return entries
 
 
-_COUNTS_HINT = ": of an encoder's counts 2 pi over the counts of a turn of the joint."
+_COUNTS = "counts"
+_COUNTS_HINT = (
+    "is in counts of an encoder, whose angle is not known. Put 2 pi over the counts of a turn of"
+    " the joint, one number a joint (4096 counts: 0.001533981), and the angle at count 0 as"
+    " offset in [signals], one a joint (-3.14159 where count 2048 is zero)."
+)
 
 
 def unit_factor(
@@ -271,13 +276,13 @@ def unit_factor(
     convert: Callable[[str, str], float] = joint_to_si,
 ) -> float:
     """Return the factor to SI of a number or the name of a unit; `convert` tells that of a text."""
+    if entry == _COUNTS and dimension.startswith("ang"):
+        raise InputFileError(path, where, _COUNTS_HINT)
     try:
         value = convert(f"1 {entry}", dimension) if isinstance(entry, str) else entry
     except UnitError as error:
-        raise InputFileError(
-            path, where, f"{error} Where no unit fits, give the number that one of it is in SI"
-            + (_COUNTS_HINT if dimension.startswith("ang") else ".")
-        ) from None  # fmt: skip
+        told = f"{error} Where no unit fits, give the number that one of it is in SI."
+        raise InputFileError(path, where, told) from None
     if not value or not np.isfinite(value):
         raise InputFileError(path, where, f"got {entry}; a factor is finite and not 0.")
     return float(value)

@@ -264,3 +264,7 @@ def test_ticks_are_counts(bits, each, tmp_path, capsys):
     signals = tomllib.loads((tmp_path / "set" / "recordings.toml").read_text())["signals"]
     assert signals["scale"]["position"] == "counts"
     assert "velocity" not in signals
+    assert run(["recording", "check", str(tmp_path / "set")]) == 2
+    told = capsys.readouterr().err
+    assert "is in counts of an encoder" in told
+    assert "offset in [signals]" in told
