@@ -96,7 +96,12 @@ def build_findings(
             )
             for name, (value, sd) in values.items()
         )
-        sized = parameters.size_p_value(index, located.constants(constants))
+        # A law is told as a function: its values may make up for one another.
+        sized = (
+            parameters.function_p_value(index)
+            if effect.family == LAW_FAMILY
+            else parameters.size_p_value(index, located.constants(constants))
+        )
         if sized is None:
             sized = 0.0 if any(each.determined for each in reported) else _UNDETERMINED_P_VALUE
         chance = max(parameters.p_value(index), sized)

@@ -175,6 +175,7 @@ def test_a_function_is_told_where_the_values_that_describe_it_are_not_each():
     linear = np.trace(columns.T @ columns @ found.covariance)
     assert found.function_deviations(0) <= np.sqrt(size / linear) * (1.0 + 1e-9)
     assert found.function_deviations(0) > 50.0
+    assert found.function_p_value(0) < 1e-12
 
 
 def test_a_function_is_as_uncertain_as_it_spreads_between_runs():

@@ -191,6 +191,10 @@ class Estimate:
         known = [np.sum(squares * each[np.ix_(rows, rows)]) for each in self._covariances(index)]
         return float(np.sqrt(values @ squares[:k, :k] @ values / max(*known, 1e-300)))
 
+    def function_p_value(self, index: int) -> float:
+        """Return the p-value of the size of what an effect adds."""
+        return 2.0 * float(special.ndtr(-self.function_deviations(index)))
+
     def min_deviations(self, index: int) -> float:
         """Return the least significance of one effect over all covariance estimates [sigma].
 
