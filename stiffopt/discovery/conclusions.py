@@ -334,8 +334,7 @@ def _is_missed(
     given = [located.contribution(run, finding.estimated.amplitudes) for run in runs]
     torques = (own for each in given for own in (each.torque, each.link_torque) if own is not None)
     squares = [float(np.var(own[:, located.joint])) for own in torques]
-    gain = model.loop.law.stiffness[place] * (1.0 + model.fitted.of("gain")[place])
-    left = float(gain * model.left[place]) ** 2
+    left = float(model.left_torque[place]) ** 2
     return not squares or left > (1.0 - EXPLAINED_SHARE) * float(np.mean(squares))
 
 

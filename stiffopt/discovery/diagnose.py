@@ -50,7 +50,13 @@ from stiffopt.discovery.judging.unexplained import (
     judge_channels,
 )
 from stiffopt.discovery.law_search.find import LawSearch, find_laws, located_tables
-from stiffopt.discovery.loop_search import FittedLoop, LoopSearch, with_findings
+from stiffopt.discovery.loop_search import (
+    FittedLoop,
+    LoopSearch,
+    beyond_simulation,
+    explained_joints,
+    with_findings,
+)
 from stiffopt.discovery.opening import open_set
 from stiffopt.discovery.position_fit import model_section, simulate_held_out
 from stiffopt.discovery.prediction import choose_prediction_bands
@@ -219,7 +225,7 @@ def _run_diagnosis(
         say=say,
     )
     fitted = _fit_simulation(simulation, result, base, steps)
-    explained = () if fitted is None else fitted.explained_joints(recordings)
+    explained = explained_joints(recordings, None if fitted is None else fitted.model, result)
     laws = steps.run(LAWS, lambda: find_laws(result, say, explained)) or LawSearch(result=result)
     result = laws.result
 
@@ -264,6 +270,7 @@ def _run_diagnosis(
             before,
         )
         found, whole = (with_findings(each, before, findings) for each in (found, whole))
+        unexplained = beyond_simulation(unexplained, explained_joints(recordings, loop, result))
     # The findings are fixed: held-out runs are read only from here on.
     tracks = steps.finish(lambda: training_tracks(result.comparison, result.fit))
     parts = split_extension(found, recordings.unstated)

@@ -22,16 +22,20 @@ from stiffopt.discovery.conclusions import findings_with_loop_values, refuted
 from stiffopt.discovery.diagnosis import Finding, Parameter, Rival
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.extended.value_changes import extended_model
+from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.discovery.loop_effects import loop_parameter, robot_in_loop, stated_value
 from stiffopt.discovery.loop_fit import (
     commanded_run,
     is_commanded,
     limit_motion,
 )
+from stiffopt.discovery.names import Channel
 from stiffopt.discovery.position_fit import ClosedLoopModel, fit_positions
 from stiffopt.discovery.progress import Say
 from stiffopt.discovery.search.rivals import tempering_width
+from stiffopt.discovery.search.search import SearchResult
 from stiffopt.discovery.thresholds import (
+    EXPLAINED_SHARE,
     MAX_EFFECTS,
     NAMED_DEVIATIONS,
     NAMED_EVIDENCE,
@@ -56,16 +60,36 @@ class FittedLoop:
     found: Extension
     model: ClosedLoopModel | None
 
-    def explained_joints(self, recordings: RecordingSet) -> tuple[int, ...]:
-        """Return the joints (from 0) of a set in which it leaves no more than noise."""
-        if self.model is None:
-            return ()
-        return tuple(np.flatnonzero(~self.model.lacks[recordings.order]).tolist())
-
     def begins_with(self, found: Extension) -> bool:
         """Return whether its findings are these, with whatever amplitudes."""
         own, other = ([e.located.key for e in each.effects] for each in (self.found, found))
         return own == other
+
+
+def explained_joints(
+    recordings: RecordingSet, model: ClosedLoopModel | None, result: SearchResult
+) -> tuple[int, ...]:
+    """Return the joints (from 0) of a set that a simulation explains, whatever torques leave.
+
+    It leaves noise, or less of the torques that a search leaves than findings have to explain.
+    """
+    if model is None:
+        return ()
+    comparison, n = result.comparison, recordings.n
+    filtered = np.mean([run.low_pass.noise_gain for run in comparison.rows.runs])
+    size = filtered * comparison.noise.torque * result.after[:n]
+    small = model.left_torque[recordings.order] ** 2 < (1.0 - EXPLAINED_SHARE) * size**2
+    return tuple(np.flatnonzero(small | ~model.lacks[recordings.order]).tolist())
+
+
+def beyond_simulation(
+    unexplained: Unexplained | None, explained: Sequence[int]
+) -> Unexplained | None:
+    """Return a residual of torques unless a simulation explains all its joints (from 0)."""
+    if unexplained is None:
+        return None
+    joints = {Channel.read(name).joint - 1 for name in unexplained.channels}
+    return None if joints <= set(explained) else unexplained
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -73,12 +73,13 @@ class ClosedLoopModel:
         return float(np.log(self.polished.residual[changing]).sum())
 
     @property
-    def left(self) -> np.ndarray:
-        """Return what it leaves in each joint (n,) beyond noise and its own error [rad]."""
+    def left_torque(self) -> np.ndarray:
+        """Return what it leaves in each joint (n,) beyond noise and its own error [N m]."""
         assert self.polished is not None
         fit = self.polished
         known = np.nan_to_num(fit.noise) ** 2 + fit.discretisation**2
-        return np.asarray(np.sqrt(np.maximum(fit.residual**2 - known, 0.0)))
+        gain = self.loop.law.stiffness * (1.0 + self.fitted.of("gain"))
+        return np.asarray(gain * np.sqrt(np.maximum(fit.residual**2 - known, 0.0)))
 
     @property
     def lacks(self) -> np.ndarray:

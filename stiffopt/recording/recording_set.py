@@ -172,8 +172,18 @@ def load_recordings(path: str | os.PathLike[str], changes: Sequence[str] = ()) -
         noise=noise,
         runs=runs,
         assumptions=assumptions(document, described, locked),
-        actuator=_build_actuator(document, signals, robot.torque_max[order], path),
+        actuator=_build_actuator(document, signals, _torque_limits(described)[order], path),
     )
+
+
+def _torque_limits(robot: Robot) -> np.ndarray:
+    """Return the largest torques (n,) of the drives; infinite where the robot's are guesses."""
+    guessed = {
+        each.joint
+        for each in robot.sources
+        if each.key == "torque_max" and each.provenance == "estimated"
+    }
+    return np.where([name in guessed for name in robot.joint_names], np.inf, robot.torque_max)
 
 
 def _build_actuator(

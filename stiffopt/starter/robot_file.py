@@ -321,6 +321,8 @@ def _joint_lines(
     yield 'provenance = "estimated"'
     guesses = [name for name, key_ in (("torque", "effort"), ("speed", "velocity"))
                if not stated[key_]]  # fmt: skip
+    if "torque" in guesses:  # no limit of a simulated drive
+        yield 'estimated = ["torque_max"]'
     yield f'source = "{arm.format}; {", ".join([*guesses, "acceleration"])} and jerk are guesses"'
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,10 +27,12 @@ from stiffopt.discovery.comparison.located_effect import (
     LocatedEffect,
 )
 from stiffopt.discovery.extended.value_changes import extended_model
-from stiffopt.discovery.loop_search import LoopSearch
+from stiffopt.discovery.judging.unexplained import Unexplained
+from stiffopt.discovery.loop_search import LoopSearch, beyond_simulation, explained_joints
 from stiffopt.discovery.position_fit import model_section, read_model
 from stiffopt.discovery.sanity.actuator_estimate import resolve_actuator
 from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.thresholds import EXPLAINED_SHARE
 from stiffopt.discovery.training import open_training_runs, prepare_training
 from stiffopt.recording.recording_set import load_recordings
 
@@ -129,12 +133,33 @@ def test_a_finding_that_the_simulation_fits_as_well_without_is_refuted(
     found = Extension(effects=(small,))
     fitted = searched.fit(found)
     assert fitted.begins_with(found)
-    assert fitted.explained_joints(searched.recordings) == (0,)
     likely = searched._finding(small, 0.4, 0.9)
     model, (judged,) = searched.run(found, [likely], fitted)
     assert model is not None
     assert model.without == (located.label,)
     assert judged.certainty == "possible"
+
+
+def test_torques_count_as_explained_where_the_simulation_leaves_less_than_them(
+    tmp_path: Path,
+) -> None:
+    searched = search(tmp_path / "set", stribeck=RISE)
+    model = searched.fit(Extension()).model
+    assert model is not None
+    assert model.lacks.all()
+    runs = [SimpleNamespace(low_pass=SimpleNamespace(noise_gain=0.5))]
+    comparison = SimpleNamespace(
+        rows=SimpleNamespace(runs=runs), noise=SimpleNamespace(torque=np.array([0.2]))
+    )
+    told = []
+    for factor in (0.5, 2.0):
+        least = model.left_torque / np.sqrt(1.0 - EXPLAINED_SHARE) / (0.5 * 0.2)
+        result: Any = SimpleNamespace(comparison=comparison, after=factor * least)
+        told.append(explained_joints(searched.recordings, model, result))
+    assert told == [(), (0,)]
+    open_torque = Unexplained(("torque_1",), (), None, 0.5, 10.0)
+    assert beyond_simulation(open_torque, ()) is open_torque
+    assert beyond_simulation(open_torque, (0,)) is None
 
 
 def test_findings_that_make_the_loop_unstable_are_searched_without(tmp_path: Path) -> None:

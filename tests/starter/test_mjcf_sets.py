@@ -96,6 +96,11 @@ def test_servos_of_an_mjcf_are_the_only_gains_of_a_commanded_set(tmp_path):
     written = (tmp_path / "set" / "recordings.toml").read_text()
     assert written.count("# [actuator]") == 1
     assert "# kd = [0.0, 0.0, 0.0]\n" in written
+    # Torque limits that the robot file guesses bound no drive; stated ones do.
+    law, robot = load_recordings(tmp_path / "set").actuator, tmp_path / "set" / "robot.toml"
+    assert np.isinf(law.torque_max).all()
+    robot.write_text(robot.read_text().replace('estimated = ["torque_max"]\n', ""))
+    assert np.isfinite(load_recordings(tmp_path / "set").actuator.torque_max).all()
 
 
 def test_commanded_joints_at_rest_are_no_table_of_poses(tmp_path, capsys):
