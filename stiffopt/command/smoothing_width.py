@@ -12,7 +12,7 @@ from collections.abc import Callable
 from stiffopt.result.trajectory import Trajectory
 
 # The width is doubled up to so often, while that reduces the excess to this share at least.
-_MAX_DOUBLINGS = 7
+MAX_DOUBLINGS = 7
 MAX_REMAINING_EXCESS = 0.75
 # Excess that a solve removes by passing kinks slightly slower.
 TOLERABLE_KINK_EXCESS = 1.0
@@ -63,7 +63,7 @@ def narrowest_sufficient_width(
     narrowest.
     """
     worst = beyond(smoothing)
-    for _ in range(_MAX_DOUBLINGS):
+    for _ in range(MAX_DOUBLINGS):
         if worst <= allowed:
             break
         less = beyond(2.0 * smoothing)

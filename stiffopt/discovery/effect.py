@@ -83,6 +83,10 @@ NEEDS = {
     "tool_frame": Need("tool frame", "tool_frame is not given"),
     "before": Need("a joint before it", "there is no joint before it"),
     "runs": Need("several runs", "there is only one training run"),
+    "session": Need(
+        "several runs at known times of a session",
+        "there is one training run, or session_time of the runs is not given",
+    ),
     "three_runs": Need("three runs", "there are fewer than three training runs"),
 }
 

@@ -94,6 +94,8 @@ def effect_checks(
         "tool_frame": recordings.tool_frame is not None,
         "runs": training_runs > 1,
         "three_runs": training_runs >= 3,
+        "session": training_runs > 1
+        and all(run.session_time is not None for run in recordings.with_role("train")),
     }
 
     def met(need: str, joint: int | None) -> bool:

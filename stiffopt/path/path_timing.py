@@ -208,10 +208,9 @@ class _PathTiming:
                 (self._tool_speed(path.piece_index(s)) / tool)[:, None],
             ]
             pushes = [limits.acceleration / np.abs(d1), left / np.abs(a)]
-        speed = np.fmin.reduce(np.hstack(caps), axis=1)
+            speed, push = (np.fmin.reduce(np.hstack(each), axis=1) for each in (caps, pushes))
         if self._demands.path_speed is not None:
             speed = np.minimum(speed, self._demands.path_speed(s))
-        push = np.fmin.reduce(np.hstack(pushes), axis=1)
         if not (np.isfinite(speed).all() and np.isfinite(push).all()):
             raise ProblemError(
                 "the path has no fastest timing: no limit bounds the speed everywhere. Give "

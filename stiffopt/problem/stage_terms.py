@@ -92,7 +92,7 @@ class Smoothing:
     # needs, while the deflection keeps its own width.
     lead: Quantity = 1.0
     # From 0, the objective alone, to 1, its robust value, with the motor back-off that uncertain
-    # arms need; of a tool error the relative change of the ringing's weight.
+    # arms need.
     robust: Quantity = 0.0
     # On the widths of objectives' kinks at zero, that of dry friction in the drive torque included:
     # narrow from the start, they make every reversal of a joint a choice of its own.

@@ -31,7 +31,7 @@ from stiffopt.result.assessment import Assessment
 from stiffopt.result.progress import ProgressCallback
 from stiffopt.result.solution import Solution
 from stiffopt.solver.active_set import ActiveSetSolver
-from stiffopt.solver.exchange import exchange, interrupted_outcome
+from stiffopt.solver.exchange import interrupted_outcome
 from stiffopt.solver.programme import (
     WARM_BOUND_PUSH,
     Outcome,
@@ -42,7 +42,6 @@ from stiffopt.solver.programme import (
     solve_stage,
 )
 from stiffopt.solver.refinement import refine
-from stiffopt.solver.ringing import RingingBesideRivals
 from stiffopt.solver.solve import (
     choose_for_arms,
     complete_solution,
@@ -248,8 +247,6 @@ class ProblemFamily:
             outcome = refine(run, outcome)
             self._store_programme(Programme(outcome.transcription, outcome.solver))
         sound = _is_certified_optimum(outcome)
-        if sound:
-            outcome = exchange(run, RingingBesideRivals(run, outcome), outcome)
         if problem.avoids_collisions and outcome.collisions:
             # Collision avoidance needs a solve without the warm start.
             sound = False

@@ -6,14 +6,29 @@ A rival that needs longer is compared with the same motion slowed to its duratio
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 
 import numpy as np
 
+from stiffopt.command.compensation import rival_commands
+from stiffopt.command.simulation import elastic_arm, rival_motions
 from stiffopt.elastic.led_error import led_error
+from stiffopt.errors import NotSimulatedError
 from stiffopt.result.compensation import MIN_SLOWDOWN
 from stiffopt.result.tool_error import LedError
 from stiffopt.result.trajectory import Trajectory
+from stiffopt.solver.programme import Outcome
 from stiffopt.solver.solve_run import SolveRun
+
+
+def search_rivals(run: SolveRun, outcome: Outcome) -> None:
+    """Search the rivals of an optimum that uncertain arms judge, and their commands, for `run`."""
+    if not (run.problem.judges_uncertain_arms and outcome.raw.converged):
+        return
+    with suppress(NotSimulatedError):
+        arm, duration = elastic_arm(run.problem, run.motion.start), outcome.assessment.duration
+        motions = rival_motions(run.problem, run.motion, duration)
+        run.rivals = duration, motions, rival_commands(run.problem, arm, motions, run.motors)
 
 
 class RivalErrors:

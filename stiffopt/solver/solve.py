@@ -50,7 +50,7 @@ from stiffopt.solver.initial_guess import guess_from_motion, initial_guess, pert
 from stiffopt.solver.input_shaping import Window, mark_solution_interrupted, solve_shaped
 from stiffopt.solver.path_command import led_timing
 from stiffopt.solver.programme import Outcome
-from stiffopt.solver.ringing import RingingBesideRivals
+from stiffopt.solver.rival_errors import search_rivals
 from stiffopt.solver.robust_plan import choose_shaped_motion, robust_plan
 from stiffopt.solver.slowing import Slowing
 from stiffopt.solver.solve_run import MIN_SOLVE_TIME, SolveRun
@@ -221,7 +221,7 @@ def _optimise(
     outcome = best_of_starts(run, begin)
     rivals = _all_rivals(compared, _strict_baseline_of(run, compared) if compare else None)
     outcome = exchange(run, BetterBaseline(run, rivals), outcome)
-    outcome = exchange(run, RingingBesideRivals(run, outcome), outcome)
+    search_rivals(run, outcome)
     outcome = run.optimum = exchange(run, BetweenRivals(run, outcome), outcome)
     if problem.avoids_collisions:
         outcome = avoid_collisions(run, outcome, searches=problem.method.starts)

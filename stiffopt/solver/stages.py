@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from stiffopt.command.smoothing_width import MAX_DOUBLINGS
 from stiffopt.solver.exchange import exchange
 from stiffopt.solver.infeasibility import minimise_excess
 from stiffopt.solver.ipopt import RawSolution
@@ -79,7 +80,7 @@ def _iterate_stages(
             )
             made = build_programme(run, ocp, finer, guess, smoothing=stage.smoothing)
             if run.problem.plans_links:
-                stage = _widen_until_no_spike(stage, plan[index - 1], made.transcription, guess)
+                stage = _widen_until_no_spike(stage, made.transcription, guess)
             x, warm = made.transcription.pack(guess), None
         else:
             x, warm = raw.x, raw if raw.converged else None
@@ -135,14 +136,16 @@ def _analyse_failed_stage(
 
 
 def _widen_until_no_spike(
-    stage: SolveStage, before: SolveStage, transcription: Transcription, guess: Guess
+    stage: SolveStage, transcription: Transcription, guess: Guess
 ) -> SolveStage:
     """Return the stage with the motor law's smoothing as wide as the motion before it needs.
 
     Passed fast, a kink with a narrow smoothing needs many times a motor's jerk limit, from which no
-    solve converges.
+    solve converges. That of the coarse mesh may be too narrow too: it is passed between its nodes.
     """
-    own, widest = stage.smoothing, before.smoothing.law
-    while own.law < widest and largest_excess(transcription, guess, own) > _SPIKE_EXCESS:
+    own = stage.smoothing
+    for _ in range(MAX_DOUBLINGS):
+        if largest_excess(transcription, guess, own) <= _SPIKE_EXCESS:
+            break
         own = replace(own, lead=2.0 * own.lead)
     return replace(stage, smoothing=own)

@@ -26,6 +26,7 @@ from stiffopt.robot.urdf_xml import read_urdf_tree
 from stiffopt.starter import guessing, table_layouts
 from stiffopt.starter.recorded_robot import RecordedRobot, store_robot
 from stiffopt.starter.writing import toml_list, toml_string, write_new
+from stiffopt.units import to_si
 
 # Training share of a single recording; the rest is held out. Fewest rows for training.
 _TRAINING_SHARE = 0.7
@@ -150,10 +151,30 @@ def _write_set(
     for name, _, table in runs:
         columns: dict[str, Any] = dict(table)
         np.savez_compressed(folder / f"{name}.npz", **columns)
-    text = _set_text(folder.resolve().name, arm, first, [(n, r) for n, r, _ in runs])
+    begins, told = _session_times(first, runs)
+    notes += told
+    listed_runs = [(name, role, begins.get(name)) for name, role, _ in runs]
+    text = _set_text(folder.resolve().name, arm, first, listed_runs)
     return StartedSet(
         path=write_new(folder / "recordings.toml", text), guess=first, notes=tuple(notes)
     )
+
+
+def _session_times(
+    found: guessing.GuessedColumns, runs: Sequence[tuple[str, str, Mapping[str, np.ndarray]]]
+) -> tuple[dict[str, float], list[str]]:
+    """Return the begin of each run since that of the first [s], and a note; none if runs overlap.
+
+    Logs that begin at zero overlap. Runs of one clock follow one another.
+    """
+    unit = found.units.get("time")
+    second = to_si(f"1 {unit}", "time") if isinstance(unit, str) and unit else 1.0
+    spans = {name: second * table[found.time] for name, _, table in runs}
+    ordered = sorted((np.nanmin(own), np.nanmax(own)) for own in spans.values())
+    if found.at_rest or any(late[0] <= early[1] for early, late in itertools.pairwise(ordered)):
+        return {}, []
+    begins = {name: round(float(np.nanmin(own) - ordered[0][0]), 3) for name, own in spans.items()}
+    return begins, ["All runs are of one clock: session_time of each counts from the first."]
 
 
 def _read_runs(files: Sequence[Path], robot: Robot) -> tuple[dict[Path, Table], str, list[str]]:
@@ -285,7 +306,10 @@ def _run_name(label: str) -> str:
 
 
 def _set_text(
-    name: str, arm: RecordedRobot, found: guessing.GuessedColumns, runs: Sequence[tuple[str, str]]
+    name: str,
+    arm: RecordedRobot,
+    found: guessing.GuessedColumns,
+    runs: Sequence[tuple[str, str, float | None]],
 ) -> str:
     joints = arm.robot.joint_names
 
@@ -339,11 +363,12 @@ def _set_text(
             '# kind = "position_servo"   # estimated from the arm\'s weight',
             *suggested(kp="20.0", kd="0.5"),
         ]
-    for run, role in runs:
+    for run, role, begin in runs:
         lines += [
             "",
             "[[runs]]",
             f"file = {toml_string(run + '.npz')}",
             f"role = {toml_string(role)}",
+            *([] if begin is None else [f"session_time = {begin}  # [s] since the first run"]),
         ]
     return "\n".join(lines) + "\n"

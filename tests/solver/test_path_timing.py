@@ -9,6 +9,7 @@ from ruckig import Trajectory as RuckigTrajectory
 
 from stiffopt.baseline.toppra_motion import toppra_baseline
 from stiffopt.certificate.rigid_body import rigid_body_history
+from stiffopt.errors import ProblemError
 from stiffopt.path.path_timing import PathDemands, fastest_timing
 from stiffopt.path.timed_path import timed_motion
 from stiffopt.problem.limit import Limits
@@ -113,6 +114,22 @@ def test_speed_of_the_path_and_of_the_tool_are_kept_where_asked():
     slow_part = law(time)[:, 0] < path.knots[1]
     assert max(np.array(speed)[slow_part]) <= 0.3 * 1.005
     assert max(speed) == pytest.approx(0.6, rel=1e-2)
+
+
+def test_path_on_which_a_drive_cannot_hold_the_arm_is_refused_with_its_joint_and_torque():
+    arm = load_robot("ur10")
+    path = JointPath.through(WAYPOINTS)
+    weight = [arm.rigid_bodies().gravity_torque(q) for q in path(np.linspace(0.0, 1.0, 2001))]
+    need = np.max(np.abs(weight), axis=0)[1] + arm.coulomb[1]
+    own = Limits.of(arm)
+    for share in (0.95, 1.05):
+        torque = np.where(np.arange(6) == 1, share * need, own.torque)
+        limits = Limits({**own.values, "torque": torque})
+        if share > 1.0:
+            assert fastest_timing(arm, limits, path).duration > 0.0
+            continue
+        with pytest.raises(ProblemError, match=r"N m at joint 2, above its torque limit"):
+            fastest_timing(arm, limits, path)
 
 
 def test_torque_of_the_drives_falls_with_their_speed():

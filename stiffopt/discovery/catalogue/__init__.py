@@ -11,6 +11,7 @@ from dataclasses import replace
 
 from stiffopt.discovery.catalogue.contacts import CONTACTS, COUPLED_DRIVE, TOOL_FORCES
 from stiffopt.discovery.catalogue.drift import (
+    COLD_START,
     FRICTION_DRIFT,
     FRICTION_WARMUP,
     GAIN_DRIFTS,
@@ -43,6 +44,7 @@ CATALOGUE: tuple[Effect, ...] = (
     *FRICTION,
     LUBRICATED_FRICTION,
     FRICTION_DRIFT,
+    COLD_START,
     FRICTION_WARMUP,
     STROKE_FRICTION,
     QUADRATIC_DRAG,

@@ -318,6 +318,32 @@ FRICTION_WARMUP = Effect(
     " friction of a place or a load repeats with the motion.",
 )
 
+COLD_START = Effect(
+    name="cold_start",
+    family="friction",
+    scope="joint",
+    equation="tau += (dFc*sg(w) + dFv*w)*exp(-t_session/tau_w)",
+    signature="motor torque off against the motion by an amount that falls or grows over all runs"
+    " of a session",
+    title="friction that changes over the session",
+    phrase=(
+        "{dFc} and {dFv} more friction at the begin of the session, which falls within {tau_w}",
+        "{dFc} and {dFv} less friction at the begin of the session, which grows within {tau_w}",
+    ),
+    remedy="Warm {where} up for three times {tau_w} before work that has to be accurate, and plan"
+    " with its warm friction.",
+    needs=("torque", "moves", "reverses", "session"),
+    confused_with=("friction_warmup", "thermal_friction", "friction_drift"),
+    term=lambda signals, a, s: Term(
+        drive_torque=(a[0] * signals.motor_direction + a[1] * signals.motor_velocity)
+        * np.exp(-signals.session_time / s[0])
+    ),
+    amplitudes=FRICTION_WARMUP.amplitudes,
+    shapes=(Shape("tau_w", "s", (10.0, 60.0, 300.0, 1500.0), 1.0, 2e4, 300.0),),
+    separate="Repeat one short motion for an hour: friction of a cold joint settles and does not"
+    " come back with the next run.",
+)
+
 GAIN_WARMUP = Effect(
     name="gain_warmup",
     family="sensor",

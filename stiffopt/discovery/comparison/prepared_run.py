@@ -332,7 +332,7 @@ def _nominal_signals(
         time=time,
         run=run.name,
         dt=dt,
-        session_time=time + (run.session_time or 0.0),
+        session_time=time - time[0] + (run.session_time or 0.0),
         temperature_rise=robot.temperature_rise(run, len(time)),
         motor_position=motor[0],
         motor_velocity=motor[1],

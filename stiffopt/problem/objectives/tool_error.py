@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from stiffopt.problem.motor_model import MotorModel
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.assessment import Assessment
-    from stiffopt.symbolic import Quantity
 
 # Worst error in flight over the root of the summed squares of all parameters at their bounds: of
 # plans and rivals 1.4 to 1.6. The servo's lateness, which may be most of the error, adds to that of
@@ -29,9 +28,9 @@ if TYPE_CHECKING:
 _WORST_OVER_ROOT = 1.5
 # Errors below this share of the typical one are smoothed: the root's curvature at zero slows IPOPT.
 _SMALL_ERROR_SHARE = 1e-2
-# Unit of the ringing's variable [m], as large as on most arms: in that of the objective, tens of
-# times as large, IPOPT ends at its looser tolerance on the ER3A.
-_RINGING_UNIT = 2e-5
+# Unit and start of the ringing's variable, over the typical error in flight: as large as on most
+# arms. In that error itself IPOPT ends at its looser tolerance on the ER3A.
+_RINGING_SHARE = 2e-2
 # Scale of a motion's error across the path: that in flight over it, of the best baselines.
 _ACROSS_RATIO = "tool_error in flight over across"
 
@@ -73,18 +72,15 @@ class CommandedToolError(ObjectiveKind):
     def static_variables(
         self, objective: Objective, problem: TrajectoryProblem, sides: np.ndarray
     ) -> tuple[StaticVariable, ...]:
-        """Upper bounds of the error in flight and of the ringing [m]."""
-
-        def of_phase(name: str, phase: str, unit: float | None = None) -> StaticVariable:
-            return StaticVariable(
-                name=name,
-                start=lambda motion: np.inf if motion.led is None else getattr(motion.led, phase),
-                scale=unit,
-            )
-
+        """Upper bound of the error in flight [m], and the ringing over the typical error."""
         return (
-            of_phase("tool error in flight", "in_flight"),
-            of_phase("ringing after arrival", "after_arrival", _RINGING_UNIT),
+            StaticVariable(
+                name="tool error in flight",
+                start=lambda motion: np.inf if motion.led is None else motion.led.in_flight,
+            ),
+            StaticVariable(
+                name="ringing", start=lambda motion: _RINGING_SHARE, scale=_RINGING_SHARE
+            ),
         )
 
     def terms(self, given: TermInputs) -> ObjectiveTerms:
@@ -107,18 +103,13 @@ class CommandedToolError(ObjectiveKind):
             sum((each + _SMALL_ERROR_SHARE**2) ** 0.5 for each in both) ** 2 - limit
             for both in squares.values()
         ]
-
-        def rings(integrals: Quantity) -> Quantity:
-            # The root of a square is the least mean of a length and the square over it.
-            return 0.5 * (ringing + given.scale * integrals[0])
-
         return ObjectiveTerms(
-            value=lambda integrals, duration: bound + rings(integrals),
-            integrands=(share * error.ringing_rate * given.scale / ringing,),
+            # The root of a square is the least mean of a length and the square over it.
+            value=lambda integrals, duration: bound + 0.5 * given.scale * (ringing + integrals[0]),
+            integrands=(share * error.ringing_rate / ringing,),
             path_rows=(
                 PathRows(name="tool error", labels=tuple(squares), expressions=tuple(rows)),
             ),
-            robust_value=lambda integrals, duration: bound + 2.0 * rings(integrals),
         )
 
     def scales(self, objective: Objective, motions: Sequence[Assessment]) -> dict[str, float]:
