@@ -296,7 +296,7 @@ def test_a_law_takes_the_place_of_a_known_effect_only_where_it_fits_better() -> 
     law = Law(4, "drive_torque", (Factor(LawSource("position", 4), "linear"),))
     best = fit_shapes(channel, law, 1)
     left = channel.square - best.fit.removed
-    wins = partial(beats, channel, best, sized=True)
+    wins = partial(beats, channel, best, significant=True)
     cable = LocatedEffect(effect=catalogue.effect("cable_spring"), joint=4, shapes=(0.1,))
     sure, doubted = (Selected(cable, 100.0, 14.0, p, (), 4) for p in (1.0, 0.1))
     assert not wins(left, [sure])
@@ -306,8 +306,8 @@ def test_a_law_takes_the_place_of_a_known_effect_only_where_it_fits_better() -> 
     lubricated = catalogue.effect("lubricated_friction")
     many = LocatedEffect(effect=lubricated, joint=4, shapes=(0.1,) * len(lubricated.shapes))
     assert not wins(left, [replace(sure, located=many)])
-    assert wins(left, [replace(sure, located=many)], sized=False)
-    assert not wins(left, [sure], sized=False)
+    assert wins(left, [replace(sure, located=many)], significant=False)
+    assert not wins(left, [sure], significant=False)
     # Values of four runs are no function, and random: equal to them a law is likelier, not below.
     drift = LocatedEffect(effect=friction_drift(tuple("abcd")), joint=4, shapes=(0.5,))
     values = Selected(drift, 100.0, 14.0, 1.0, (), 4)

@@ -275,7 +275,11 @@ class _State:
             if may_beat(apart, beside.square, own):
                 outcome = search_channel(apart)
                 if outcome.best is not None and beats(
-                    apart, outcome.best, beside.square, own, sized=self._are_sized(own)
+                    apart,
+                    outcome.best,
+                    beside.square,
+                    own,
+                    significant=self._have_significant_sizes(own),
                 ):
                     self.effects, self._dropped = others, replaced
                     return outcome
@@ -283,7 +287,7 @@ class _State:
                 return None
         return search_channel(beside)
 
-    def _are_sized(self, findings: Sequence[Selected]) -> bool:
+    def _have_significant_sizes(self, findings: Sequence[Selected]) -> bool:
         """Return False where one of the findings is as likely zero as not by its reported sizes.
 
         Values that make up for one another are no explanation, however well they fit together.

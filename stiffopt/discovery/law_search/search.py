@@ -304,7 +304,7 @@ def beats(
     named: float,
     findings: Sequence[Selected],
     *,
-    sized: bool,
+    significant: bool,
 ) -> bool:
     """Return True where a law in place of findings, which leave the squares `named`, is likelier.
 
@@ -312,10 +312,10 @@ def beats(
     follows formulas nearly, those of the catalogue and of laws alike, and each is one of as many as
     there are, of laws more. A law that is the findings' function in other words is not likelier, of
     however few parameters; values of single runs are no function, and findings without a size that
-    the data tell from zero (`sized` False) have no words for it.
+    the data tell from zero (`significant` False) have no words for it.
     """
     left, own = channel.square - best.fit.removed, best.law
-    is_function = sized and not _count_run_values(findings)
+    is_function = significant and not _count_run_values(findings)
     if is_function and named - left < SAME_FUNCTION**2 * (channel.square - left):
         return False
     odds = _log_odds(channel, left, named, findings, own.parameter_count)
