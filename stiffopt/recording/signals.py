@@ -260,7 +260,7 @@ def entries_of_columns(entry: Any, count: int, path: Path, where: str) -> list[f
     return entries
 
 
-_COUNTS = "counts"
+_COUNTS_UNIT = "counts"
 _COUNTS_HINT = (
     "is in counts of an encoder, whose angle is not known. Put 2 pi over the counts of a turn of"
     " the joint, one number a joint (4096 counts: 0.001533981), and the angle at count 0 as"
@@ -276,7 +276,7 @@ def unit_factor(
     convert: Callable[[str, str], float] = joint_to_si,
 ) -> float:
     """Return the factor to SI of a number or the name of a unit; `convert` tells that of a text."""
-    if entry == _COUNTS and dimension.startswith("ang"):
+    if entry == _COUNTS_UNIT and dimension.startswith("ang"):
         raise InputFileError(path, where, _COUNTS_HINT)
     try:
         value = convert(f"1 {entry}", dimension) if isinstance(entry, str) else entry

@@ -183,7 +183,7 @@ JOINT_ZERO = Effect(
     signature="weight of the joint and of those before it off as if the joint stood at another"
     " angle, the same in every run",
     title="joint zero",
-    phrase="a joint zero that is off (mastering)",
+    phrase="a joint zero (mastering) off by {dq}",
     needs=("torque", "moves"),
     term=joint_zero_term,
     amplitudes=(symmetric_amplitude("dq", "rad", _TYPICAL_ZERO, _MAX_ZERO),),

@@ -60,6 +60,13 @@ def _start_limits(constants: JointConstants) -> tuple[float, ...]:
     return tuple(share * _largest_reading(constants) for share in _LIMIT_SHARES)
 
 
+def _divide_readings(amplitudes: Values, shapes: Values, constants: JointConstants) -> str:
+    return (
+        "Check the torque constant and the unit of that torque, and divide its readings by"
+        f" {1.0 + float(amplitudes[0]):.3g}."
+    )
+
+
 _READING_ZERO = Amplitude("off", "rad", 1e-3, -10.0, 10.0)
 
 TORQUE_GAIN = Effect(
@@ -69,7 +76,7 @@ TORQUE_GAIN = Effect(
     equation="tau += eps*tau",
     signature="motor torque off in proportion to itself, whatever it comes from",
     phrase=("torque reading {eps:%} too large", "torque reading {eps:%} too small"),
-    remedy="Check torque constant and unit of {where}, and correct its readings by {eps:%}.",
+    remedy=_divide_readings,
     tolerances=("torque_constant",),
     needs=("torque", "stated_gain", "moves"),
     # Of the predicted torque: the measured one would explain itself.
@@ -251,7 +258,7 @@ CROSSTALK = Effect(
     equation="tau_j += c*tau_k",
     signature="motor torque of one joint off in proportion to the torque of another, its friction"
     " included",
-    phrase="torque of another joint in the reading",
+    phrase="{c:%} of the torque of another joint in the reading",
     needs=("torque", "torque_sensor", "moves"),
     reads_torque=True,
     confused_with=("wrist_coupling", "coupled_drive"),
