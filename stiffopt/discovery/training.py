@@ -130,6 +130,7 @@ def prepare_training(
         opened.append(run)
     _require_one_kind(recordings, opened)
     if not opened:
+        notes += _describe_scale(recordings)
         raise InputFileError(
             recordings.path,
             "runs",
@@ -293,6 +294,16 @@ def _check_noise(recordings: RecordingSet, noise: KnownNoise, runs: Sequence[Pre
                 f"to {largest:.3g}: below the resolution of any sensor. State one standard "
                 "deviation, or leave it out.",
             )
+
+
+def _describe_scale(recordings: RecordingSet) -> list[str]:
+    law = recordings.actuator
+    if law is None or law.scaled.any():
+        return []
+    return [
+        "Weight and inertia do not tell the gain of any joint, so that torques derived from"
+        " commands have no scale: give kp in [actuator]."
+    ]
 
 
 def _describe_unusable(run: RecordedRun) -> str:
