@@ -16,15 +16,15 @@ import numpy as np
 from stiffopt.closed_loop.physics import Amplitudes, LoopPhysics, LoopSignals, LoopSpring
 from stiffopt.discovery.catalogue.common import motor_inertia
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect
+from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.effect import Effect, Term, Values
 from stiffopt.discovery.extended.model import ExtendedModel
-from stiffopt.discovery.extended.planning import joint_constants, planner_model
+from stiffopt.discovery.extended.planning import planner_model
 from stiffopt.discovery.laws.law import law_of
 from stiffopt.discovery.loop_fit import DRIVE_PARAMETERS, stated_tolerance
 from stiffopt.discovery.signals import (
     JOINT_SIGNAL_NAMES,
     JointSignals,
-    RobotConstants,
     RobotSignals,
     smooth_sign,
 )
@@ -142,16 +142,7 @@ class _Instant:
     def __init__(self, recordings: RecordingSet, model: ExtendedModel) -> None:
         self.recordings, self.n = recordings, recordings.n
         self.order = np.asarray(recordings.order)
-        chains = recordings.robot.chains
-        self.joints = tuple(joint_constants(model, j, chains[self.order[j]]) for j in range(self.n))
-        self.constants = RobotConstants(
-            joints=self.joints,
-            links=model.joints,
-            masses=np.zeros(self.n),
-            centres=np.zeros((self.n, 3)),
-            tool_range=np.zeros((2, 3)),
-            gravity=np.asarray(recordings.gravity, dtype=float),
-        )
+        self.constants = model.scaled(RobotModel(recordings).constants)
         self.symbols = LoopSignals(*(ca.SX.sym(name, self.n) for name in _SIGNAL_NAMES))
         self.torque = ca.SX.zeros(self.n)
         self.displacement = ca.SX.zeros(self.n)
@@ -277,7 +268,7 @@ class _Instant:
 
     def _spring(self, place: int, wound: ca.SX) -> LoopSpring:
         """Return the spring of a joint with its findings' wind-up."""
-        own = self.joints[int(np.flatnonzero(self.order == place)[0])]
+        own = self.constants.joints[int(np.flatnonzero(self.order == place)[0])]
         load, damping = self.symbols.spring[place], own.joint_damping
         if own.elastic:
             wound = wound + own.windup(load)
@@ -327,7 +318,7 @@ class _Instant:
         fitted = ca.substitute([parts.torque, parts.deflection], symbols, values)
         function = ca.Function("parts", inputs, fitted)
         rng = np.random.default_rng(0)
-        limits = np.array([joint.torque_max for joint in self.joints])
+        limits = np.array([joint.torque_max for joint in self.constants.joints])
         largest = dict.fromkeys(("torque", "spring", "drive"), limits)
         given = {
             name: largest.get(name, _LARGEST_MOTION)
@@ -417,7 +408,7 @@ class _Instant:
             time=column(rest, joint),
             session_time=column(rest, joint),
             dt=1.0,
-            constants=self.joints[joint],
+            constants=self.constants.joints[joint],
             asked_torque=column(torque, joint),
             **before,
             **{name: column(whole, joint) for name, whole in values.items()},

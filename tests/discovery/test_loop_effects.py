@@ -28,7 +28,7 @@ from stiffopt.discovery.extended.model import ExtendedModel
 from stiffopt.discovery.extended.value_changes import extended_model
 from stiffopt.discovery.laws.law import Factor, Law, law_effect
 from stiffopt.discovery.laws.sources import LawSource
-from stiffopt.discovery.loop_effects import robot_in_loop
+from stiffopt.discovery.loop_effects import _FLANK_DAMPING, _FLANK_FREQUENCY, robot_in_loop
 from stiffopt.discovery.loop_fit import build_loop, commanded_run, nominal_parameters
 from stiffopt.discovery.position_fit import ClosedLoopModel
 from stiffopt.discovery.sanity.actuator_estimate import ResolvedActuator, resolve_actuator
@@ -145,6 +145,19 @@ def test_backlash_before_the_encoder_lets_the_motor_travel_unseen(servo: Recordi
     ]
     # The flanks yield besides.
     assert width < both[0] - both[1] < width + 0.02
+
+
+def test_flanks_of_a_rigid_joint_carry_the_rotor_of_the_robots_file(servo: RecordingSet) -> None:
+    """A softer spring than that of its rotor is one that a servo excites."""
+    damping = []
+    for factor in (1.0, 2.0):
+        rotor = np.full(1, factor * ARMATURE)
+        own = replace(servo, robot=replace(servo.robot, rotor_inertia=rotor))
+        resolved, model = prepared(own, found("output_backlash", (0.0, 0.0), (0.0, 0.002)))
+        _, physics, _ = robot_in_loop(resolved.recordings, model)
+        damping.append(physics.springs[0].damping)
+    expected = 2.0 * _FLANK_DAMPING * _FLANK_FREQUENCY * ARMATURE
+    np.testing.assert_allclose(damping, [expected, 2.0 * expected])
 
 
 def test_effects_with_memory_are_left_out(servo: RecordingSet) -> None:
