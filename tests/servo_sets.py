@@ -19,6 +19,7 @@ MASS, LEVER, INERTIA, GRAVITY = 0.75, 0.14, 0.002, 9.81
 KP, VISCOUS, COULOMB, ARMATURE, DELAY = 9.0, 0.25, 0.12, 0.015, 0.012
 STEP, HELD = 0.01, 2
 STRIBECK_SPEED = 0.1  # [rad/s]
+WARMUP_SECONDS = 4.0
 _SUBSTEPS = 200
 
 
@@ -31,10 +32,12 @@ def commanded_motion(
     coulomb: float = COULOMB,
     stribeck: float = 0.0,
     integral: float = 0.0,
+    warmup: float = 0.0,
 ) -> tuple[np.ndarray, ...]:
     """Return time, held commands and positions (K,) of one run.
 
-    `integral`: gain of the error's integral over that of the error [1/s].
+    `integral`: gain of the error's integral over that of the error [1/s]. `warmup`: dry friction
+    that grows from the beginning of the run to its end [N m].
     """
     rng = np.random.default_rng(seed)
     time = np.arange(round(seconds / STEP)) * STEP
@@ -49,8 +52,10 @@ def commanded_motion(
     about = INERTIA + MASS * LEVER**2 + ARMATURE
     late = round(DELAY / h)
     sent = np.repeat(command, _SUBSTEPS).tolist()
+    warmed = np.expm1(-time / WARMUP_SECONDS) / np.expm1(-time[-1] / WARMUP_SECONDS)
     for k in range(len(time)):
         position[k] = q
+        dry = coulomb + warmup * float(warmed[k])
         for s in range(_SUBSTEPS):
             u = sent[max(k * _SUBSTEPS + s - late, 0)]
             # Leapfrog, dry friction as an impulse that at most stops the link.
@@ -61,7 +66,7 @@ def commanded_motion(
             ) - MASS * gravity * LEVER * math.sin(q)
             slow = 0.5 * h * VISCOUS / about
             free = ((1.0 - slow) * v + h * drive / about) / (1.0 + slow)
-            most = h * (coulomb + stribeck * math.exp(-((v / STRIBECK_SPEED) ** 2))) / about
+            most = h * (dry + stribeck * math.exp(-((v / STRIBECK_SPEED) ** 2))) / about
             v = 0.0 if abs(free) < most else free - math.copysign(most, free)
             q += 0.5 * h * v
     return time, command, position + 2e-5 * rng.normal(size=len(time))

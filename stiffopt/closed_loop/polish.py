@@ -165,6 +165,11 @@ def score_amplitudes(
 
     They are scored where the fit leaves most in a `joint` (from 0). `loop`: with the physics of the
     fit, then the further ones. `groups`: which of these are of one cause.
+
+    Raises
+    ------
+    FloatingPointError
+        The simulation diverges with the further physics, such as a spring that the servo excites.
     """
     own = loop.physics.amplitudes
     more = len(own.values) - len(fitted.parameters.amplitude_bounds)
@@ -207,6 +212,13 @@ class _Point:
 
     residual: np.ndarray
     slopes: np.ndarray
+    bounded: bool = True  # squares of simulated positions and derivatives can be summed
+
+    def require_bounded(self) -> _Point:
+        """Return this; raise `FloatingPointError` if the simulation diverges."""
+        if not self.bounded:
+            raise FloatingPointError("the simulation diverges")
+        return self
 
 
 class _Fit:
@@ -229,12 +241,7 @@ class _Fit:
 
     def polish(self, start: Parameters, say: Callable[[str], object]) -> Polished:
         """Return the fit that begins with some parameters."""
-        current, point = start, self.evaluate(start)
-        with np.errstate(over="ignore"):
-            squares = np.sum(point.slopes**2) + np.nansum(point.residual**2)
-        if not np.isfinite(squares):
-            raise FloatingPointError("the simulation diverges")
-        current, point = self.descend(current, point, say)
+        current, point = self.descend(start, self.evaluate(start).require_bounded(), say)
         spread = np.zeros_like(start.values)
         covariance, discretisation = self.covariance(current, point)
         if not (np.diag(covariance) > 0.0).all():  # derivatives that grow without bound
@@ -260,7 +267,7 @@ class _Fit:
         self, parameters: Parameters, groups: Sequence[Sequence[int]], more: int
     ) -> list[Score | None]:
         """Score groups of the last `more` amplitudes, with all other parameters free."""
-        point = self.evaluate(parameters)
+        point = self.evaluate(parameters).require_bounded()
         noise = self.noise(point)
         hessian, gradient = self._normal_equations(parameters, point, noise)
         last = len(hessian) - 1
@@ -294,13 +301,15 @@ class _Fit:
         return found
 
     def misfit(self, parameters: Parameters) -> float:
-        """Return the sum of the logarithms of the residuals, root mean squares."""
-        residual = self.simulate(parameters).residual
-        return 0.5 * float(np.log(np.nanmean(residual**2, axis=0)).sum())
+        """Return the sum of the logarithms of the residuals; infinite if they diverge."""
+        point = self.simulate(parameters)
+        if not point.bounded:
+            return np.inf
+        return 0.5 * float(np.log(np.nanmean(point.residual**2, axis=0)).sum())
 
     def restrict(self, parameters: Parameters, joint: int) -> None:
         """Keep the stretches in which a joint leaves most, of the duration of a leading fit."""
-        residual = self.simulate(parameters).residual[:, joint]
+        residual = self.simulate(parameters).require_bounded().residual[:, joint]
         squares = [np.nanmean(own**2) for own in np.split(residual, np.cumsum(self._rows)[:-1])]
         count = max(1, round(_LEADING_SECONDS / self._loop.n / STRETCH_SECONDS))
         kept = sorted(np.argsort(squares)[::-1][:count])
@@ -328,8 +337,10 @@ class _Fit:
             measured = own.run.position[own.begin + lead : own.end + 1]
             residual.append(each.position[lead:] - measured)
             slopes.append(each.slopes[lead:])
-        size = 1.0 if free is None else self._size
-        return _Point(np.vstack(residual), np.concatenate(slopes) * size)
+        whole = np.concatenate(slopes) * (1.0 if free is None else self._size)
+        with np.errstate(over="ignore", invalid="ignore"):
+            squares = sum(np.sum(each.position**2) for each in found) + np.sum(whole**2)
+        return _Point(np.vstack(residual), whole, bool(np.isfinite(squares)))
 
     def encoder_noise(self, point: _Point) -> np.ndarray:
         """Return the standard deviation (n,) of readings that change independently [rad].
@@ -443,7 +454,7 @@ class _Fit:
 
         That of residuals of unknown noise goes with the logarithm of their squares.
         """
-        if not np.isfinite(ahead.slopes).all():
+        if not ahead.bounded:
             return -np.inf
         before, after = (np.nansum(own.residual**2, axis=0) for own in (point, ahead))
         least = 1e-300

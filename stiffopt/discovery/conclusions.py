@@ -12,7 +12,12 @@ from scipy import special
 from stiffopt.closed_loop.parameters import BODY_PARAMETERS
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension
+from stiffopt.discovery.comparison.located_effect import (
+    EstimatedEffect,
+    Extension,
+    LocatedEffect,
+    effect_places,
+)
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.diagnosis import (
     Finding,
@@ -273,7 +278,8 @@ def _with_loop_value(
         # One with memory, without which the simulation leaves nothing like it in its joint.
         if located.run is not None or not located.is_of_one_joint or located.calibrated:
             return finding
-        return finding if _is_missed(recordings, model, finding, runs) else refuted(finding, 1.0)
+        missed = _is_missed(recordings, constants, model, finding, runs)
+        return finding if missed else refuted(finding, 1.0)
     numbers, values, covariance = found
     count = len(finding.estimated.amplitudes)
     whole = np.array([*finding.estimated.amplitudes, *located.shapes])
@@ -318,24 +324,48 @@ def _with_loop_value(
 
 def _is_missed(
     recordings: RecordingSet,
+    constants: RobotConstants,
     model: ClosedLoopModel,
     finding: Finding,
     runs: Sequence[PreparedRun],
 ) -> bool:
     """Return whether a simulation without a finding leaves what its torque would move the joint.
 
-    Of filtered torques that a law derives from commands, much may be an error of these.
+    Of filtered torques that a law derives from commands, much may be an error of these. What values
+    that every simulation fits take of its torque would be left by none: friction that changes
+    within a run is mostly dry friction.
     """
     located = finding.located
     assert located.joint is not None
     place = int(recordings.order[located.joint])
     if not model.lacks[place]:
         return False
-    given = [located.contribution(run, finding.estimated.amplitudes) for run in runs]
-    torques = (own for each in given for own in (each.torque, each.link_torque) if own is not None)
-    squares = [float(np.var(own[:, located.joint])) for own in torques]
-    left = float(model.left_torque[place]) ** 2
-    return not squares or left > (1.0 - EXPLAINED_SHARE) * float(np.mean(squares))
+    own = _torque_in_runs(located, finding.estimated.amplitudes, runs)
+    fitted = [
+        _torque_in_runs(each, (1.0,), runs)
+        for entry in CATALOGUE
+        if loop_parameter(entry) is not None and entry.scope == "joint" and not entry.only_in
+        for each in effect_places(entry, constants, ())
+        if each.joint == located.joint
+    ]
+    columns = np.column_stack([np.ones(len(own)), *fitted])
+    own = own - columns @ np.linalg.lstsq(columns, own)[0]
+    least = (1.0 - EXPLAINED_SHARE) * float(np.mean(own**2)) if len(own) else 0.0
+    return not least or float(model.left_torque[place]) ** 2 > least
+
+
+def _torque_in_runs(
+    located: LocatedEffect, amplitudes: Sequence[float], runs: Sequence[PreparedRun]
+) -> np.ndarray:
+    """Return the torque (K,) that an effect adds in its joint in all runs together [N m]."""
+    found = []
+    for run in runs:
+        each = located.contribution(run, amplitudes)
+        whole = np.zeros_like(run.signals.motor_position)
+        for part in (each.torque, each.link_torque):
+            whole = whole if part is None else whole + part
+        found.append(np.nan_to_num(whole[:, located.joint]))
+    return np.concatenate(found) if found else np.zeros(0)
 
 
 def refuted(finding: Finding, chance: float) -> Finding:

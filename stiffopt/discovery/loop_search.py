@@ -361,7 +361,8 @@ class LoopSearch:
     ) -> list[Score | None]:
         """Return the log evidence of each candidate beside all that is fitted; None without one.
 
-        `place`: joint of the robot (from 0).
+        None as well of those with which the simulation diverges. `place`: joint of the robot (from
+        0).
         """
         recordings, constants = self.recordings, self.training.constants
         none = [
@@ -375,7 +376,14 @@ class LoopSearch:
         keys = [key for key, _ in physics.amplitudes.names[count:]]
         groups = [[k for k, key in enumerate(keys) if key == each.key] for each in candidates]
         assert model.polished is not None
-        return score_amplitudes(loop, self._fitted_runs, model.polished, groups, place)
+        try:
+            return score_amplitudes(loop, self._fitted_runs, model.polished, groups, place)
+        except FloatingPointError:
+            if len(candidates) < 2:
+                return [None] * len(candidates)
+            middle = len(candidates) // 2
+            halves = candidates[:middle], candidates[middle:]
+            return [own for half in halves for own in self._scores(model, whole, half, place)]
 
     def _limit(self, model: ClosedLoopModel, whole: Extension, place: int) -> Finding | None:
         """Return a limit of the drive of a joint of the robot (from 0), if the runs show one.

@@ -28,7 +28,7 @@ from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.dry_friction import mean_friction
 from stiffopt.closed_loop.parameters import Parameters, zero_parameters
 from stiffopt.closed_loop.physics import Amplitudes, LoopPhysics, LoopSpring
-from stiffopt.closed_loop.polish import _Fit, _Point, polish
+from stiffopt.closed_loop.polish import _Fit, _Point, polish, score_amplitudes
 from stiffopt.closed_loop.simulation import (
     CommandedRun,
     Stretch,
@@ -269,6 +269,40 @@ def test_amplitudes_of_physics_stay_within_their_bounds(loop: CommandedArm) -> N
         found = polish(own, [recorded(7, 4.0)], prior, deviations)
         value = found.parameters.values[prior.amplitudes][0]
         np.testing.assert_allclose(value, high if high < VISCOUS else low, rtol=1e-9)
+
+
+def test_physics_with_which_a_simulation_diverges_has_no_score(loop: CommandedArm) -> None:
+    """Torques that grow with the speed push the joint past all bounds, whatever their amplitude."""
+    runs, unknown = [recorded(7, 4.0)], ca.SX.sym("Fv")
+    prior = true_parameters()
+    deviations = np.zeros_like(prior.values)
+    deviations[prior.place("viscous")] = 0.5
+    fitted = polish(loop, runs, prior, deviations)
+    amplitudes = Amplitudes(
+        names=(("Fv", 0),),
+        symbols=unknown,
+        values=np.zeros(1),
+        deviations=np.array([0.5]),
+        bounds=np.array([[-np.inf, np.inf]]),
+    )
+    for pushed in (0.0, 50.0):
+        physics = LoopPhysics(
+            torque=lambda own, pushed=pushed: (unknown - pushed) * own.velocity,
+            amplitudes=amplitudes,
+        )
+        more = CommandedArm(loop.tree, loop.law, np.zeros(1), physics)
+        whole = replace(
+            fitted.parameters,
+            values=np.insert(fitted.parameters.values, -1, 0.0),
+            amplitude_bounds=amplitudes.bounds,
+        )
+        fit = _Fit(more, runs, whole, np.insert(deviations, -1, 0.5))
+        assert np.isfinite(fit.misfit(whole)) == (pushed == 0.0)
+        if pushed == 0.0:
+            assert score_amplitudes(more, runs, fitted, [[0]], 0)[0] is not None
+        else:
+            with pytest.raises(FloatingPointError, match="diverges"):
+                score_amplitudes(more, runs, fitted, [[0]], 0)
 
 
 def settle(loop: CommandedArm, command: float) -> float:

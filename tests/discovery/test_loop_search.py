@@ -15,11 +15,14 @@ from servo_sets import (
     DELAY,
     KP,
     STRIBECK_SPEED,
+    WARMUP_SECONDS,
     commanded_motion,
     state_drive,
     write_servo_set,
 )
 
+from stiffopt.closed_loop.arm import CommandedArm
+from stiffopt.closed_loop.polish import Score, score_amplitudes
 from stiffopt.discovery.catalogue import CATALOGUE, effect
 from stiffopt.discovery.comparison.located_effect import (
     EstimatedEffect,
@@ -167,6 +170,58 @@ def test_findings_that_make_the_loop_unstable_are_searched_without(tmp_path: Pat
     pushing = EstimatedEffect(located=located, amplitudes=(-400.0, 0.0))
     _, findings = search(tmp_path / "set", stribeck=RISE).run(Extension(effects=(pushing,)), ())
     assert [each.effect.name for each in findings] == ["stribeck"]
+
+
+def test_effects_with_which_the_simulation_diverges_hide_no_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    searched = search(tmp_path / "set", stribeck=RISE)
+    model = searched.fit(Extension()).model
+    assert model is not None
+    # Springs of backlash change what the others are scored beside.
+    every = searched._candidates(0, ())
+    candidates = [each for each in every if each.effect.family == "friction"]
+    expected = searched._scores(model, Extension(), candidates, 0)
+    assert sum(each is not None for each in expected) > 3
+    wild = next(k for k, each in enumerate(expected) if each is not None)
+
+    def score(loop: CommandedArm, *given: Any) -> list[Score | None]:
+        if any(key == candidates[wild].key for key, _ in loop.physics.amplitudes.names):
+            raise FloatingPointError
+        return score_amplitudes(loop, *given)
+
+    monkeypatch.setattr("stiffopt.discovery.loop_search.score_amplitudes", score)
+    found = searched._scores(model, Extension(), candidates, 0)
+    assert found[wild] is None
+    for k, (own, other) in enumerate(zip(found, expected, strict=True)):
+        if own is not None and other is not None:
+            assert own.evidence == pytest.approx(other.evidence, rel=1e-6)
+        else:
+            assert k == wild or own is other is None
+
+
+@pytest.mark.parametrize(
+    ("physics", "changed", "certainty"),
+    [
+        ({"warmup": 0.1}, 0.1, "found"),
+        ({"warmup": -0.06}, -0.06, "found"),
+        ({"warmup": 0.1}, 0.5, "possible"),
+        ({"stribeck": 0.1}, 0.1, "possible"),
+        ({}, 0.1, "possible"),
+    ],
+)
+def test_an_effect_with_memory_is_refuted_where_the_simulation_leaves_less_than_it(
+    tmp_path: Path, physics: dict[str, float], changed: float, certainty: str
+) -> None:
+    """Most of friction that changes within a run is dry friction, which every simulation fits."""
+    searched = search(tmp_path / "set", **physics)
+    model = searched.fit(Extension()).model
+    assert model is not None
+    assert model.lacks.all() == bool(physics)
+    located = LocatedEffect(effect=effect("friction_warmup"), joint=0, shapes=(WARMUP_SECONDS,))
+    estimated = EstimatedEffect(located=located, amplitudes=(changed, 0.0))
+    (judged,) = searched._judge(model, [searched._finding(estimated, 0.6)])
+    assert judged.certainty == certainty
 
 
 def test_nothing_is_found_where_the_simulation_leaves_noise(tmp_path: Path) -> None:
