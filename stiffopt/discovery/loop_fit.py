@@ -109,8 +109,8 @@ def expect_parameters(
     """Return the parameters before the fit, and one standard deviation of each, by the runs.
 
     Friction and rotors that are stated, and that `begun` leaves as they are, are expected there
-    within their tolerance: what a regression made of them is of the same recordings. Bodies that
-    findings changed are as uncertain as the change.
+    within their tolerance: what a regression made of them is of the same recordings. Bodies,
+    friction and rotors that findings changed are at least as uncertain as the change.
     """
     prior = replace(begun, values=begun.values.copy())
     robot, law = recordings.robot, loop.law
@@ -143,8 +143,9 @@ def expect_parameters(
         if key not in recordings.unstated:
             relative = stated_tolerance(recordings, key)
             nominal, place = getattr(robot, key), found.place(name)
-            kept = np.abs(prior.of(name) - nominal) <= _KEPT_DEVIATIONS * relative * nominal
-            size[place] = np.where(kept, relative * nominal, size[place])
+            change = np.abs(prior.of(name) - nominal)
+            kept = change <= _KEPT_DEVIATIONS * relative * nominal
+            size[place] = np.where(kept, relative * nominal, np.maximum(size[place], change))
             prior.values[place] = np.where(kept, nominal, prior.of(name))
     of_mass, of_centre = (stated_tolerance(recordings, key) for key in ("mass", "com"))
     for i, (body, own) in enumerate(zip(robot.tree.bodies, loop.tree.bodies, strict=True)):

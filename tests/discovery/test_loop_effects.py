@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy import special
-from servo_sets import ARMATURE, COULOMB, DELAY, KP, VISCOUS, write_servo_set
+from servo_sets import ARMATURE, COULOMB, DELAY, KP, VISCOUS, state_drive, write_servo_set
 
 from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.polish import Polished
@@ -29,7 +29,12 @@ from stiffopt.discovery.extended.value_changes import extended_model
 from stiffopt.discovery.laws.law import Factor, Law, law_effect
 from stiffopt.discovery.laws.sources import LawSource
 from stiffopt.discovery.loop_effects import _FLANK_DAMPING, _FLANK_FREQUENCY, robot_in_loop
-from stiffopt.discovery.loop_fit import build_loop, commanded_run, nominal_parameters
+from stiffopt.discovery.loop_fit import (
+    build_loop,
+    commanded_run,
+    expect_parameters,
+    nominal_parameters,
+)
 from stiffopt.discovery.position_fit import ClosedLoopModel
 from stiffopt.discovery.sanity.actuator_estimate import ResolvedActuator, resolve_actuator
 from stiffopt.discovery.settings import DEFAULT_TOLERANCE, Settings
@@ -158,6 +163,21 @@ def test_flanks_of_a_rigid_joint_carry_the_rotor_of_the_robots_file(servo: Recor
         damping.append(physics.springs[0].damping)
     expected = 2.0 * _FLANK_DAMPING * _FLANK_FREQUENCY * ARMATURE
     np.testing.assert_allclose(damping, [expected, 2.0 * expected])
+
+
+def test_a_rotor_that_findings_changed_is_as_uncertain_as_the_change(tmp_path: Path) -> None:
+    """Filtered torques take a delay for inertia, and links tell little of a rotor's size."""
+    folder = write_servo_set(tmp_path / "set", actuator=f"kp = [{KP}]\ndelay = {DELAY}", runs=2)
+    state_drive(folder)
+    resolved, _ = prepared(load_recordings(folder))
+    robot, run = resolved.recordings.robot, commanded_run(resolved.recordings, resolved.runs[0])
+    loop = build_loop(resolved.recordings, [run], robot.tree)
+    for change, deviation in ((0.0, 0.05 * ARMATURE), (0.3, 0.3)):
+        begun = nominal_parameters(resolved.recordings, robot)
+        begun.values[begun.place("armature")] += change
+        prior, deviations = expect_parameters(resolved.recordings, [run], loop, begun)
+        np.testing.assert_allclose(prior.of("armature"), ARMATURE + change)
+        np.testing.assert_allclose(deviations[prior.place("armature")], deviation)
 
 
 def test_effects_with_memory_are_left_out(servo: RecordingSet) -> None:
