@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from own_machines import GANTRY, Log
 
-from stiffopt.discovery.diagnose import diagnose
+from stiffopt.discovery.diagnose import diagnose, diagnose_change
 from stiffopt.recording.recording_set import load_recordings
 from stiffopt.starter.recording_set import start_recording_set
 
@@ -53,3 +53,21 @@ def test_logs_of_one_clock_have_session_times(begins, known, tmp_path: Path) -> 
     start_recording_set(files, tmp_path / "logs" / "robot.urdf", tmp_path / "set")
     runs = load_recordings(tmp_path / "set").runs
     assert [each.session_time for each in runs] == pytest.approx(known, abs=1e-3)
+
+
+@pytest.mark.slow
+def test_more_friction_after_a_change_is_no_warming(tmp_path: Path) -> None:
+    """With a short time constant, friction that changes within each run is a constant one."""
+
+    def worn(logs: list[Log]) -> None:
+        for log in logs:
+            v = log["v"][:, 2]
+            log["tau"][:, 2] += 0.5 * (
+                GANTRY.coulomb[2] * np.tanh(v / 0.01) + GANTRY.viscous[2] * v
+            )
+
+    before = GANTRY.write(tmp_path / "before")
+    after = GANTRY.write(tmp_path / "after", worn)
+    diagnosis = diagnose_change(before, after)
+    changed = {(each.effect.name, each.joint) for each in diagnosis.changes}
+    assert changed == {("coulomb", 3), ("viscous", 3)}

@@ -162,7 +162,7 @@ def test_ctrl_c_keeps_predicted_runs_consistent(monkeypatch):
         with_role=lambda *_: [stands_for(file=name) for name in names],
         open=lambda _: stands_for(usable=True, at_rest=False),
     )
-    training = stands_for(before=(), robot=None, noise=stands_for(channels=None))
+    training = stands_for(before=(), recorded=(), robot=None, noise=stands_for(channels=None))
     stopped = 0
     for line in range(200):
         opened = held_out.HeldOutRuns(training, None, ())

@@ -20,6 +20,7 @@ import numpy as np
 
 from stiffopt.discovery.catalogue.common import Constants, dry_friction, viscous_friction
 from stiffopt.discovery.catalogue.friction import rounded_load
+from stiffopt.discovery.catalogue.sensors import TORQUE_GAIN
 from stiffopt.discovery.effect import Amplitude, Effect, Reported, Shape, Term, Values
 from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.symbolic import Quantity, smooth_abs
@@ -303,6 +304,8 @@ FRICTION_WARMUP = Effect(
     remedy="Warm {where} up before recording, and record its temperature.",
     needs=("torque", "moves", "reverses"),
     confused_with=("thermal_friction", "friction_drift"),
+    # With a short time constant it is another constant friction.
+    beside=ANY_FRICTION,
     term=lambda signals, a, s: Term(
         drive_torque=(a[0] * signals.motor_direction + a[1] * signals.motor_velocity)
         * _warmed_share(signals, s[0])
@@ -334,6 +337,7 @@ COLD_START = Effect(
     " with its warm friction.",
     needs=("torque", "moves", "reverses", "session"),
     confused_with=("friction_warmup", "thermal_friction", "friction_drift"),
+    beside=ANY_FRICTION,
     term=lambda signals, a, s: Term(
         drive_torque=(a[0] * signals.motor_direction + a[1] * signals.motor_velocity)
         * np.exp(-signals.session_time / s[0])
@@ -359,6 +363,7 @@ GAIN_WARMUP = Effect(
     remedy="Warm {where} up before recording, and record its motor's temperature.",
     needs=("torque", "torque_sensor", "moves"),
     confused_with=("friction_warmup", "gain_drift", "common_gain_drift"),
+    beside=TORQUE_GAIN,
     term=lambda signals, a, s: Term(
         drive_torque=a[0] * signals.drive_torque * _warmed_share(signals, s[0])
     ),

@@ -220,7 +220,8 @@ class Scorer:
         free, freer = located.effect.beside, located.effect.likelier_than
         if free is None:
             return True
-        law = replace(located, effect=free, shapes=())
+        # It acts in the runs in which the special form acts.
+        law = replace(located, effect=replace(free, only_in=located.effect.only_in), shapes=())
         if law.key not in self._general_scorers:
             self._general_scorers[law.key] = Scorer(self.comparison, (*self.base, law))
         scorer = self._general_scorers[law.key]

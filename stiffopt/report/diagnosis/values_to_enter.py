@@ -37,8 +37,17 @@ def value_sentences(diagnosis: Diagnosis) -> list[str]:
     stated = [f for f in diagnosis.findings if not f.located.calibrated]
     found = [_nominal_sentence(diagnosis, f) for f in stated if f.effect.nominal and f.joint]
     found += [_signals_sentence(diagnosis, f) for f in stated if f.effect.signals_key]
-    outside = values_outside_tolerance(diagnosis.search.comparison, diagnosis.search.effects)
-    return [*found, *(_pinned_sentence(diagnosis, each) for each in outside)]
+    return [*found, *map(_pinned_sentence, _values_outside(diagnosis))]
+
+
+def farthest_value(diagnosis: Diagnosis) -> str:
+    """Return the change of the nominal value that is farthest outside its tolerance, or ""."""
+    return next(map(_pinned_change, _values_outside(diagnosis)), "")
+
+
+def _values_outside(diagnosis: Diagnosis) -> tuple[OutsideValue, ...]:
+    """Return nominal values outside their tolerances that no finding accounts for."""
+    return values_outside_tolerance(diagnosis.search.comparison, diagnosis.search.effects)
 
 
 def _nominal_sentence(diagnosis: Diagnosis, finding: Finding) -> str:
@@ -71,22 +80,25 @@ def _signals_sentence(diagnosis: Diagnosis, finding: Finding) -> str:
     )
 
 
-def _pinned_sentence(diagnosis: Diagnosis, value: OutsideValue) -> str:
+def _pinned_sentence(value: OutsideValue) -> str:
     """Return that a value is far outside its tolerance and no finding accounts for it."""
+    most = MAX_NOMINAL_DEVIATIONS
+    return (
+        f"Nominal value pinned at its tolerance: {_pinned_change(value)},"
+        f" {significant(abs(value.change) / value.tolerance, 2)} times its tolerance (a fit allows"
+        f" {most:g}). Measure it, or look for another cause: a value so far off seldom is the only"
+        " one."
+    )
+
+
+def _pinned_change(value: OutsideValue) -> str:
     unit = _KIND_UNITS.get(value.name.kind, "")
     size = (
         f"{significant(value.change, 2)} ± {significant(value.sd, 1)} {unit}"
         if unit
         else f"{100.0 * value.change:+.2g} ± {100.0 * value.sd:.1g} %"
     )
-    most = MAX_NOMINAL_DEVIATIONS
-    return (
-        f"Nominal value pinned at its tolerance: the {_value_words(value.name)}"
-        f" would have to change by {size},"
-        f" {significant(abs(value.change) / value.tolerance, 2)} times its tolerance (a fit allows"
-        f" {most:g}). Measure it, or look for another cause: a value so far off seldom is the only"
-        " one."
-    )
+    return f"the {_value_words(value.name)} would have to change by {size}"
 
 
 def _value_words(name: ValueName) -> str:

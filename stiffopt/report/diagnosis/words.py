@@ -22,7 +22,7 @@ from stiffopt.discovery.judging.unexplained import ToolForce, Unexplained
 from stiffopt.discovery.names import Channel, channel_name
 from stiffopt.discovery.thresholds import OPEN_RATIO
 from stiffopt.report.common.text import capital, listed, significant, words
-from stiffopt.report.diagnosis.values_to_enter import largest_moment_change
+from stiffopt.report.diagnosis.values_to_enter import farthest_value, largest_moment_change
 
 CONTACT_PHRASE = "Contact, load or offset"
 
@@ -104,6 +104,10 @@ def _findings_headline(diagnosis: Diagnosis) -> str:
         text = f"{values}; small beside them: {text}" if leading else values
     if rigid := _rigid_clause(diagnosis, least):
         text = f"{text}; {rigid}"
+    if pinned := farthest_value(diagnosis):
+        parts = [text, f"{pinned}, beyond its tolerance"]
+        shown = max((held_out_share(diagnosis, each) for each in leading), default=0.0)
+        text = "; ".join(reversed(parts) if _nominal_share(diagnosis) > shown else parts)
     left = diagnosis.unexplained
     if left is None:
         return capital(text)
@@ -117,11 +121,16 @@ def _findings_headline(diagnosis: Diagnosis) -> str:
 def _rigid_clause(diagnosis: Diagnosis, least: float) -> str:
     """Return what re-identified masses changed most, where they explain the share `least`."""
     rigid = diagnosis.search.rigid
-    own = (each.share for each in diagnosis.shares if each.part and each.part.kind == "nominal")
-    if rigid is None or not rigid.freed or max(own, default=0.0) < least:
+    if rigid is None or not rigid.freed or _nominal_share(diagnosis) < least:
         return ""
     change = largest_moment_change(diagnosis)
     return f"masses re-identified (most: {change})" if change else ""
+
+
+def _nominal_share(diagnosis: Diagnosis) -> float:
+    """Return the share of the mismatch on held-out runs that nominal values explain."""
+    own = (each.share for each in diagnosis.shares if each.part and each.part.kind == "nominal")
+    return max(own, default=0.0)
 
 
 def is_partly_unexplained(diagnosis: Diagnosis) -> bool:
