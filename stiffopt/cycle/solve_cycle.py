@@ -320,7 +320,7 @@ class _CycleRun:
             legs=tuple(legs),
             objective=self._objective(solutions, time),
             postures=cycle.postures,
-            notes=tuple(dict.fromkeys(note for each in solutions for note in each.notes)),
+            notes=tuple(dict.fromkeys(note for each in legs for note in _leg_notes(each))),
             splits=tuple(self._splits),
         )
 
@@ -423,6 +423,13 @@ def _single_moves(leg: LegResult) -> list[tuple[TrajectoryProblem, float]]:
         (replace(problem, start=Target(joints=a), end=Target(joints=b), vias=()), float(share))
         for (a, b), share in zip(pairs, shares, strict=True)
     ]
+
+
+def _leg_notes(leg: LegResult) -> list[str]:
+    """Return the notes of a leg, and why it has no command."""
+    made = leg.solution.compensation
+    missing = [f"{leg.name}: {made.refusal}"] if made is not None and made.refusal else []
+    return [*leg.solution.notes, *missing]
 
 
 def _tell_leg(progress: ProgressCallback, name: str, state: SolveProgress) -> object:

@@ -33,7 +33,7 @@ from stiffopt.path.time_law import (
     count_steps,
     time_scaled,
 )
-from stiffopt.problem.limits.joint_curve import curve_at
+from stiffopt.problem.limits.joint_curve import allowed_torque, curve_at
 from stiffopt.result.trajectory import Trajectory, join_motions
 from stiffopt.units import joint_unit
 
@@ -220,7 +220,9 @@ class _PathTiming:
 
     def _check_hold(self, s: np.ndarray, hold: np.ndarray) -> None:
         """Raise `ProblemError` where torques (K, n), however slow the motion, exceed a limit."""
-        allowed = self._demands.share("torque", s)[:, None] * self._torque(np.zeros_like(hold))
+        allowed = self._demands.share("torque", s)[:, None] * allowed_torque(
+            self._limits, np.zeros_like(hold)
+        )
         k, j = np.unravel_index(np.argmax(np.abs(hold) / allowed), hold.shape)
         if abs(hold[k, j]) > allowed[k, j]:
             unit = joint_unit("N m", bool(self._robot.prismatic[j]))
@@ -228,7 +230,7 @@ class _PathTiming:
                 f"at {100.0 * s[k]:.3g} % of the path weight, process force and dry friction take "
                 f"{abs(hold[k, j]):.4g} {unit} at joint {j + 1}, above its torque limit of "
                 f"{allowed[k, j]:.4g} {unit}, however slow the motion. Lighten the payload or the "
-                "force, move the path or narrow its freedom, or raise limits.torque."
+                "force, move the path or widen its freedom, or raise limits.torque."
             )
 
     def uses(self, law: TimeLaw) -> dict[str, np.ndarray]:
@@ -251,7 +253,10 @@ class _PathTiming:
                     "jerk": np.abs(rates[2]) / limits.jerk,
                     "torque": sign
                     * moving
-                    / (share("torque")[:, None] * self._torque(rates[0]) - sign * hold),
+                    / (
+                        share("torque")[:, None] * allowed_torque(self._limits, rates[0])
+                        - sign * hold
+                    ),
                     "tool_speed": (tool / self._tool_speed(piece))[:, None],
                 }
             for name, ratio in ratios.items():
@@ -360,7 +365,7 @@ class _PathTiming:
         # sqrt(x) <= (1 + x) / 2, exact where the sequence ends.
         viscous = 0.5 * self._robot.viscous * dq
         # The curve of the torque over speed at the present one: exact where the sequence ends.
-        torque = self._torque(dq)
+        torque = allowed_torque(self._limits, dq)
         bound_both("torque", torque, moving - viscous, 0.5 * pushing, hold + viscous)
         with np.errstate(divide="ignore"):
             joints = share("velocity") * (self._velocity(p0) / np.abs(dq)).min(axis=1)
@@ -382,12 +387,6 @@ class _PathTiming:
         allowed = np.broadcast_to(self._limits.velocity, q.shape)
         if self._limits.velocity_map is not None:
             allowed = np.minimum(allowed, curve_at(self._limits.velocity_map, q))
-        return allowed
-
-    def _torque(self, dq: np.ndarray) -> np.ndarray:
-        allowed = np.broadcast_to(self._limits.torque, dq.shape)
-        if self._limits.torque_map is not None:
-            allowed = np.minimum(allowed, curve_at(self._limits.torque_map, np.abs(dq)))
         return allowed
 
     def _tool_speed(self, piece: np.ndarray) -> np.ndarray:

@@ -8,13 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from stiffopt.problem.freedom_task import FreedomTask
+from stiffopt.problem.freedom_task import EXCESS_WEIGHT, USED_SHARE, FreedomTask
 
-# Share of the limits of velocity and acceleration that is used: the rest is for corners and ends.
-_USED_SHARE = 0.9
 # Stand-ins for limits that do not exist [rad/s], [rad/s^2].
 _NO_VELOCITY, _NO_ACCELERATION = 1e3, 1e6
-# Least scale of a deflection [m].
+# Least scale of a deflection [m] or a time [s].
 _SMALLEST_SCALE = 1e-9
 # Largest relative change of the squared speed in one programme.
 _SPEED_CHANGE = 0.5
@@ -36,6 +34,27 @@ class GoalRows:
         """Number of further unknowns."""
         return len(self.gradient)
 
+    def with_excess(self, matrix: np.ndarray, excess: np.ndarray) -> GoalRows:
+        """Return all rows, with those of an excess (R,) that changes with the step (R, Y).
+
+        A further unknown is the largest excess, at its price.
+        """
+        count = len(matrix)
+        other = np.zeros((count, self.extra))
+        return GoalRows(
+            np.vstack(
+                [
+                    np.hstack([self.matrix, np.zeros((len(self.matrix), 1))]),
+                    np.hstack([matrix, other, -np.ones((count, 1))]),
+                ]
+            ),
+            np.append(self.low, np.full(count, -np.inf)),
+            np.append(self.high, -excess),
+            np.append(self.gradient, EXCESS_WEIGHT),
+            np.append(self.lower, 0.0),
+            np.append(self.upper, np.inf),
+        )
+
     def with_rows(
         self, matrix: np.ndarray, low: np.ndarray, high: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -49,22 +68,33 @@ class GoalRows:
 
 
 class FreedomGoal(ABC):
-    """Goal that is minimised over the freedom of a path."""
+    """Goal that is minimised over the freedom of a path.
 
-    def __init__(self, task: FreedomTask) -> None:
+    The cost is relative to that of a typical path, `scale` [m] or [s]. The largest excess of
+    torques at rest is charged with a price that no gain of the goal pays.
+    """
+
+    def __init__(self, task: FreedomTask, scale: float) -> None:
         self._task = task
+        self._scale = max(scale, _SMALLEST_SCALE)
         limits = task.limits
         finite = np.isfinite(limits.velocity), np.isfinite(limits.acceleration)
-        self._velocity = _USED_SHARE * np.where(finite[0], limits.velocity, _NO_VELOCITY)
-        self._acceleration = _USED_SHARE * np.where(
-            finite[1], limits.acceleration, _NO_ACCELERATION
-        )
+        self._velocity = USED_SHARE * np.where(finite[0], limits.velocity, _NO_VELOCITY)
+        self._acceleration = USED_SHARE * np.where(finite[1], limits.acceleration, _NO_ACCELERATION)
 
-    @abstractmethod
     def evaluate(
         self, joints: np.ndarray, placement: np.ndarray, turns: np.ndarray, data: np.ndarray
     ) -> tuple[float, np.ndarray]:
         """Return the cost of joint positions (K, n), and numbers that `rows` needs."""
+        cost, detail = self._evaluate(joints, placement, turns, data)
+        excess = float(self._task.hold_excess(joints, placement, data).max(initial=0.0))
+        return cost + EXCESS_WEIGHT * excess, detail
+
+    @abstractmethod
+    def _evaluate(
+        self, joints: np.ndarray, placement: np.ndarray, turns: np.ndarray, data: np.ndarray
+    ) -> tuple[float, np.ndarray]:
+        """Return the cost without the price of holding torques, and numbers for `rows`."""
 
     @abstractmethod
     def rows(
@@ -73,24 +103,23 @@ class FreedomGoal(ABC):
         """Return the rows at joint positions with slopes (K, n, Y), and those of the squares."""
 
     @abstractmethod
-    def value(self, cost: float, detail: np.ndarray) -> float:
-        """Return the deflection [m] or the time [s] of a cost and its detail."""
+    def value(self, detail: np.ndarray) -> float:
+        """Return the deflection [m] or the time [s] of the detail of a cost."""
 
 
 class DeflectionGoal(FreedomGoal):
     """Largest deflection at the speed of the path.
 
-    The cost is its square over that of a typical one (`scale` [m]), and twice the share by which
-    the slowest joint is too slow for that speed.
+    The cost is its relative square, and twice the share by which the slowest joint is too slow for
+    that speed.
     """
 
     def __init__(self, task: FreedomTask, scale: float) -> None:
-        super().__init__(task)
-        self._scale = max(scale, _SMALLEST_SCALE)
+        super().__init__(task, scale)
         h = task.least_steps
         self._steps, self._middles = h, 0.5 * (h[1:] + h[:-1])
 
-    def evaluate(
+    def _evaluate(
         self, joints: np.ndarray, placement: np.ndarray, turns: np.ndarray, data: np.ndarray
     ) -> tuple[float, np.ndarray]:
         """Return the cost, and the squared deflections (K,) over that of the scale."""
@@ -132,7 +161,7 @@ class DeflectionGoal(FreedomGoal):
             np.zeros(2), np.full(2, np.inf),
         )  # fmt: skip
 
-    def value(self, cost: float, detail: np.ndarray) -> float:
+    def value(self, detail: np.ndarray) -> float:
         """Return the largest deflection [m]."""
         return self._scale * float(np.sqrt(detail.max()))
 
@@ -144,10 +173,10 @@ class TimeGoal(FreedomGoal):
     q' sqrt(b), their acceleration q'' b + q' b' / 2.
     """
 
-    def evaluate(
+    def _evaluate(
         self, joints: np.ndarray, placement: np.ndarray, turns: np.ndarray, data: np.ndarray
     ) -> tuple[float, np.ndarray]:
-        """Return the time, and the squared rates (K,)."""
+        """Return the relative time, and the squared rates (K,)."""
         ceiling, rows = self._rate_rows(joints)
         count = len(joints)
         found = scipy.optimize.linprog(
@@ -158,7 +187,7 @@ class TimeGoal(FreedomGoal):
             method="highs",
         )
         rates = np.clip(found.x, 0.0, None)
-        return self._time(rates), rates
+        return self._time(rates) / self._scale, rates
 
     def _time(self, rates: np.ndarray) -> float:
         root = np.sqrt(rates)
@@ -225,11 +254,11 @@ class TimeGoal(FreedomGoal):
             matrix,
             np.concatenate([-1.0 - value, np.full(len(used), -np.inf)]),
             np.concatenate([1.0 - value, 1.0 - used]),
-            slow * unit / self._time(rates),
+            slow * unit / self._scale,
             -_SPEED_CHANGE * rates / unit,
             np.minimum(_SPEED_CHANGE * rates, np.maximum(cap - rates, 0.0)) / unit,
         )
 
-    def value(self, cost: float, detail: np.ndarray) -> float:
+    def value(self, detail: np.ndarray) -> float:
         """Return the time [s]."""
-        return cost
+        return self._time(detail)

@@ -70,8 +70,9 @@ def optimise_freedom(task: FreedomTask, near: np.ndarray) -> list[FreedomOptimum
     # Searches from different candidates.
     candidates = scan_candidates(task, near, 12)
     refined = [each for each in (refine_candidate(task, one) for one in candidates) if each]
-    scale = min((each.cost for each in refined), default=1.0)
-    goal: FreedomGoal = DeflectionGoal(task, scale) if task.minimises_error else TimeGoal(task)
+    scale = min(refined, key=lambda each: each.rank).cost if refined else 1.0
+    kind = DeflectionGoal if task.minimises_error else TimeGoal
+    goal: FreedomGoal = kind(task, scale)
     searched = (_Search(task, goal, each).optimum() for each in refined)
     found = [each for each in searched if each is not None]
     if not found:
@@ -192,6 +193,7 @@ class _Search:
         squares = np.einsum("kn,kny->ky", moved, slopes)
         squares += np.einsum("kp,kpy->ky", turned, self._matrix[:, :9])
         rows = self._goal.rows(joints, slopes, detail, squares)
+        rows = rows.with_excess(*self._hold_rows(joints, values[:6], slopes))
         extra = rows.extra
         curvature = np.zeros((size + extra, size + extra))
         # Curvature of the programme that keeps unknowns without effect where they are.
@@ -287,6 +289,21 @@ class _Search:
             np.append(high[near], np.full(len(least), np.inf)),
         )
 
+    def _hold_rows(
+        self, joints: np.ndarray, placement: np.ndarray, slopes: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Changes (R, Y) with the step, and excess (R,) of torques at rest near their limits."""
+        task, (count, n) = self._task, joints.shape
+        found = task.hold_derivatives.map(count)(joints.T, placement, self._data)
+        by_joints, by_placement = (
+            np.asarray(each).reshape(2 * n, count, -1).transpose(1, 0, 2) for each in found
+        )
+        changes = by_joints @ slopes + by_placement @ self._matrix[:, :6]
+        excess = task.hold_excess(joints, placement, self._data)
+        # Rows far from their bound would only slow the programme.
+        near = excess > -0.3
+        return changes[near], excess[near]
+
     def _result(self, y: np.ndarray, state: tuple[np.ndarray, float, np.ndarray]) -> FreedomOptimum:
         task, (joints, cost, detail) = self._task, state
         turns = np.zeros((task.basis.size, 3))
@@ -294,7 +311,7 @@ class _Search:
             turns[:, j] = y[own]
         placement = np.zeros(6)
         placement[self._shifted] = y[: len(self._shifted)]
-        value = self._goal.value(cost, detail)
+        value = self._goal.value(detail)
         return FreedomOptimum.at(task, placement, turns, joints, cost, value)
 
 

@@ -13,7 +13,7 @@ import scipy
 
 from stiffopt.dynamics.inverse_kinematics import UnreachablePoseError, solve_pose
 from stiffopt.problem.branches import solutions_of_pose
-from stiffopt.problem.freedom_task import SCAN_STRIDE, FreedomTask
+from stiffopt.problem.freedom_task import EXCESS_WEIGHT, SCAN_STRIDE, FreedomTask
 
 # Directions of tilt, and shares of half-widths at which tilt and placement are tried.
 _TILT_DIRECTIONS, _TRIED_SHARE = 6, 2.0 / 3.0
@@ -28,6 +28,12 @@ class PathCandidate:
     joints: np.ndarray  # (K, n)
     # Largest deflection [m], more where joints are too slow for the speed; or the time [s].
     cost: float
+    excess: float  # largest of torques at rest, relative
+
+    @property
+    def rank(self) -> float:
+        """Cost with the price of the excess."""
+        return self.cost * (1.0 + EXCESS_WEIGHT * self.excess)
 
 
 def scan_candidates(task: FreedomTask, near: np.ndarray, count: int) -> list[PathCandidate]:
@@ -59,11 +65,16 @@ def scan_candidates(task: FreedomTask, near: np.ndarray, count: int) -> list[Pat
     for order in (range(begin + 1, len(nodes)), range(begin - 1, -1, -1)):
         _follow(task, joints, order, placement, turns, data)
     whole = np.flatnonzero(np.isfinite(joints).all(axis=(1, 2)))
+    if not len(whole):
+        return []
     moved, turned = (np.repeat(each[:, whole], len(nodes), axis=1) for each in (placement, turns))
-    cost = task.costs(joints[whole], nodes, moved, turned, data)
+    costs = np.stack(task.costs(joints[whole], nodes, moved, turned, data), axis=1)
+    found_whole = [
+        PathCandidate(placement[:, k], turns[:, k], joints[k], *own.tolist())
+        for k, own in zip(whole, costs, strict=True)
+    ]
     chosen: list[PathCandidate] = []
-    for k, own in sorted(zip(whole, cost, strict=True), key=lambda each: float(each[1])):
-        candidate = PathCandidate(placement[:, k], turns[:, k], joints[k], float(own))
+    for candidate in sorted(found_whole, key=lambda each: each.rank):
         if len(chosen) < count and all(_differ(task, candidate, each) for each in chosen):
             chosen.append(candidate)
     return chosen
@@ -83,8 +94,8 @@ def refine_candidate(task: FreedomTask, candidate: PathCandidate) -> PathCandida
     q, found = task.solve_poses(guess, placement, turns, data)
     if not found.all():
         return None
-    (cost,) = task.costs(q[None], task.along, placement, turns, data)
-    return replace(candidate, joints=q, cost=float(cost))
+    (cost,), (excess,) = task.costs(q[None], task.along, placement, turns, data)
+    return replace(candidate, joints=q, cost=float(cost), excess=float(excess))
 
 
 def _settings(task: FreedomTask, most: int) -> np.ndarray:

@@ -13,14 +13,20 @@ from stiffopt.dynamics.inverse_kinematics import LENGTH_PER_RADIAN
 from stiffopt.dynamics.kinematics import frame_jacobian, frame_pose
 from stiffopt.errors import ProblemError
 from stiffopt.problem.limit import Limits
+from stiffopt.problem.limits.joint_curve import allowed_torque
 from stiffopt.problem.path_force import COUNTED_AXES, ForceFrame, PathForce
 from stiffopt.problem.path_freedom import PathFreedom, TurnBasis
 from stiffopt.problem.pose_following import MIN_CONDITION
-from stiffopt.problem.stage_model import compact_chains, windups
+from stiffopt.problem.stage_model import StageModel, compact_chains, windups
 from stiffopt.problem.tool_path import ToolPath
 from stiffopt.robot.robot import Robot
 from stiffopt.symbolic import Quantity
 
+# Share of the limits of velocity, acceleration and holding torque that is used: the rest is for
+# corners, ends and the torque of the motion.
+USED_SHARE = 0.9
+# Relative cost of a holding torque above that share, over the excess: more than any excess gains.
+EXCESS_WEIGHT = 100.0
 # A scan takes each fourth node.
 SCAN_STRIDE = 4
 # Residual at which a pose counts as found [m].
@@ -142,7 +148,7 @@ class FreedomTask:
         residual = ca.vertcat(position - wanted, LENGTH_PER_RADIAN * angle)
         error: Quantity = ca.SX.zeros(3)
         if self.force is not None and robot.yields:
-            pushed = ca.mtimes(placed, force) if self.force_axes != "base" else force
+            pushed = self._base_force(placement, force)
             rest = ca.SX.zeros(robot.n)
             jacobian = frame_jacobian(robot.tree, robot.tool, q)
             torques = spring_torques(robot.tree, q, rest, rest, ca.mtimes(jacobian.T, pushed))
@@ -180,6 +186,40 @@ class FreedomTask:
                 ca.densify(ca.jacobian(square, parameters)),
             ],
         )
+
+    @cached_property
+    def hold(self) -> ca.Function:
+        """Function (q (n,), placement (6,), data (24,)) -> excess (2 n,) of torques at rest.
+
+        Of weight, process force and dry friction in either direction, above the share of the
+        torque limits that is used, relative to it; of positive torques, then of negative ones.
+        """
+        robot = self.robot
+        allowed = USED_SHARE * allowed_torque(self.limits, np.zeros((1, robot.n)))[0]
+        q, placement = ca.SX.sym("q", robot.n), ca.SX.sym("placement", 6)
+        data, rest = ca.SX.sym("data", _NODE_DATA), ca.SX.zeros(robot.n)
+        model = StageModel(robot, q, rest, rest, np.zeros(3), 1.0, np.zeros(robot.n))
+        force = self._base_force(placement, data[12:15])
+        torque = model.torques.gravity - ca.mtimes(model.jacobian.T, force)
+        sides = [(sign * torque + robot.coulomb) / allowed - 1.0 for sign in (1.0, -1.0)]
+        return ca.Function("hold", [q, placement, data], [ca.densify(ca.vertcat(*sides))])
+
+    @cached_property
+    def hold_derivatives(self) -> ca.Function:
+        """Function of the same arguments -> Jacobians by q (2 n, n) and by placement (2 n, 6)."""
+        arguments = [ca.SX.sym("a", *self.hold.size_in(k)) for k in range(3)]
+        excess = self.hold(*arguments)
+        slopes = [ca.densify(ca.jacobian(excess, each)) for each in arguments[:2]]
+        return ca.Function("hold_derivatives", arguments, slopes)
+
+    def _base_force(self, placement: Quantity, force: Quantity) -> Quantity:
+        """Process force (3,) in base axes, of the force at a node."""
+        placed = _rotation_of_vector(placement[3:])
+        return force if self.force_axes == "base" else ca.mtimes(placed, force)
+
+    def hold_excess(self, q: np.ndarray, placement: np.ndarray, data: np.ndarray) -> np.ndarray:
+        """Excess (K, 2 n) of torques at rest, at joint positions (K, n); the others (., K)."""
+        return np.asarray(self.hold.map(len(q))(q.T, placement, data)).T
 
     @cached_property
     def _conditioning(self) -> ca.Function:
@@ -231,28 +271,27 @@ class FreedomTask:
         placement: np.ndarray,
         turns: np.ndarray,
         data: np.ndarray,
-    ) -> np.ndarray:
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Cost (C,) of motions (C, K, n) through nodes: the largest deflection [m] or the time [s].
 
-        A deflection counts more where joints are too slow for the speed of the path. Placement
-        (6, C K) and turns (3, C K) are those of each node of each motion, data (24, K) of one.
+        A deflection counts more where joints are too slow for the speed of the path. And the
+        largest excess (C,) of torques at rest. Placement (6, C K) and turns (3, C K) are those of
+        each node of each motion, data (24, K) of one.
         """
         count, size, n = joints.shape
+        flat, data = joints.reshape(count * size, n), np.tile(data, (1, count))
+        hold = self.hold_excess(flat, placement, data).max(axis=1, initial=0.0)
+        excess = hold.reshape(count, size).max(axis=1)
         elapsed = np.concatenate([[0.0], np.cumsum(self.least_steps)])
         least = np.diff(np.interp(nodes, self.along, elapsed))
         needed = np.max(np.abs(np.diff(joints, axis=1)) / self.limits.velocity, axis=2)
         if not self.minimises_error:
             bent = np.abs(np.diff(joints, n=2, axis=1)) / self.limits.acceleration
             needed[:, 1:] = np.maximum(needed[:, 1:], np.sqrt(bent.max(axis=2)))
-            return np.asarray(np.maximum(needed, least).sum(axis=1))
-        error = self.errors(
-            joints.reshape(count * size, n),
-            placement,
-            turns,
-            np.tile(data, (1, count)),
-        )
+            return np.maximum(needed, least).sum(axis=1), excess
+        error = self.errors(flat, placement, turns, data)
         slowing = np.maximum(1.0, np.max(needed / least, axis=1))
-        return np.asarray(error.reshape(count, size).max(axis=1) * slowing)
+        return error.reshape(count, size).max(axis=1) * slowing, excess
 
     def solve_poses(
         self,

@@ -101,8 +101,9 @@ def read_tool_path(
     `kept` is the document of an earlier choice of the freedom.
     """
     robot = joints.robot
-    ranges = np.stack([robot.position_lower, robot.position_upper])
-    near = np.where(np.isfinite(ranges).all(axis=0), ranges.mean(axis=0), 0.0)
+    with np.errstate(invalid="ignore"):  # a joint without limits has no middle
+        middle = 0.5 * (robot.position_lower + robot.position_upper)
+    near = np.where(np.isfinite(middle), middle, 0.0)
     posture = section.near if section.start is None else section.start.near or section.near
     if posture is not None:
         near = joints(posture, "angle", "path.near")

@@ -4,6 +4,7 @@ import csv
 import io
 import itertools
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -142,6 +143,20 @@ def test_commands_of_the_legs_are_simulated_as_one(tmp_path):
     assert first.rest == pytest.approx(first.jump, rel=0.1)
     # Two percent of damping leave most of the vibration at the next departure.
     assert 0.3 * first.jump < second.flight < 1.5 * first.jump
+
+
+def test_a_leg_without_a_command_says_why(tmp_path, monkeypatch):
+    missing = SimpleNamespace(refusal="No command.csv: too fast.", command=None)
+    monkeypatch.setattr(
+        "stiffopt.cycle.solve_cycle.with_simulation",
+        lambda problem, solution, progress: replace(solution, compensation=missing),
+    )
+    moves = GRIP + '[[move]]\nto = "home"\n'
+    path = write_cycle_file(tmp_path, moves=moves, duration='"2 s"', objective="torque_squared")
+    found = solve_cycle(load_cycle(path).cycle)
+    assert [leg.name for leg in found.legs] == ["pick", "home"]
+    for leg in found.legs:
+        assert f"{leg.name}: No command.csv: too fast." in found.notes
 
 
 @pytest.mark.slow

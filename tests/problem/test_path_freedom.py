@@ -91,6 +91,15 @@ def peak_on_path(problem):
     return deflection(problem, problem.path(along), problem.path_force(along)).max()
 
 
+def holding_torque(problem):
+    """Largest torques (n,) at rest on the path, by the certificate's dynamics, and dry friction."""
+    along = np.linspace(0.0, 1.0, 201)
+    joints = problem.path(along)
+    body = rigid_body_history(problem.robot, joints, *[np.zeros_like(joints)] * 2)
+    pushed = np.einsum("kij,ki->kj", body.jacobian, problem.path_force(along))
+    return np.abs(body.gravity_torque - pushed).max(axis=0) + problem.robot.coulomb
+
+
 def scan_of_rotations(problem, task, count):
     """Least peak over all postures and constant rotations, of poses solved one by one."""
     nodes = task.along[:: len(task.along) // 8]
@@ -143,6 +152,31 @@ def test_less_deflection_than_without_freedom_and_within_its_bounds(choose):
     assert angle.max() <= task.freedom.tilt + 1e-9
 
 
+@pytest.mark.parametrize("joint", [0, 1])
+def test_drives_hold_the_chosen_path_at_rest(choose, monkeypatch, joint):
+    """A torque limit below the torque at rest on the best path moves the path."""
+    free = 'placement_box = ["20 mm", "10 mm", "30 mm"]\nposture = "near"'
+    problem, _, optima = choose(free)
+    needed = holding_torque(problem)[joint]
+    limits = problem.robot.torque_max.tolist()
+    limits[joint] = float(0.96 * needed)
+    monkeypatch.setitem(globals(), "PROBLEM", f"{PROBLEM}\n[limits]\ntorque = {limits}\n")
+    limited, _, others = choose(free)
+    assert np.all(holding_torque(limited) <= limited.limits.torque)
+    assert 1.01 * optima[0].value < others[0].value < 1.2 * optima[0].value
+
+
+@pytest.mark.parametrize("frame", ["path", "base"])
+def test_slopes_of_holding_torques_are_differences(choose, frame):
+    _, task, optima = choose('placement_rotation = ["5 deg", 0, "5 deg"]', frame=frame)
+    joints, data = optima[0].joints[:1], task.node_data(task.along)[:, :1]
+    at = np.append(joints[0], optima[0].choice.placement)
+    slopes = np.hstack([np.asarray(f) for f in task.hold_derivatives(joints[0], at[6:], data)])
+    for k, step in enumerate(1e-6 * np.eye(12)):
+        ends = [task.hold_excess(x[None, :6], x[6:, None], data)[0] for x in (at + step, at - step)]
+        np.testing.assert_allclose((ends[0] - ends[1]) / 2e-6, slopes[:, k], atol=1e-6)
+
+
 def test_tool_follows_the_placed_path(choose):
     problem, _, optima = choose('placement_box = ["20 mm", "10 mm", "30 mm"]\nposture = "near"')
     body = rigid_body_history(problem.robot, problem.path.points[[0, -1]], *[np.zeros((2, 6))] * 2)
@@ -166,11 +200,12 @@ def test_time_goal_is_that_of_one_joint_with_limited_acceleration(choose):
     _, task, _ = choose('tool_axis_rotation = "20 deg"\nposture = "near"\nminimise = "duration"')
     # Without a limit of the tool's speed.
     task.__dict__["least_steps"] = np.zeros(len(task.along) - 1)
-    goal = TimeGoal(task)
+    goal = TimeGoal(task, 1.0)
     # A straight line in joint space at rest at both ends: bang-bang.
     travel = 0.02
     joints = np.linspace(0.0, 1.0, len(task.along))[:, None] * np.full(6, travel)
-    time, _ = goal.evaluate(joints, None, None, None)
+    still = np.zeros((6, len(joints)))
+    time, _ = goal.evaluate(joints, still, still[:3], task.node_data(task.along))
     slowest = (0.9 * task.limits.acceleration).min()
     least = 2.0 * np.sqrt(travel / slowest)
     assert time == pytest.approx(least, rel=0.05)
@@ -228,6 +263,12 @@ def test_path_out_of_reach_in_every_posture_is_named(choose, monkeypatch):
     monkeypatch.setitem(ARMS, "er3a_c60", ("link_6", 1500))
     with pytest.raises(InputError, match="does the arm follow the whole path"):
         choose('tool_axis_rotation = "180 deg"')
+
+
+def test_path_that_leaves_reach_is_named(choose, monkeypatch):
+    monkeypatch.setitem(globals(), "PROBLEM", PROBLEM.replace('", "50 mm"', '", "2 m"'))
+    with pytest.raises(InputError, match="does the arm follow the whole path"):
+        choose('tilt = "5 deg"\nposture = "near"')
 
 
 def test_a_candidate_whose_splines_miss_its_poses_is_left_out(choose, monkeypatch):

@@ -118,6 +118,14 @@ def curve_at(table: tuple[np.ndarray, np.ndarray], place: np.ndarray) -> np.ndar
     return np.stack(columns, axis=1)
 
 
+def allowed_torque(limits: Limits, velocity: np.ndarray) -> np.ndarray:
+    """Largest drive torques (K, n) [N m] at joint velocities (K, n)."""
+    allowed = np.broadcast_to(limits.torque, velocity.shape)
+    if limits.torque_map is not None:
+        allowed = np.minimum(allowed, curve_at(limits.torque_map, np.abs(velocity)))
+    return allowed
+
+
 def _interpolate_symbolic(x: Quantity, knots: np.ndarray, values: np.ndarray) -> Quantity:
     """Linear interpolation, constant outside the knots, as a sum of hinges."""
     slopes = np.concatenate(([0.0], np.diff(values) / np.diff(knots), [0.0]))
