@@ -30,6 +30,8 @@ _WINDOW_HALVINGS, _REFINED_WINDOWS = 3, 3
 _MAX_ALTERNATIONS = 60
 # Fits with joints weighted by the residual of the fit before.
 _REWEIGHTING_ROUNDS = 3
+# Knots of a force by the tool's place, and of a torque by the joint's angle.
+_KNOT_COUNT = 8
 # Relative eigenvalue below which a combination of base parameters is not excited.
 _MIN_EIGENVALUE = 1e-9
 
@@ -40,7 +42,8 @@ def find_carried_parts(
     """Return for each run the intervals (begin, end) [s] in which the arm carries a part.
 
     Empty for all runs unless a part explains their torques better than base parameters and friction
-    of each joint alone, and than an offset of each joint in these intervals, or one force.
+    of each joint alone, and than an offset of each joint in these intervals, one force there, a
+    force at the tool by its place, as of a contact, or a torque of each joint by its angle.
     """
     total = sum(len(run.time) for run in runs)
     step = max(max(run.low_pass.step for run in runs), -(-total // _MAX_INSTANTS))
@@ -58,7 +61,15 @@ def find_carried_parts(
         return nothing
     inside = carried[:, None, None]
     levers = np.concatenate([run.signals.tool_levers[::step, :, :3] for run in runs])
-    rivals = (None, levers * inside, _offsets(instants, carried))
+    places = np.concatenate([run.signals.tool_position[::step] for run in runs])
+    angles = np.concatenate([run.signals.link_position[::step] for run in runs])
+    rivals = (
+        None,
+        levers * inside,
+        _offsets(instants, carried),
+        _by_value(levers, places),
+        _by_value(np.broadcast_to(np.eye(robot.n), (len(angles), robot.n, robot.n)), angles),
+    )
     gains = base.evidence_over(base.load * inside, rivals)
     gains[0] -= instants.switch_price(carried)
     if min(gains) < NAMED_EVIDENCE:
@@ -105,6 +116,17 @@ def _offsets(instants: Instants, carried: np.ndarray) -> np.ndarray:
             inside[first:last] = 1.0
             columns.append(inside[:, None, None] * np.eye(n))
     return np.concatenate(columns, axis=2)
+
+
+def _by_value(columns: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return columns (m, n, k) times piecewise linear functions of values (m, k): (m, n, p)."""
+    found = []
+    for column, value in zip(np.moveaxis(columns, 2, 0), values.T, strict=True):
+        knots = np.linspace(value.min(), value.max(), _KNOT_COUNT)
+        step = max(float(knots[1] - knots[0]), 1e-9)
+        hats = np.maximum(1.0 - np.abs(value[:, None] - knots) / step, 0.0)
+        found.append(column[:, :, None] * hats[:, None])
+    return np.concatenate(found, axis=2)
 
 
 class _BaseFit:
