@@ -103,6 +103,19 @@ def test_same_explanation_has_no_separation() -> None:
     assert separation.of(own.training.runs[0]) == pytest.approx(0.0, abs=1e-6)
 
 
+def test_motion_that_hardly_moves_separates_nothing() -> None:
+    own = found()
+    limits = motion_limits(own.training)
+    still = replace(limits, velocity=1e-3 * limits.velocity)
+    motion = random_motion(still, 5.0, np.random.default_rng(2))
+    assert motion is not None
+    run = prepared_motion(own.training, motion)
+    assert not run.torque_used.any()
+    # As an arm without link encoders has it.
+    run = replace(run, deflection_used=np.zeros_like(run.deflection_used))
+    assert Separation(own.comparison, COULOMB, STRIBECK).of(run) == 0.0
+
+
 def test_separation_is_residual_of_rival_refit() -> None:
     """Brute force: least squares with the posterior as pseudo-measurements of the parameters."""
     own = found()

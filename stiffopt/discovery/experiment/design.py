@@ -69,7 +69,10 @@ class Separation:
 
         `step`: sampling time of the recording [s]; default: that of the run.
         """
-        here = self._compare_along(run, step)
+        columns = self._columns_along(run, step)
+        if not columns.rows.size:
+            return 0.0  # joints that hardly move are not compared
+        here = Comparison(columns, inflation=self.comparison.inflation)
         parts = [self._parameter_columns(here, each) for each in (self.first, self.second)]
         means = [each.fit.posterior.mean for each in (self.first, self.second)]
         difference = parts[0] @ means[0] - parts[1] @ means[1]
@@ -79,14 +82,13 @@ class Separation:
         ]
         return float(np.sqrt(max(min(left), 0.0)))
 
-    def _compare_along(self, run: PreparedRun, step: float | None) -> Comparison:
+    def _columns_along(self, run: PreparedRun, step: float | None) -> DesignMatrix:
         base = self.comparison
         # More samples of the same motion lower the noise that passes the filter.
         finer = 1.0 if step is None else float(np.sqrt(step / run.signals.dt))
         noise = ChannelNoise(base.noise.torque * finer, base.noise.deflection * finer)
         along = replace(run, signals=replace(run.signals, constants=base.constants))
-        columns = DesignMatrix(base.robot, (along,), noise, base.tolerance)
-        return Comparison(columns, inflation=base.inflation)
+        return DesignMatrix(base.robot, (along,), noise, base.tolerance)
 
     def _parameter_columns(self, here: Comparison, each: _Explanation) -> np.ndarray:
         names, _ = here.priors
