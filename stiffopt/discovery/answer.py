@@ -249,8 +249,9 @@ def _describe_remedy(
 ) -> str:
     effect, located = finding.effect, finding.located
     constants = located.constants(diagnosis.training.constants)
-    if callable(effect.remedy):
-        return effect.remedy(finding.estimated.amplitudes, located.shapes, constants)
+    remedy = effect.remedy
+    if callable(remedy):
+        remedy = remedy(finding.estimated.amplitudes, located.shapes, constants)
     words = {"where": "the robot" if where == "robot" else where}
     if effect.nominal and located.joint is not None:
         first = next(iter(named.values()))
@@ -267,7 +268,7 @@ def _describe_remedy(
             and each.located.calibrated
         )
         words["new"] = f"{significant(old + first.value, 3)} {first.unit}"
-    return fill(effect.remedy, named, words)
+    return fill(remedy, named, words)
 
 
 def fill(

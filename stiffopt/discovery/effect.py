@@ -267,7 +267,7 @@ class Effect:
     phrase: str | tuple[str, str] = ""
     # What to do: the value to enter, the part to look at. Placeholders as in `phrase`, and
     # "{where}" for the place and "{new}" for the nominal value with the change; or (amplitudes,
-    # shapes, constants) -> the sentence. Default: a look at the place.
+    # shapes, constants) -> the sentence with these. Default: a look at the place.
     remedy: str | Remedy = ""
     # Nominal value of every joint (a field of `Nominal` and of `Robot`) that the first amplitude
     # adds to; "" where there is none. Where a set does not state it, the effect takes its place.

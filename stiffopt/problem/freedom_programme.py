@@ -31,6 +31,8 @@ _CONE_SIDES = 32
 # Least ratio of the singular values of a pose's Jacobian that a step may go to: a singular pose
 # ends the region of a posture, and the path must not come near it.
 _LEAST_CONDITION = 5.0 * MIN_CONDITION
+# Excess of a holding torque from which it bounds a step: rows far below would only slow it.
+_NEAR_EXCESS = -0.3
 # Joints that a pose fixes.
 _POSE_JOINTS = 6
 
@@ -300,8 +302,7 @@ class _Search:
         )
         changes = by_joints @ slopes + by_placement @ self._matrix[:, :6]
         excess = task.hold_excess(joints, placement, self._data)
-        # Rows far from their bound would only slow the programme.
-        near = excess > -0.3
+        near = excess > _NEAR_EXCESS
         return changes[near], excess[near]
 
     def _result(self, y: np.ndarray, state: tuple[np.ndarray, float, np.ndarray]) -> FreedomOptimum:

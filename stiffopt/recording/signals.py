@@ -207,8 +207,9 @@ def build_signals(section: SignalsSection, n: int, path: Path) -> Signals:
     )
 
 
+_COUNTS_UNIT = "counts"
 # Torques in these units are read as they are, but a diagnosis needs N m per unit first.
-_UNITS_WITHOUT_FACTOR = ("A", "mA", "%", "counts")
+_UNITS_WITHOUT_FACTOR = ("A", "mA", "%", _COUNTS_UNIT)
 
 
 def _unscaled_units(section: SignalsSection, n: int) -> tuple[str, ...]:
@@ -260,7 +261,6 @@ def entries_of_columns(entry: Any, count: int, path: Path, where: str) -> list[f
     return entries
 
 
-_COUNTS_UNIT = "counts"
 _COUNTS_HINT = (
     "is in counts of an encoder, whose angle is not known. Put 2 pi over the counts of a turn of"
     " the joint, one number a joint (4096 counts: 0.001533981), and the angle at count 0 as"

@@ -278,6 +278,11 @@ GAIN_DRIFTS = tuple(gain_drift(scope, ("", "another")) for scope in ("robot", "j
 _TIME_CONSTANT = Shape("tau_w", "s", (1.0, 4.0, 20.0), 0.3, 1e3, 20.0, reported=False)
 
 
+def _added_friction(signals: JointSignals, amplitudes: Values) -> Quantity:
+    """Return dry and viscous friction of amplitudes [N m], [N m s/rad]."""
+    return amplitudes[0] * signals.motor_direction + amplitudes[1] * signals.motor_velocity
+
+
 def _warmed_share(signals: JointSignals, time_constant: Quantity) -> Quantity:
     """Return the change since the begin of the run, 0 to 1 at its end [-].
 
@@ -307,8 +312,7 @@ FRICTION_WARMUP = Effect(
     # With a short time constant it is another constant friction.
     beside=ANY_FRICTION,
     term=lambda signals, a, s: Term(
-        drive_torque=(a[0] * signals.motor_direction + a[1] * signals.motor_velocity)
-        * _warmed_share(signals, s[0])
+        drive_torque=_added_friction(signals, a) * _warmed_share(signals, s[0])
     ),
     amplitudes=(
         Amplitude("dFc", "N m", lambda constants: 0.3 * dry_friction(constants), -4.0, 10.0),
@@ -339,8 +343,7 @@ COLD_START = Effect(
     confused_with=("friction_warmup", "thermal_friction", "friction_drift"),
     beside=ANY_FRICTION,
     term=lambda signals, a, s: Term(
-        drive_torque=(a[0] * signals.motor_direction + a[1] * signals.motor_velocity)
-        * np.exp(-signals.session_time / s[0])
+        drive_torque=_added_friction(signals, a) * np.exp(-signals.session_time / s[0])
     ),
     amplitudes=FRICTION_WARMUP.amplitudes,
     shapes=(Shape("tau_w", "s", (10.0, 60.0, 300.0, 1500.0), 1.0, 2e4, 300.0),),

@@ -62,7 +62,7 @@ def _start_limits(constants: JointConstants) -> tuple[float, ...]:
 
 def _divide_readings(amplitudes: Values, shapes: Values, constants: JointConstants) -> str:
     return (
-        "Check the torque constant and the unit of that torque, and divide its readings by"
+        "Check torque constant and unit of {where}, and divide its readings by"
         f" {1.0 + float(amplitudes[0]):.3g}."
     )
 

@@ -217,7 +217,7 @@ class PreparedRun:
         return found
 
 
-def within_intervals(time: np.ndarray, intervals: Sequence[Interval]) -> np.ndarray | None:
+def _within_intervals(time: np.ndarray, intervals: Sequence[Interval]) -> np.ndarray | None:
     """Return 1 at the instants (K,) within intervals, else 0; None without intervals."""
     if not intervals:
         return None
@@ -282,7 +282,7 @@ def prepare_run(
         drive_torque=drive,
         drive_torque_rate=derivative(low_pass(drive), dt),
         asked_torque=np.where(np.isfinite(torque), torque, drive),
-        carrying=within_intervals(time, run.carried),
+        carrying=_within_intervals(time, run.carried),
     )
     if (law := robot.recordings.actuator) is not None and law.known and run.command is not None:
         sent = np.nan_to_num(bridge_gaps(delayed_command(run, law.delay)))

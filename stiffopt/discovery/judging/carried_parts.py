@@ -14,7 +14,7 @@ import numpy as np
 
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
-from stiffopt.discovery.judging.two_states import Instants, intervals_of
+from stiffopt.discovery.judging.two_states import MIN_VARIANCE, Instants, intervals_of
 from stiffopt.discovery.signals import PARAMETERS_PER_BODY
 from stiffopt.discovery.thresholds import NAMED_EVIDENCE
 from stiffopt.recording.run import Interval
@@ -189,14 +189,14 @@ class _BaseFit:
         """
         instants = self._instants
         left, count = self._residual(columns)
-        square = instants.mean_squares(left)
+        square = np.maximum(instants.mean_squares(left), MIN_VARIANCE)
         independent = instants.independent(left)
         price = 0.5 * float(np.log(max(independent.sum(), 1.0)))
         gains = []
         for rival in rivals:
             other, more = self._residual(rival)
-            ratio = instants.mean_squares(other) / np.maximum(square, 1e-30)
-            fit = 0.5 * float(independent @ np.log(np.maximum(ratio, 1e-30)))
+            ratio = np.maximum(instants.mean_squares(other), MIN_VARIANCE) / square
+            fit = 0.5 * float(independent @ np.log(ratio))
             gains.append(fit + (more - count) * price)
         return gains
 
@@ -240,6 +240,8 @@ class _BaseFit:
     def _windows(self) -> list[np.ndarray]:
         """Return the windows (m,) in which an added part explains most."""
         scored: list[tuple[float, int, np.ndarray]] = []
+        load = self._rows(self.load)
+        instant = np.nonzero(self._instants.used)[0]
         for run in np.unique(self._instants.run):
             own = self._instants.run == run
             time = self._instants.time[own]
@@ -248,9 +250,13 @@ class _BaseFit:
                 for begin in time[0] + 0.5 * length * np.arange(2 ** (halving + 1) - 1):
                     inside = own & (self._instants.time >= begin)
                     window = (inside & (self._instants.time <= begin + length)).astype(int)
-                    rows = self._beside_base(self._load_while(window))
-                    fit = rows @ np.linalg.lstsq(rows, self._target)[0]
-                    scored.append((float(fit @ fit), len(scored), window))
+                    # Of a window's rows alone: the target has no part in the span of the base.
+                    rows = window[instant] > 0
+                    inner = self._span[rows].T @ load[rows]
+                    squares = load[rows].T @ load[rows] - inner.T @ inner
+                    moment = load[rows].T @ self._target[rows]
+                    gain = float(moment @ np.linalg.lstsq(squares, moment)[0])
+                    scored.append((gain, len(scored), window))
         return [window for *_, window in sorted(scored, reverse=True)[:_REFINED_WINDOWS]]
 
     def _alternate(

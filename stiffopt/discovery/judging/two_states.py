@@ -12,7 +12,8 @@ import numpy as np
 
 # Alternations of states and noise.
 _MAX_NOISE_ROUNDS = 4
-_MIN_VARIANCE = 1e-30
+# Least variance of a residual: one that is zero has a likelihood too.
+MIN_VARIANCE = 1e-30
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,12 +67,10 @@ class Instants:
         states, likelihood = gain.sum(axis=1) > 0.0, -np.inf
         for _ in range(_MAX_NOISE_ROUNDS):
             left = np.where(states[:, None], second, first) * self.used
-            variance = np.maximum(self.mean_squares(left), _MIN_VARIANCE)
+            variance = np.maximum(self.mean_squares(left), MIN_VARIANCE)
             samples = self.correlation(left) if correlated else np.ones(left.shape[1])
-            before, states = (
-                states,
-                self._viterbi(0.5 * np.sum(gain / (variance * samples), axis=1)),
-            )
+            before = states
+            states = self._viterbi(0.5 * np.sum(gain / (variance * samples), axis=1))
             likelihood = -0.5 * float(self.used.sum(axis=0) @ np.log(variance))
             if np.array_equal(before, states):
                 break

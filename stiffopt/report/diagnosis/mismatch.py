@@ -220,6 +220,8 @@ def episode_sentences(diagnosis: Diagnosis) -> list[str]:
 
 def carried_part_sentences(diagnosis: Diagnosis) -> list[str]:
     """Return a sentence on when each run carries the part of the findings."""
+    if not any(each.effect.acts_for_a_while for each in diagnosis.findings):
+        return []
     runs = (*diagnosis.training.recorded, *(proof.run for proof in diagnosis.held_out))
     told = [
         f"{run.name} {listed(f'{begin:.2f} to {end:.2f} s' for begin, end in run.carried)}"
