@@ -234,7 +234,8 @@ class RunSection(Section):
         Doc("Test runs are never used to fit; extrapolate: test outside the training range."),
     ]
     session_time: Annotated[
-        Time | None, Doc("Since the robot was switched on, at the run's beginning.")
+        Annotated[Time, NOT_NEGATIVE] | None,
+        Doc("Since the robot was switched on, at the run's beginning."),
     ] = None
     housing_temperature: Annotated[
         Temperature | tuple[Temperature, ...] | None,

@@ -189,6 +189,11 @@ WRONG = {
     "sign": ("[1.0, 2.0]", "[1.0, -2.0]", r"nominal\.coulomb\[2\].*finite number, 0 or above"),
     "ratio": ("[101.0, 50.0]", "[101.0, 0.0]", r"gear_ratio: a ratio of 0 turns nothing"),
     "role": ('role = "test"', 'role = "tests"', r"runs\[2\]\.role: got 'tests'.*mean 'test'"),
+    "session": (
+        'role = "test"',
+        'role = "test"\nsession_time = -5.0',
+        r"runs\[2\]\.session_time.*finite number, 0 or above",
+    ),
     "names": ('file = "two.npz"', 'file = "one.csv"', r"runs\[2\]\.file: 'one.csv' has the name"),
     "outside": ('"two.npz"', '"../two.npz"', r"'\.\./two\.npz' lies outside of the set"),
     "robot": ('"robot.urdf"', '"robots.urdf"', r"robots\.urdf: no such file.*robot\.urdf"),
