@@ -189,6 +189,14 @@ class ElasticArm:
         found.path_force = force
         return found
 
+    def at_first_instant(self) -> ElasticArm:
+        """Return a copy under the constant force of the first instant, which it rests under."""
+        found = self.without_force()
+        found.process_force = self.process_force
+        if self.path_force is not None:
+            found.process_force = self.process_force + self.path_force(np.zeros(1))[0]
+        return found
+
     def windup(self, torque: np.ndarray) -> np.ndarray:
         """Wind-ups (K, n) [rad] of spring torques (K, n) [N m], at the middle of the loop."""
         columns = [

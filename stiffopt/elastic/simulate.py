@@ -127,9 +127,8 @@ def _simulate_joints(
     n = arm.robot.n
     times = _sample_times(motion.duration, end)
     equations = [_Equations(each, motor) for each in arms]
-    state = np.concatenate(
-        [arm.static_equilibrium(start[None])[0], speed, np.zeros(equations[0].loops)]
-    )
+    resting = arm.at_first_instant().static_equilibrium(start[None])[0]
+    state = np.concatenate([resting, speed, np.zeros(equations[0].loops)])
     parts, errors = [], []
     breaks = [0.0, *(time for time, _ in changes), motion.duration]
     spans = [

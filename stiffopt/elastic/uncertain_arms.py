@@ -253,7 +253,7 @@ class UncertainArms:
             self.bodies[:, own] = self._trapezoidal_matrices(LinearizedBodies(arm, *poses))
         self.springs, self.damping = TabulatedSprings(arm), arm.damping
         self.rigid = np.flatnonzero(~arm.elastic)
-        self._start = LinearizedWeight(arm, self._q[:1])
+        self._start = LinearizedWeight(arm.at_first_instant(), self._q[:1])
         steps = np.arange(0, len(self.time), _EQUILIBRIUM_STRIDE)
         self._equilibrium_samples = np.unique(np.append(steps, len(self.time) - 1))
         self._weight = LinearizedWeight(arm, self._q[self._equilibrium_samples])

@@ -43,21 +43,28 @@ class TiltingArm:
 
     def static_position(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
         """Equilibrium (m,) with the driven joints held at q (n,) and a force on the tool."""
-        data, free = self.model.createData(), self.stiffness > 0.0
+        free = self.stiffness > 0.0
         found = np.zeros(self.model.nq)
         found[self.driven] = q
         for _ in range(50):
-            weight = pin.computeGeneralizedGravity(self.model, data, found)
-            pin.computeJointJacobians(self.model, data, found)
-            at = data.oMi[self.tool[0]] * self.tool[1]
-            jacobian = pin.getJointJacobian(self.model, data, self.tool[0], pin.LOCAL_WORLD_ALIGNED)
-            lever = at.translation - data.oMi[self.tool[0]].translation
-            pushed = jacobian[:3].T @ force + jacobian[3:].T @ np.cross(lever, force)
-            new = (pushed - weight)[free] / self.stiffness[free]
+            new = self._load(found, force)[free] / self.stiffness[free]
             if np.max(np.abs(new - found[free]), initial=0.0) < 1e-14:
                 return found
             found[free] = new
         raise AssertionError("no equilibrium")
+
+    def driven_torque(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """Torque (n,) of force and weight on the driven joints in a pose (m,)."""
+        return self._load(q, force)[self.driven]
+
+    def _load(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
+        data = self.model.createData()
+        weight = pin.computeGeneralizedGravity(self.model, data, q)
+        pin.computeJointJacobians(self.model, data, q)
+        at = data.oMi[self.tool[0]] * self.tool[1]
+        jacobian = pin.getJointJacobian(self.model, data, self.tool[0], pin.LOCAL_WORLD_ALIGNED)
+        lever = at.translation - data.oMi[self.tool[0]].translation
+        return jacobian[:3].T @ force + jacobian[3:].T @ np.cross(lever, force) - weight
 
 
 def tilting_arm(robot: Robot) -> TiltingArm:
