@@ -326,9 +326,28 @@ static int beside_border(const Meeting *m, int v) {
   return others;
 }
 
-/* Those that meet far more than others do, and those that meet only such, as the sum of durations:
-   in the bulk these would bring the whole border into a front at once. */
-static void set_apart(Analysis *a, Look *s, Meeting *m) {
+/* Those of more reach than `most`, and those that meet only such, as the sum of durations: in the
+   bulk these would bring the whole border into a front at once. */
+static void set_apart(Analysis *a, Look *s, Meeting *m, double most) {
+  a->border = 0;
+  for (int v = 0; v < a->kept; v++) a->border += m->out[v] = m->reach[v] > most;
+  for (int v = 0; v < a->kept; v++)
+    if (!m->out[v]) s->place_of[v] = beside_border(m, v);
+  for (int v = 0; v < a->kept; v++)
+    if (!m->out[v] && s->place_of[v]) m->out[v] = 1, a->border++;
+  a->bulk = a->kept - a->border;
+}
+
+/* Reach of the border over the usual one. A duration of a few intervals hardly meets more than
+   others do; left in the bulk, the sum of durations keeps all phases in one front. */
+static const double REACHES[] = {3.0, 2.0, 1.5};
+
+/* The border and the order of least work, of these. */
+static int bordered(Analysis *a, Look *s, Meeting *m) {
+  Analysis best = *a;
+  int *order = room(a->kept, sizeof(int)), whole = 1;
+  char *out = room(a->kept, 1);
+  double least = INFINITY;
   for (int v = 0; v < a->kept; v++) {
     m->stamp++;
     m->reach[v] = neighbours(m, v, s->order);
@@ -336,13 +355,24 @@ static void set_apart(Analysis *a, Look *s, Meeting *m) {
   }
   sorted(s->order, a->kept, s->by);
   int usual = a->kept ? m->reach[s->order[a->kept / 2]] : 0;
-  for (int v = 0; v < a->kept; v++)
-    if (m->reach[v] > 3 * usual + 16) m->out[v] = 1, a->border++;
-  for (int v = 0; v < a->kept; v++)
-    if (!m->out[v]) s->place_of[v] = beside_border(m, v);
-  for (int v = 0; v < a->kept; v++)
-    if (!m->out[v] && s->place_of[v]) m->out[v] = 1, a->border++;
-  a->bulk = a->kept - a->border;
+  for (int k = 0; k < 3 && order && out && whole; k++) {
+    set_apart(a, s, m, REACHES[k] * usual + 16);
+    a->width = arranged(m, a->kept, s->order, a->bulk);
+    whole = a->width > 0;
+    double line = a->width + a->border, work = a->kept * line * line;
+    if (!whole || work >= least) continue;
+    least = work, best = *a;
+    memcpy(order, s->order, a->kept * sizeof(int));
+    memcpy(out, m->out, a->kept);
+  }
+  whole = whole && order && out;
+  if (whole) {
+    *a = best;
+    memcpy(s->order, order, a->kept * sizeof(int));
+    memcpy(m->out, out, a->kept);
+  }
+  free(order); free(out);
+  return whole;
 }
 
 /* One of the border is eliminated after the last of the bulk that it meets: a phase's duration with
@@ -416,11 +446,7 @@ static int analyse(const int *ptr, const int *index, const double *value, Analys
     listed(a, &s);
     whole = grouped(a, &s, &m);
   }
-  if (whole) {
-    set_apart(a, &s, &m);
-    a->width = arranged(&m, a->kept, s.order, a->bulk);
-    whole = a->width > 0;
-  }
+  whole = whole && bordered(a, &s, &m);
   if (whole) {
     placed(a, &s, &m);
     whole = in_turn(a);

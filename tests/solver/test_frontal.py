@@ -159,26 +159,31 @@ def test_without_the_compiled_core_it_is_mumps(monkeypatch):
     assert IpoptOptions().for_ipopt()["linear_solver"] == "mumps"
 
 
-def phases_with_durations(random, phases, nodes=60, pivot=4.0):
-    """A chain of nodes; each phase's nodes meet its duration, the durations have a given sum."""
+def phases_with_durations(random, phases, nodes=60, pivot=4.0, near=1):
+    """Nodes that meet the next ones and their phase's duration; durations have a given sum."""
     count = phases * nodes
     whole = np.zeros((count + phases + 1, count + phases + 1))
     for k in range(count):
         whole[k, k] = pivot * (1.0 + random.uniform())
         whole[k, count + k // nodes] = random.normal()
-        if k + 1 < count:
-            whole[k, k + 1] = 0.25 * pivot * random.normal()
+        for other in range(k + 1, min(k + near + 1, count)):
+            whole[k, other] = 0.25 * pivot * random.normal() / near
     for phase in range(phases):
         whole[count + phase, count + phase] = 100.0
         whole[count + phase, -1] = 1.0
     return np.triu(whole) + np.triu(whole, 1).T
 
 
-def test_fronts_do_not_grow_with_the_number_of_phases(made):
+@pytest.mark.parametrize(
+    ("nodes", "near"),
+    [(60, 1), (70, 15)],
+    ids=["long phases", "phases that meet twice as many as a node does"],
+)
+def test_fronts_do_not_grow_with_the_number_of_phases(made, nodes, near):
     fronts = []
     for phases in (5, 30):
         random = np.random.default_rng(phases)
-        matrix = phases_with_durations(random, phases)
+        matrix = phases_with_durations(random, phases, nodes=nodes, near=near)
         right = random.normal(size=len(matrix))
         flag, x, negative, front = solved_with_front(made, matrix, right)
         assert flag == 0
