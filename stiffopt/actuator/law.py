@@ -23,7 +23,7 @@ class ActuatorLaw:
     """
 
     stiffness: np.ndarray  # (n,) torque per position error [N m/rad]; nan where it is not known
-    damping: np.ndarray  # (n,) torque per velocity [N m s/rad]
+    damping: np.ndarray  # (n,) torque per velocity [N m s/rad]; 0 where it is not stated
     # (n,) bound on the part from the error, as of a motor's voltage; infinite without [N m].
     drive_max: np.ndarray
     torque_max: np.ndarray  # (n,) bound on the torque; infinite without [N m]
@@ -33,6 +33,8 @@ class ActuatorLaw:
     # (n,) gains that a recording told, not its description; default none. From `MAX_GAIN_DEVIATION`
     # they are mere guesses, which hold a simulated joint but give torque no scale.
     estimated: np.ndarray | None = None
+    damping_stated: bool = True  # otherwise it counts as viscous friction of the joints
+    integral: np.ndarray | None = None  # (n,) integral over proportional gain [1/s]; default none
 
     @property
     def known(self) -> bool:
@@ -53,9 +55,15 @@ class ActuatorLaw:
             return self.tolerance
         return np.where(self.estimated, _UNSTATED_GAIN_DEVIATION, self.tolerance)
 
+    @property
+    def integral_rates(self) -> np.ndarray:
+        """Return the integral over the proportional gain (n,) [1/s]."""
+        return np.zeros(len(self.stiffness)) if self.integral is None else self.integral
+
     def reordered(self, order: Sequence[int] | np.ndarray) -> ActuatorLaw:
         """Return the law of the joints in another order."""
-        names = ("stiffness", "damping", "drive_max", "torque_max", "tolerance", "estimated")
+        names = ("stiffness", "damping", "drive_max", "torque_max", "tolerance", "estimated",
+                 "integral")  # fmt: skip
         own = {name: getattr(self, name) for name in names}
         return replace(self, **{k: each[order] for k, each in own.items() if each is not None})
 

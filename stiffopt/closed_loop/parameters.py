@@ -19,17 +19,27 @@ JOINT_PARAMETERS = {
     "offset": "N m",
     "zero": "rad",  # reading of the encoder less the angle of the bodies
     "lateness": "s",  # of the command, beyond the delay of all
+    "integral": "1/s",  # integral over the proportional gain of a controller
 }
 # Parameters over the actuator's gain, and units of the ratios.
 RATIO_UNITS = {"armature": "s^2", "viscous": "s", "coulomb": "rad"}
 # Those that decide how an arm follows, and that a fit begins with: the rest refines.
-LEADING_PARAMETERS = ("gain", "damping", "armature", "viscous", "coulomb", "offset", "lateness")
+LEADING_PARAMETERS = (
+    "gain",
+    "damping",
+    "armature",
+    "viscous",
+    "coulomb",
+    "offset",
+    "lateness",
+    "integral",
+)
 # Of each body, as changes: mass, relative, with its moments in proportion; first moment and inertia
 # about its axis frame besides.
 BODY_PARAMETERS = ("mass", "mcx", "mcy", "mcz", "Ixx", "Iyy", "Izz")
 AMPLITUDES, DELAY = "amplitudes", "delay"
 # Not below zero.
-_BOUNDED_PARAMETERS = ("armature", "viscous", "coulomb", "load_friction", "drag", DELAY)
+_BOUNDED_PARAMETERS = ("armature", "viscous", "coulomb", "load_friction", "drag", "integral", DELAY)
 
 
 @dataclass(frozen=True, eq=False)

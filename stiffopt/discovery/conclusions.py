@@ -42,6 +42,7 @@ from stiffopt.discovery.search.uncertainty import (
 )
 from stiffopt.discovery.thresholds import (
     EXPLAINED_SHARE,
+    FINDING_DEVIATIONS,
     OPEN_RATIO,
     OPEN_SHARE,
     UNSTATED_DEVIATIONS,
@@ -54,6 +55,8 @@ if TYPE_CHECKING:
 
 # Two-sided p-value of one standard deviation: a value beyond it is zero within its deviation.
 _ONE_DEVIATION = float(2.0 * special.ndtr(-1.0))
+# The same of the least deviations of a finding.
+_INSIGNIFICANT_CHANCE = float(2.0 * special.ndtr(-FINDING_DEVIATIONS))
 # Odds that a joint has no friction or no rotor worth measuring, before the recordings.
 _ABSENCE_ODDS = 0.1
 # Folds by which probabilities are judged: of six, gains near the noise change by a factor of two
@@ -300,7 +303,8 @@ def _with_loop_value(
         sizes = (values / deviations)[sized]
         solved, _, free, _ = np.linalg.lstsq(correlation[np.ix_(sized, sized)], sizes)
         chance = float(special.chdtrc(free, sizes @ solved))
-        finding = refuted(finding, 1.0 if reversed_sign else chance)
+        zero = reversed_sign or chance > _INSIGNIFICANT_CHANCE
+        finding = refuted(finding, 1.0 if zero else chance)
     if reversed_sign:
         return finding
     whole[numbers] = values

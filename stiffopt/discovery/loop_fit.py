@@ -37,6 +37,8 @@ _LOAD_FRICTION_DEVIATION, _ZERO_DEVIATION = 0.15, 0.03
 _DELAY_DEVIATION = 5e-3
 # Deviation of the delay of one joint's commands from that of all: a cycle of a slow bus [s].
 _LATENESS_DEVIATION = 2e-3
+# Integral part of a controller by a regression of filtered errors, relative.
+_INTEGRAL_DEVIATION = 0.3
 # Inertia of bodies besides their mass's, relative: centres of mass and masses are better known.
 _INERTIA_DEVIATION = 0.1
 # Scale of masses that nobody vouches for, one standard deviation, and parameters that go with it:
@@ -99,6 +101,7 @@ def nominal_parameters(
         values[found.place(name)] = getattr(robot, key)
     law = recordings.actuator
     assert law is not None
+    values[found.place("integral")] = law.integral_rates[np.argsort(recordings.order)]
     values[-1] = law.delay if np.isfinite(law.delay) else 0.0
     return found
 
@@ -137,6 +140,7 @@ def expect_parameters(
         "offset": _OFFSET_SHARE * torque,
         "zero": _ZERO_DEVIATION,
         "lateness": _LATENESS_DEVIATION if robot.n > 1 else 0.0,
+        "integral": _INTEGRAL_DEVIATION * law.integral_rates,
     }.items():
         size[found.place(name)] = value
     for key, name in DRIVE_PARAMETERS.items():

@@ -48,7 +48,7 @@ from stiffopt.recording.run import RecordedRun
 from stiffopt.recording.state_pair import StatePair
 
 # Chance that any of the stated values of an arm that lacks nothing is named.
-MAX_CHANCE = 0.01
+MAX_CHANCE = 0.05
 # Difference of the sum of log residuals over noise between fits that are equally good.
 _EQUAL_MISFIT = 0.05
 

@@ -44,6 +44,10 @@ from stiffopt.units import joint_unit
 _OPEN_NOISE_RATIO = 1.3
 
 
+# Values of the actuators that a stored model holds, one number a joint each.
+_LAW_LISTS = ("stiffness", "damping", "drive_max", "torque_max", "tolerance", "integral")
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ClosedLoopModel:
     """Nominal and fitted simulation of an arm from its commands."""
@@ -223,6 +227,7 @@ def model_section(
     return ClosedLoopSection(
         **{name: tuple(getattr(law, name)) for name in ("stiffness", "damping")},
         **{name: tuple(getattr(law, name)) for name in ("drive_max", "torque_max")},
+        integral=tuple(law.integral_rates),
         delay=model.nominal.delay,
         tolerance=tuple(law.tolerance),
         middle=tuple(model.loop.middle[order]),
@@ -287,8 +292,7 @@ def read_model(recordings: RecordingSet, model: ExtendedModel) -> ClosedLoopMode
     simulated = replace(model, extension=replace(model.extension, effects=own))
     robot, physics, _ = robot_in_loop(recordings, simulated)
     lists: dict[str, Any] = {
-        name: np.array(getattr(section, name))
-        for name in ("stiffness", "damping", "drive_max", "torque_max", "tolerance", "middle")
+        name: np.array(getattr(section, name)) for name in (*_LAW_LISTS, "middle")
     }
     if any(len(each) != n for each in lists.values()):
         raise InputError(f"closed_loop needs one number a joint ({n}) in every list.")

@@ -181,6 +181,9 @@ class ClosedLoopSection(Section):
         tuple[JointTorque, ...], Doc("Bound on the torque from the error; inf without.")
     ]
     torque_max: Annotated[tuple[JointTorque, ...], Doc("Bound on the torque; inf without.")]
+    integral: Annotated[
+        tuple[Ratio, ...], Doc("Integral over proportional gain before the fit, in 1/s.")
+    ]
     delay: Annotated[Time, NOT_NEGATIVE, Doc("Of commands, before the fit.")]
     tolerance: Annotated[
         tuple[Ratio, ...], Doc("One standard deviation of the gains before the fit, relative.")

@@ -29,6 +29,7 @@ _VALUE_WORDS = {
     "drag": "friction with the square of the speed",
     "offset": "torque offset",
     "zero": "encoder zero",
+    "integral": "integral over proportional gain",
     "lateness": "delay beyond that of all joints",
     DELAY: "delay",
 }
