@@ -14,6 +14,7 @@ JOINT_PARAMETERS = {
     "viscous": "N m s/rad",
     "coulomb": "N m",
     "load_friction": "1",  # share of the torque that the gear transmits
+    "creep": "rad/s",  # below which dry friction is in proportion to the velocity
     "friction_slope": "N m/rad",  # of dry friction over the position, about the middle
     "drag": "N m s^2/rad^2",  # of friction with the square of the velocity
     "offset": "N m",
@@ -39,7 +40,16 @@ LEADING_PARAMETERS = (
 BODY_PARAMETERS = ("mass", "mcx", "mcy", "mcz", "Ixx", "Iyy", "Izz")
 AMPLITUDES, DELAY = "amplitudes", "delay"
 # Not below zero.
-_BOUNDED_PARAMETERS = ("armature", "viscous", "coulomb", "load_friction", "drag", "integral", DELAY)
+_BOUNDED_PARAMETERS = (
+    "armature",
+    "viscous",
+    "coulomb",
+    "load_friction",
+    "drag",
+    "creep",
+    "integral",
+    DELAY,
+)
 
 
 @dataclass(frozen=True, eq=False)

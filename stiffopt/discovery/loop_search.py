@@ -23,7 +23,12 @@ from stiffopt.discovery.diagnosis import Finding, Parameter, Rival
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.extended.value_changes import extended_model
 from stiffopt.discovery.judging.unexplained import Unexplained
-from stiffopt.discovery.loop_effects import loop_parameter, robot_in_loop, stated_value
+from stiffopt.discovery.loop_effects import (
+    inseparable_parameters,
+    loop_parameter,
+    robot_in_loop,
+    stated_value,
+)
 from stiffopt.discovery.loop_fit import (
     commanded_run,
     is_commanded,
@@ -218,6 +223,8 @@ class LoopSearch:
         """
         constants, fitted = self.training.constants, model.fitted
         assert model.expected_deviations is not None
+        assert model.polished is not None
+        covariance = model.polished.whole_covariance()
         order = self.recordings.order
         places = [
             (located, parameter, stated_value(self.recordings, entry, int(order[located.joint])))
@@ -233,9 +240,10 @@ class LoopSearch:
         for located, parameter, stated in places:
             entry, joint = located.effect, int(order[located.joint or 0])
             shifted = entry.shifts_weight and any(each.effect.shifts_weight for each in taken)
-            place = fitted.place(parameter.name).start + joint
-            fitted_value = float(fitted.values[place])
-            sd = model.deviations[place] * abs(parameter.slope(fitted_value))
+            rows, factors = inseparable_parameters(model.loop.law, fitted, parameter.name, joint)
+            place, fitted_value = rows[0], float(factors @ fitted.values[rows])
+            sd = float(np.sqrt(factors @ covariance[np.ix_(rows, rows)] @ factors))
+            sd *= abs(parameter.slope(fitted_value))
             known = any(located.same_place(other) for other in taken)
             if shifted or known or sd <= 0.0:
                 continue

@@ -25,6 +25,7 @@ _VALUE_WORDS = {
     "viscous": "viscous friction",
     "coulomb": "dry friction",
     "load_friction": "friction per actuator torque",
+    "creep": "speed below which dry friction creeps",
     "friction_slope": "change of dry friction over the stroke",
     "drag": "friction with the square of the speed",
     "offset": "torque offset",
