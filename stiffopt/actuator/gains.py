@@ -55,6 +55,7 @@ class ActuatorSection(Section):
             drive_max=drive_max,
             torque_max=np.where(np.isfinite(torque_max) & (torque_max > 0.0), torque_max, np.inf),
             delay=np.nan if self.delay is None else self.delay,
+            integral=np.zeros(len(torque_max)),
             tolerance=np.full(len(torque_max), self.tolerance),
         )
 

@@ -28,13 +28,13 @@ class ActuatorLaw:
     drive_max: np.ndarray
     torque_max: np.ndarray  # (n,) bound on the torque; infinite without [N m]
     delay: float  # time from a command to the torque that follows it [s]; nan where it is not known
+    integral: np.ndarray  # (n,) integral over proportional gain [1/s]
     tolerance: np.ndarray  # (n,) one standard deviation of each gain, relative
     delay_deviation: float = 0.0  # one standard deviation of the delay [s]; 0 where it is stated
     # (n,) gains that a recording told, not its description; default none. From `MAX_GAIN_DEVIATION`
     # they are mere guesses, which hold a simulated joint but give torque no scale.
     estimated: np.ndarray | None = None
     damping_stated: bool = True  # otherwise it counts as viscous friction of the joints
-    integral: np.ndarray | None = None  # (n,) integral over proportional gain [1/s]; default none
 
     @property
     def known(self) -> bool:
@@ -54,11 +54,6 @@ class ActuatorLaw:
         if self.estimated is None:
             return self.tolerance
         return np.where(self.estimated, _UNSTATED_GAIN_DEVIATION, self.tolerance)
-
-    @property
-    def integral_rates(self) -> np.ndarray:
-        """Return the integral over the proportional gain (n,) [1/s]."""
-        return np.zeros(len(self.stiffness)) if self.integral is None else self.integral
 
     def reordered(self, order: Sequence[int] | np.ndarray) -> ActuatorLaw:
         """Return the law of the joints in another order."""

@@ -53,7 +53,7 @@ class CommandedArm:
         self.tree, self.law, self.middle = tree, law, np.asarray(middle, dtype=float)
         self.physics = physics or LoopPhysics()
         self.n, self.elastic = tree.n, sorted(self.physics.springs)
-        self.integrating = np.flatnonzero(law.integral_rates > 0.0).tolist()
+        self.integrating = np.flatnonzero(law.integral > 0.0).tolist()
         # Places of the speeds of links and motors among those of readings and other sides.
         self.link_sides, self.motor_sides = np.arange(self.n), np.arange(self.n)
         for k, joint in enumerate(self.elastic):

@@ -105,7 +105,7 @@ def nominal_parameters(
         values[found.place(name)] = getattr(robot, key)
     law = recordings.actuator
     assert law is not None
-    values[found.place("integral")] = law.integral_rates[np.argsort(recordings.order)]
+    values[found.place("integral")] = law.integral[np.argsort(recordings.order)]
     values[-1] = law.delay if np.isfinite(law.delay) else 0.0
     return found
 
@@ -147,7 +147,7 @@ def expect_parameters(
         "offset": _OFFSET_SHARE * torque,
         "zero": _ZERO_DEVIATION,
         "lateness": _LATENESS_DEVIATION if robot.n > 1 else 0.0,
-        "integral": _INTEGRAL_DEVIATION * law.integral_rates,
+        "integral": _INTEGRAL_DEVIATION * law.integral,
     }.items():
         size[found.place(name)] = value
     for key, name in DRIVE_PARAMETERS.items():

@@ -219,11 +219,13 @@ class LoopSearch:
         """Yield values of the fit that are not the nominal ones, beside findings.
 
         What no nominal model has is zero. What is stated lies farther beyond its tolerance than any
-        of all stated values would by chance.
+        of all stated values would by chance. In a joint that the simulation leaves open it is as
+        likely as the share of noise in what is left.
         """
         constants, fitted = self.training.constants, model.fitted
         assert model.expected_deviations is not None
         assert model.polished is not None
+        assert model.noise_ratio is not None
         covariance = model.polished.whole_covariance()
         order = self.recordings.order
         places = [
@@ -260,7 +262,9 @@ class LoopSearch:
             if chance < MAX_CHANCE and abs(value) > NAMED_DEVIATIONS * sd:
                 taken = [*taken, located]
                 estimated = EstimatedEffect(located=located, amplitudes=(value,))
-                yield self._finding(estimated, 1.0, 1.0 - chance)
+                # Beside a residual it may stand for its cause.
+                of_noise = 1.0 / model.noise_ratio[joint] ** 2 if model.lacks[joint] else 1.0
+                yield self._finding(estimated, 1.0, (1.0 - chance) * of_noise)
 
     def _finding(
         self,

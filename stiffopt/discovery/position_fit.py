@@ -225,11 +225,8 @@ def model_section(
         return None if deviations is None else replace(model.fitted, values=deviations)
 
     return ClosedLoopSection(
-        **{name: tuple(getattr(law, name)) for name in ("stiffness", "damping")},
-        **{name: tuple(getattr(law, name)) for name in ("drive_max", "torque_max")},
-        integral=tuple(law.integral_rates),
+        **{name: tuple(getattr(law, name)) for name in _LAW_LISTS},
         delay=model.nominal.delay,
-        tolerance=tuple(law.tolerance),
         middle=tuple(model.loop.middle[order]),
         values=table(model.fitted),
         deviations=table(spread(model.deviations)),

@@ -122,7 +122,7 @@ def derive_torque(
         return run
     delay = law.delay if np.isfinite(law.delay) else 0.0
     error = delayed_command(run, delay) - run.position
-    if law.integral is not None:
+    if law.integral.any():
         whole = law.integral * np.nancumsum(error, axis=0) * run.step
         mean = np.nanmean(weight(run.position), axis=0) / law.stiffness
         begun = mean - np.nanmean(error + whole, axis=0)

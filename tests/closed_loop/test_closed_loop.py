@@ -51,6 +51,7 @@ def pendulum_loop(tmp_path: Path) -> CommandedArm:
         drive_max=np.array([np.inf]),
         torque_max=np.array([8.0]),
         delay=DELAY,
+        integral=np.zeros(1),
         tolerance=np.full(1, 0.05),
     )
     return CommandedArm(robot.tree, law, np.zeros(1))
@@ -372,6 +373,7 @@ def test_delays_of_single_joints_are_told_from_that_of_all(tmp_path: Path) -> No
         drive_max=np.full(2, np.inf),
         torque_max=np.full(2, 20.0),
         delay=0.0,
+        integral=np.zeros(2),
         tolerance=np.full(2, 0.05),
     )
     own = CommandedArm(robot.tree, law, np.zeros(2))

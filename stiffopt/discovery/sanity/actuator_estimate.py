@@ -120,7 +120,7 @@ def resolve_actuator(
     parameters = None
     guess = estimate_actuator(RobotModel(recordings), runs, law)
     found = guess.law
-    asked = not law.known or found.integral is not None
+    asked = not law.known or bool(found.integral.any())
     if asked and not any(doubt_commands(recordings, runs)):
         found, parameters = _refine_law(recordings, runs, guess, say)
     notes = (*_DERIVED_NOTE, *_describe(law, found, guess.evidence))
@@ -168,7 +168,7 @@ def estimate_actuator(
         stiffness=stiffness,
         tolerance=np.where(asked, 1.0, law.tolerance),
         estimated=asked if asked.any() else law.estimated,
-        integral=rates if rates.any() else None,
+        integral=rates,
         delay=delay,
         delay_deviation=law.delay_deviation if np.isfinite(law.delay) else _DELAY_DEVIATION,
     )
@@ -207,8 +207,7 @@ def _refine_law(
             stiffness=np.where(law.estimated, law.stiffness * factor, law.stiffness),
             tolerance=np.where(law.estimated, spread / factor, law.tolerance),
         )
-    if law.integral is not None:
-        refined = replace(refined, integral=fitted.parameters.of("integral")[order])
+    refined = replace(refined, integral=fitted.parameters.of("integral")[order])
     if law.delay_deviation:
         spread = max(float(fitted.deviations[-1]), _DELAY_DEVIATION)
         # Whole microseconds: a bound is met to within rounding.
@@ -238,7 +237,7 @@ def _describe(law: ActuatorLaw, found: ActuatorLaw, evidence: float) -> list[str
             f"Weight and inertia do not tell the gain of {which}: torques there have no scale and"
             " are left out. Give kp in [actuator]; only ratios of friction to gain are known."
         )
-    if found.integral is not None:
+    if found.integral.any():
         each = ", ".join(
             f"joint {j + 1}: {significant(found.integral[j], 2)} 1/s"
             for j in np.flatnonzero(found.integral)
