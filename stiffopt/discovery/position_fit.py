@@ -291,6 +291,7 @@ def read_model(recordings: RecordingSet, model: ExtendedModel) -> ClosedLoopMode
     lists: dict[str, Any] = {
         name: np.array(getattr(section, name)) for name in (*_LAW_LISTS, "middle")
     }
+    lists["integral"] = lists["integral"] if section.integral else np.zeros(n)
     if any(len(each) != n for each in lists.values()):
         raise InputError(f"closed_loop needs one number a joint ({n}) in every list.")
     middle = lists.pop("middle")[back]
@@ -325,7 +326,11 @@ def read_model(recordings: RecordingSet, model: ExtendedModel) -> ClosedLoopMode
 def _read_parameters(
     table: Mapping[str, tuple[float, ...]], where: str, none: Parameters, back: np.ndarray
 ) -> Parameters:
-    """Return the parameters of a table in the joint order of the robot; `none`: all zero."""
+    """Return the parameters of a table in the joint order of the robot; `none`: all zero.
+
+    Those that files of earlier versions lack are none.
+    """
+    table = {**dict.fromkeys(("creep", "integral"), (0.0,) * none.n), **table}
     found = replace(none, values=none.values.copy())
     sizes = {**dict.fromkeys((*JOINT_PARAMETERS, *BODY_PARAMETERS), none.n), DELAY: 1}
     sizes[AMPLITUDES] = len(none.amplitude_bounds)

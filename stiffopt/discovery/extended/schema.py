@@ -181,9 +181,6 @@ class ClosedLoopSection(Section):
         tuple[JointTorque, ...], Doc("Bound on the torque from the error; inf without.")
     ]
     torque_max: Annotated[tuple[JointTorque, ...], Doc("Bound on the torque; inf without.")]
-    integral: Annotated[
-        tuple[Ratio, ...], Doc("Integral over proportional gain before the fit, in 1/s.")
-    ]
     delay: Annotated[Time, NOT_NEGATIVE, Doc("Of commands, before the fit.")]
     tolerance: Annotated[
         tuple[Ratio, ...], Doc("One standard deviation of the gains before the fit, relative.")
@@ -211,6 +208,10 @@ class ClosedLoopSection(Section):
     ratio_deviations: Annotated[
         dict[str, tuple[Ratio, ...]], Doc("One standard deviation of each.")
     ] = Field(default_factory=dict)
+    integral: Annotated[
+        tuple[Ratio, ...],
+        Doc("Integral over proportional gain before the fit, in 1/s; none if left out."),
+    ] = ()
     without: Annotated[
         tuple[str, ...], Doc("Effects of this model without which it simulates the runs as well.")
     ] = ()
