@@ -45,14 +45,17 @@ class ActuatorSection(Section):
         damping: np.ndarray,
         drive_max: np.ndarray,
         torque_max: np.ndarray,
+        damping_stated: bool = True,
     ) -> ActuatorLaw:
         """Return the law with the entries that all kinds share."""
         return ActuatorLaw(
             stiffness=stiffness,
             damping=damping,
+            damping_stated=damping_stated,
             drive_max=drive_max,
             torque_max=np.where(np.isfinite(torque_max) & (torque_max > 0.0), torque_max, np.inf),
             delay=np.nan if self.delay is None else self.delay,
+            integral=np.zeros(len(torque_max)),
             tolerance=np.full(len(torque_max), self.tolerance),
         )
 

@@ -23,16 +23,18 @@ class ActuatorLaw:
     """
 
     stiffness: np.ndarray  # (n,) torque per position error [N m/rad]; nan where it is not known
-    damping: np.ndarray  # (n,) torque per velocity [N m s/rad]
+    damping: np.ndarray  # (n,) torque per velocity [N m s/rad]; 0 where it is not stated
     # (n,) bound on the part from the error, as of a motor's voltage; infinite without [N m].
     drive_max: np.ndarray
     torque_max: np.ndarray  # (n,) bound on the torque; infinite without [N m]
     delay: float  # time from a command to the torque that follows it [s]; nan where it is not known
+    integral: np.ndarray  # (n,) integral over proportional gain [1/s]
     tolerance: np.ndarray  # (n,) one standard deviation of each gain, relative
     delay_deviation: float = 0.0  # one standard deviation of the delay [s]; 0 where it is stated
     # (n,) gains that a recording told, not its description; default none. From `MAX_GAIN_DEVIATION`
     # they are mere guesses, which hold a simulated joint but give torque no scale.
     estimated: np.ndarray | None = None
+    damping_stated: bool = True  # otherwise it counts as viscous friction of the joints
 
     @property
     def known(self) -> bool:
@@ -55,7 +57,8 @@ class ActuatorLaw:
 
     def reordered(self, order: Sequence[int] | np.ndarray) -> ActuatorLaw:
         """Return the law of the joints in another order."""
-        names = ("stiffness", "damping", "drive_max", "torque_max", "tolerance", "estimated")
+        names = ("stiffness", "damping", "drive_max", "torque_max", "tolerance", "estimated",
+                 "integral")  # fmt: skip
         own = {name: getattr(self, name) for name in names}
         return replace(self, **{k: each[order] for k, each in own.items() if each is not None})
 

@@ -21,7 +21,10 @@ class PositionServo(ActuatorSection):
     ] = None
     kd: Annotated[
         tuple[Annotated[Damping, NOT_NEGATIVE], ...] | None,
-        Doc("Torque per velocity; left out, it counts as viscous friction."),
+        Doc(
+            "Torque per velocity; left out, it counts as viscous friction, of which nominal values"
+            " then tell nothing."
+        ),
     ] = None
 
     def law(self, torque_max: np.ndarray) -> ActuatorLaw:
@@ -30,6 +33,7 @@ class PositionServo(ActuatorSection):
         return self._build_law(
             stiffness=self._per_joint("kp", n, np.nan),
             damping=self._per_joint("kd", n, 0.0),
+            damping_stated=self.kd is not None,
             drive_max=np.full(n, np.inf),
             torque_max=torque_max,
         )

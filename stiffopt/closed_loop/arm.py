@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property, partial
 
 import casadi as ca
@@ -38,7 +39,8 @@ class CommandedArm:
     Notes
     -----
     The state holds readings and their speeds (n,) each, then for every elastic joint the torque of
-    its spring and the speed of the side that the encoder does not read.
+    its spring and the speed of the side that the encoder does not read, then the integral part over
+    the gain of every joint whose controller integrates.
     """
 
     def __init__(
@@ -51,6 +53,7 @@ class CommandedArm:
         self.tree, self.law, self.middle = tree, law, np.asarray(middle, dtype=float)
         self.physics = physics or LoopPhysics()
         self.n, self.elastic = tree.n, sorted(self.physics.springs)
+        self.integrating = np.flatnonzero(law.integral > 0.0).tolist()
         # Places of the speeds of links and motors among those of readings and other sides.
         self.link_sides, self.motor_sides = np.arange(self.n), np.arange(self.n)
         for k, joint in enumerate(self.elastic):
@@ -62,30 +65,49 @@ class CommandedArm:
     @property
     def size(self) -> int:
         """Number of states."""
-        return 2 * (self.n + len(self.elastic))
+        return 2 * (self.n + len(self.elastic)) + len(self.integrating)
 
-    def begin(self, position: np.ndarray, velocity: np.ndarray, values: np.ndarray) -> np.ndarray:
+    def begin(
+        self,
+        position: np.ndarray,
+        velocity: np.ndarray,
+        values: np.ndarray,
+        before: Sequence[np.ndarray],
+        free: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return the state with these readings and speeds (n,), in which springs carry the weight.
 
-        `values` (p,) are the parameters.
+        And its slopes by some parameters (indices). `values` (p,) are the parameters. `before`
+        (n,) each: readings and position errors at the beginning of the run, at which integral parts
+        carry the weight, and the integral of the errors since.
         """
-        if not self.elastic:
-            return np.concatenate([position, velocity])
-        weight = np.asarray(self._weight(position, values))[:, 0]
-        return np.concatenate(
-            [position, velocity, weight[self.elastic], np.asarray(velocity)[self.elastic]]
-        )
+        if not (self.elastic or self.integrating):
+            return np.concatenate([position, velocity]), np.zeros(())
+        load, wound, slopes = map(np.asarray, self._carrying(position, *before, values))
+        found = [position, velocity, load[:, 0], np.asarray(velocity)[self.elastic], wound[:, 0]]
+        by_free = np.zeros((self.size, 0 if free is None else len(free)))
+        if free is not None and self.integrating:
+            by_free[-len(self.integrating) :] = slopes[:, free]
+        return np.concatenate(found), by_free
 
     @cached_property
-    def _weight(self) -> ca.Function:
-        """Return the torques (n,) at rest, of readings and parameters."""
-        q, parameters = ca.SX.sym("q", self.n), ca.SX.sym("p", self._parameter_count)
+    def _carrying(self) -> ca.Function:
+        """Return the torques of springs and the integral parts that carry the weight.
+
+        Of the arguments of `begin`; with slopes of the latter by all parameters.
+        """
+        q, first, error, since = (ca.SX.sym(name, self.n) for name in ("q", "q0", "e0", "s"))
+        parameters, still = ca.SX.sym("p", self._parameter_count), ca.SX.zeros(self.n)
         own, bodies = self._split(parameters)
-        still = ca.SX.zeros(self.n)
-        found = torque_of_bodies(
-            self.tree, self.tree.gravity, q - own["zero"], still, still, *bodies
+        there, begun = (
+            torque_of_bodies(self.tree, self.tree.gravity, x - own["zero"], still, still, *bodies)
+            for x in (q, first)
         )
-        return ca.Function("weight", [q, parameters], [ca.densify(found)])
+        gain = ca.DM(self.law.stiffness) * (1.0 + own["gain"])
+        wound = (begun - own["offset"]) / gain - error + own["integral"] * since
+        found = [_entries(there, self.elastic), _entries(wound, self.integrating)]
+        found.append(ca.jacobian(found[1], parameters))
+        return ca.Function("begin", [q, first, error, since, parameters], [*map(ca.densify, found)])
 
     def step_function(self, free: np.ndarray | None = None) -> ca.Function:
         """Return one step with derivatives by some parameters (indices) and the delay; or without.
@@ -158,15 +180,22 @@ class CommandedArm:
         n, elastic = self.n, len(self.elastic)
         state, command = ca.SX.sym("x", self.size), ca.SX.sym("u", n)
         parameters, h = ca.SX.sym("p", self._parameter_count), ca.SX.sym("h")
-        balance = partial(Balance, self, *self._split(parameters), command)
-        reading, rate, load, other = ca.vertsplit(
-            state, [0, n, 2 * n, 2 * n + elastic, 2 * (n + elastic)]
+        own, bodies = self._split(parameters)
+        reading, rate, load, other, wound = ca.vertsplit(
+            state, [0, n, 2 * n, 2 * n + elastic, 2 * (n + elastic), self.size]
         )
+        # An integral part acts like a change of the command; its mean over the step is explicit.
+        growth, wanted = own["integral"] * (command - reading), ca.SX(command)
+        for k, joint in enumerate(self.integrating):
+            wanted[joint] += wound[k] + 0.5 * h * growth[joint]
+        balance = partial(Balance, self, own, bodies, wanted)
         place, speed = ca.vertcat(reading, load), ca.vertcat(rate, other)
         step = take_step(balance, place, speed, h)
         q, s = ca.vertsplit(step.place, [0, n, n + elastic])
         v, w = ca.vertsplit(step.speed, [0, n, n + elastic])
-        after, values = ca.vertcat(q, v, s, w), step.values
+        growth -= 0.5 * own["integral"] * (q - reading)
+        wound += h * _entries(growth, self.integrating)
+        after, values = ca.vertcat(q, v, s, w, wound), step.values
         unknown = self.physics.amplitudes.symbols
         if unknown.numel():
             places = slice(self._parameter_count - 1 - unknown.numel(), self._parameter_count - 1)
@@ -185,6 +214,10 @@ class CommandedArm:
             first * ca.repmat(factor, 3, 1) + each[1:4, :],
             inertia * ca.kron(factor, ca.DM.ones(3, 3)) + about,
         )
+
+
+def _entries(vector: ca.SX, places: Sequence[int]) -> ca.SX:
+    return ca.vertcat(ca.SX(0, 1), *(vector[k] for k in places))
 
 
 def _key(free: np.ndarray | None) -> bytes | None:

@@ -40,7 +40,7 @@ class Balance:
         stiffness = np.where(np.isfinite(law.stiffness), law.stiffness, 0.0)
         self.kp = ca.DM(stiffness) * (1.0 + own["gain"])
         self.kd = ca.DM(law.damping) * (1.0 + own["damping"])
-        count = loop.size // 2
+        count = loop.n + len(loop.elastic)
         self._of_link, self.of_motor = (
             ca.sparsify(ca.DM(np.eye(count)[:, each]))
             for each in (loop.link_sides, loop.motor_sides)

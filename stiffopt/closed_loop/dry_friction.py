@@ -34,11 +34,13 @@ def friction_torque(share: ca.SX, levels: Levels) -> ca.SX:
     return ca.fmax(share, 0.0) * levels[0] + ca.fmin(share, 0.0) * levels[1]
 
 
-def mean_friction(before: ca.SX, free: ca.SX, mobility: ca.SX, levels: Levels) -> ca.SX:
+def mean_friction(
+    before: ca.SX, free: ca.SX, mobility: ca.SX, levels: Levels, creep: ca.SX
+) -> ca.SX:
     """Return the friction (n,) of joints, mean over a step.
 
     `before`, `free`: velocities (n,) before the step, and after it without friction; `mobility`
-    (n, n): decrease of the latter per friction.
+    (n, n): decrease of the latter per friction; `creep` (n,): velocities up to which it grows.
     """
     n = before.shape[0]
     speed, friction = ca.SX(free), ca.SX.zeros(n)
@@ -46,12 +48,13 @@ def mean_friction(before: ca.SX, free: ca.SX, mobility: ca.SX, levels: Levels) -
         for i in range(n) if sweep % 2 == 0 else reversed(range(n)):
             own = mobility[i, i]
             alone = speed[i] + own * friction[i]
-            reached, _ = _speed_after(before[i], alone, own * levels[0][i], own * levels[1][i])
+            lost = own * levels[0][i], own * levels[1][i]
+            reached, _ = _speed_after(before[i], alone, *lost, creep[i])
             more = (alone - reached) / own - friction[i]
             speed -= mobility[:, i] * more
             friction[i] += more
         if n > 1:
-            matrix, error = friction_error(before, speed, friction, mobility, levels)
+            matrix, error = friction_error(before, speed, friction, mobility, levels, creep)
             more = friction - solve(factorize(matrix, symmetric=False), error)
             more = ca.fmax(ca.fmin(more, levels[0]), -levels[1]) - friction
             speed -= ca.mtimes(mobility, more)
@@ -60,7 +63,7 @@ def mean_friction(before: ca.SX, free: ca.SX, mobility: ca.SX, levels: Levels) -
 
 
 def friction_error(
-    before: ca.SX, after: ca.SX, friction: ca.SX, mobility: ca.SX, levels: Levels
+    before: ca.SX, after: ca.SX, friction: ca.SX, mobility: ca.SX, levels: Levels, creep: ca.SX
 ) -> tuple[ca.SX, ca.SX]:
     """Return the slopes (n, n) by the friction of its error, and this (n,).
 
@@ -69,15 +72,18 @@ def friction_error(
     """
     own = ca.diag(mobility)
     alone = after + own * friction
-    reached, slope = _speed_after(before, alone, own * levels[0], own * levels[1])
+    reached, slope = _speed_after(before, alone, own * levels[0], own * levels[1], creep)
     return mobility - ca.mtimes(ca.diag(slope), mobility - ca.diag(own)), reached - after
 
 
-def _speed_after(before: ca.SX, free: ca.SX, forth: ca.SX, back: ca.SX) -> tuple[ca.SX, ca.SX]:
+def _speed_after(
+    before: ca.SX, free: ca.SX, forth: ca.SX, back: ca.SX, creep: ca.SX
+) -> tuple[ca.SX, ca.SX]:
     """Return the velocity after a step with friction, and its slope by that without.
 
     `free`: without it; `forth`, `back`: changes of the velocity by the friction of motion in the
-    positive and in the negative direction over a whole step.
+    positive and in the negative direction over a whole step; `creep`: velocity below which friction
+    is in proportion to it, at the end of the step.
     """
     moving, gained = ca.fabs(before) > _NO_SPEED, free - before
     way, size = moving * ca.sign(before), moving * ca.fabs(before)
@@ -91,4 +97,7 @@ def _speed_after(before: ca.SX, free: ca.SX, forth: ca.SX, back: ca.SX) -> tuple
         + left * ((gained > forth) + (gained < -back))
         - turned * way * (left > 0.0) * stopped / ca.fmax(loss, _NO_SPEED)
     )
-    return way * ca.fmax(size - loss, 0.0) + left * turned, slope
+    sliding = way * ca.fmax(size - loss, 0.0) + left * turned
+    share = creep / (creep + ca.if_else(free > 0.0, forth, back) + _NO_SPEED)
+    faster = ca.fabs(share * free) > ca.sign(free) * sliding
+    return ca.if_else(faster, share * free, sliding), ca.if_else(faster, share, slope)

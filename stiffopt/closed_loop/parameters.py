@@ -14,22 +14,42 @@ JOINT_PARAMETERS = {
     "viscous": "N m s/rad",
     "coulomb": "N m",
     "load_friction": "1",  # share of the torque that the gear transmits
+    "creep": "rad/s",  # below which dry friction is in proportion to the velocity
     "friction_slope": "N m/rad",  # of dry friction over the position, about the middle
     "drag": "N m s^2/rad^2",  # of friction with the square of the velocity
     "offset": "N m",
     "zero": "rad",  # reading of the encoder less the angle of the bodies
     "lateness": "s",  # of the command, beyond the delay of all
+    "integral": "1/s",  # integral over the proportional gain of a controller
 }
 # Parameters over the actuator's gain, and units of the ratios.
 RATIO_UNITS = {"armature": "s^2", "viscous": "s", "coulomb": "rad"}
 # Those that decide how an arm follows, and that a fit begins with: the rest refines.
-LEADING_PARAMETERS = ("gain", "damping", "armature", "viscous", "coulomb", "offset", "lateness")
+LEADING_PARAMETERS = (
+    "gain",
+    "damping",
+    "armature",
+    "viscous",
+    "coulomb",
+    "offset",
+    "lateness",
+    "integral",
+)
 # Of each body, as changes: mass, relative, with its moments in proportion; first moment and inertia
 # about its axis frame besides.
 BODY_PARAMETERS = ("mass", "mcx", "mcy", "mcz", "Ixx", "Iyy", "Izz")
 AMPLITUDES, DELAY = "amplitudes", "delay"
 # Not below zero.
-_BOUNDED_PARAMETERS = ("armature", "viscous", "coulomb", "load_friction", "drag", DELAY)
+_BOUNDED_PARAMETERS = (
+    "armature",
+    "viscous",
+    "coulomb",
+    "load_friction",
+    "drag",
+    "creep",
+    "integral",
+    DELAY,
+)
 
 
 @dataclass(frozen=True, eq=False)

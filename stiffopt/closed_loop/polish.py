@@ -94,16 +94,8 @@ def polish(
     that repeat one another, so that neither prior nor deviations are overruled by mere samples.
     The leading parameters are fitted first, to fewer runs and without the others' derivatives.
 
-    Parameters
-    ----------
-    loop : CommandedArm
-    runs : sequence of CommandedRun
-    prior : Parameters
-        Expected values, with which the fit begins.
-    deviations : array (p,)
-        One standard deviation of each; 0 fixes a parameter.
-    say : callable
-        Called with a sentence at every iteration.
+    `prior`: expected values, with which the fit begins; `deviations` (p,): one standard deviation
+    of each, 0 fixes a parameter; `say`: called with a sentence at every iteration.
 
     Raises
     ------
@@ -178,8 +170,8 @@ def score_amplitudes(
         return np.concatenate([values[:-1], added, values[-1:]])
 
     def with_none(known: Parameters) -> Parameters:
-        values = extended(known.values, np.zeros(more))
-        return replace(known, values=values, amplitude_bounds=own.bounds)
+        whole = extended(known.values, np.zeros(more))
+        return replace(known, values=whole, amplitude_bounds=own.bounds)
 
     deviations = extended(fitted.expected_deviations, own.deviations[len(own.values) - more :])
     fit = _Fit(loop, runs, with_none(fitted.expected), deviations)
@@ -242,19 +234,17 @@ class _Fit:
     def polish(self, start: Parameters, say: Callable[[str], object]) -> Polished:
         """Return the fit that begins with some parameters."""
         current, point = self.descend(start, self.evaluate(start).require_bounded(), say)
-        spread = np.zeros_like(start.values)
+        spread, expected = np.zeros((2, len(start.values)))
         covariance, discretisation = self.covariance(current, point)
         if not (np.diag(covariance) > 0.0).all():  # derivatives that grow without bound
             raise FloatingPointError("the simulation diverges")
         current, covariance = self._share_delay(current, covariance)
         spread[self.places] = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        residual = np.sqrt(np.nanmean(point.residual**2, axis=0))
-        expected = np.zeros_like(spread)
         expected[self.places] = self._size
         return Polished(
             parameters=current,
             deviations=spread,
-            residual=residual,
+            residual=np.sqrt(np.nanmean(point.residual**2, axis=0)),
             noise=self.encoder_noise(point),
             discretisation=discretisation,
             places=self.places,
@@ -286,8 +276,8 @@ class _Fit:
             moved = -inverse @ right
             gain = 0.5 * float(-moved @ right)
             amplitudes = moved * self._size[new[group]]
-            least, greatest = parameters.amplitude_bounds[-more:][group].T
-            if (amplitudes < least).any() or (amplitudes > greatest).any():
+            bounds = parameters.amplitude_bounds[-more:][group].T
+            if (amplitudes != np.clip(amplitudes, *bounds)).any():
                 found.append(None)
                 continue
             found.append(
@@ -310,18 +300,21 @@ class _Fit:
     def restrict(self, parameters: Parameters, joint: int) -> None:
         """Keep the stretches in which a joint leaves most, of the duration of a leading fit."""
         residual = self.simulate(parameters).require_bounded().residual[:, joint]
-        squares = [np.nanmean(own**2) for own in np.split(residual, np.cumsum(self._rows)[:-1])]
+        squares = [np.nanmean(own**2) for own in self._by_stretch(residual)]
         count = max(1, round(_LEADING_SECONDS / self._loop.n / STRETCH_SECONDS))
         kept = sorted(np.argsort(squares)[::-1][:count])
         self._stretches = [self._stretches[k] for k in kept]
         self._leads = [self._leads[k] for k in kept]
-        self._ends = np.cumsum(self._rows)[:-1]
+        self._ends = self._stretch_ends
 
     @property
-    def _rows(self) -> list[int]:
-        """Number of judged rows of every stretch."""
+    def _stretch_ends(self) -> np.ndarray:
+        """Number of judged rows until the end of every stretch but the last."""
         pairs = zip(self._stretches, self._leads, strict=True)
-        return [own.end - own.begin + 1 - lead for own, lead in pairs]
+        return np.cumsum([own.end - own.begin + 1 - lead for own, lead in pairs])[:-1]
+
+    def _by_stretch(self, rows: np.ndarray) -> list[np.ndarray]:
+        return np.split(rows, self._stretch_ends)
 
     def evaluate(self, parameters: Parameters) -> _Point:
         """Simulate all runs by stretches."""
@@ -332,11 +325,11 @@ class _Fit:
     ) -> _Point:
         """Simulate all runs by stretches, with derivatives by some parameters."""
         found = simulate_stretches(self._loop, self._stretches, parameters, free, refinement)
-        residual, slopes = [], []
-        for each, own, lead in zip(found, self._stretches, self._leads, strict=True):
-            measured = own.run.position[own.begin + lead : own.end + 1]
-            residual.append(each.position[lead:] - measured)
-            slopes.append(each.slopes[lead:])
+        residual = [
+            each.position[lead:] - own.run.position[own.begin + lead : own.end + 1]
+            for each, own, lead in zip(found, self._stretches, self._leads, strict=True)
+        ]
+        slopes = [each.slopes[lead:] for each, lead in zip(found, self._leads, strict=True)]
         whole = np.concatenate(slopes) * (1.0 if free is None else self._size)
         with np.errstate(over="ignore", invalid="ignore"):
             squares = sum(np.sum(each.position**2) for each in found) + np.sum(whole**2)
@@ -349,9 +342,8 @@ class _Fit:
         simulation leaves vanishes: held commands, whose steps bend the motion itself, are in it.
         NaN of readings that never change.
         """
-        squares, counts = np.zeros(self._loop.n), np.zeros(self._loop.n)
-        parts = np.split(point.residual, np.cumsum(self._rows)[:-1])
-        for part, own in zip(parts, self._stretches, strict=True):
+        squares, counts = np.zeros((2, self._loop.n))
+        for part, own in zip(self._by_stretch(point.residual), self._stretches, strict=True):
             moved = np.ptp(own.run.position[own.begin : own.end + 1], axis=0) > 0.0
             jumps = np.where(moved, np.diff(part, n=3, axis=0), np.nan)
             squares += np.nansum(jumps**2, axis=0)
@@ -409,9 +401,10 @@ class _Fit:
     def covariance(self, parameters: Parameters, point: _Point) -> tuple[np.ndarray, np.ndarray]:
         """Return the covariance (m, m) of the fitted parameters, and the discretisation error (n,).
 
-        Steps are finite: where the fit would go with infinitely short ones, by their halves and the
-        second order of the integrator, is a deviation.
-        What the simulation changes besides is an error of its positions.
+        Where the fit would go with infinitely short steps, by their halves and the second order of
+        the integrator, is a deviation; what they change besides is an error of positions. Where
+        stretches pull a value apart by more than noise does, since the simulation lacks something,
+        its deviation is as much larger (White, Econometrica 48, 1980).
         """
         noise = self.noise(point)
         hessian, _ = self._normal_equations(parameters, point, noise)
@@ -420,7 +413,11 @@ class _Fit:
         finer /= 1.0 - _REFINEMENT_RATIO**-2
         moved = inverse @ np.einsum("kjm,kj->m", weighted, np.nan_to_num(finer) / noise)
         error = np.sqrt(np.nanmean((finer - point.slopes @ moved) ** 2, axis=0))
-        whole = inverse + np.outer(moved, moved)
+        scores = np.einsum("kjm,kj->km", weighted, np.nan_to_num(point.residual) / noise)
+        pulls = np.array([part.sum(axis=0) for part in self._by_stretch(scores)])
+        spread = np.var(pulls @ inverse, axis=0) * len(pulls) ** 2 / max(len(pulls) - 1, 1)
+        wider = np.sqrt(np.maximum(spread / np.diag(inverse), 1.0))
+        whole = wider[:, None] * inverse * wider + np.outer(moved, moved)
         return np.asarray(self._size[:, None] * whole * self._size), error
 
     def _share_delay(

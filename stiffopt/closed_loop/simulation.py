@@ -129,7 +129,11 @@ def _simulate_together(
         given[: len(drive.width), lane], width[: len(drive.width), lane] = drive.given, drive.width
         row[drive.ends - 1, lane] = np.arange(1, len(drive.ends) + 1)
         position[lane, 0] = own.run.position[own.begin]
-        state[lane, : loop.size] = loop.begin(position[lane, 0], own.velocity, parameters.values)
+        before = _before(own, late) if loop.integrating else [position[lane, 0]] * 3
+        begun = loop.begin(position[lane, 0], own.velocity, parameters.values, before, free)
+        state[lane, : loop.size] = begun[0]
+        if begun[1].size:  # the last sensitivity is that by the delay
+            state[lane, loop.size : -loop.size] = begun[1].T.reshape(-1)
     state[len(stretches) :] = state[0]
     after = state.reshape(-1)
     for own_given, own_width, own_row in zip(given, width, row, strict=True):
@@ -143,6 +147,20 @@ def _simulate_together(
         Simulated(position[lane, : len(drive.ends) + 1], slopes[lane, : len(drive.ends) + 1])
         for lane, drive in enumerate(drives)
     ]
+
+
+def _before(own: Stretch, delays: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return readings and errors (n,) at the beginning of the run, and the errors' integral since.
+
+    Commands come late by `delays` (n,).
+    """
+    run, rows = own.run, slice(0, own.begin + 1)
+    first, span = run.time[0], float(run.time[own.begin] - run.time[0])
+    since = -np.trapezoid(run.position[rows], run.time[rows], axis=0)
+    for j, delay in enumerate(delays if span else ()):
+        ends = np.array([first - delay]), np.array([first + span - delay])
+        since[j] += span * float(mean_command(run.time, run.command[:, j : j + 1], *ends)[0][0, 0])
+    return run.position[0], run.command[0] - run.position[0], since
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +200,8 @@ def initial_velocity(loop: CommandedArm, run: CommandedRun, parameters: Paramete
     step = loop.step_function()
     given = np.concatenate([run.command[0], np.zeros(loop.n)])
     n = loop.n
-    state = loop.begin(run.position[0], np.zeros(n), parameters.values)
+    before = run.position[0], run.command[0] - run.position[0], np.zeros(n)
+    state, _ = loop.begin(run.position[0], np.zeros(n), parameters.values, before)
     for _ in range(_SETTLING_STEPS):
         state = np.asarray(step(state, given, parameters.values, _MAX_STEP))[:, 0]
         state[:n] = run.position[0]

@@ -72,7 +72,7 @@ def take_step(
             ),
         )
 
-    motors, before = ca.SX(here.of_motor), here.motor_speed
+    motors, before, creep = ca.SX(here.of_motor), here.motor_speed, here.own["creep"]
     response = ca.vertcat(*respond(ca.SX(size, n), -motors))
     mobility = -ca.mtimes(motors.T, response[size:, :])
     share = ca.SX.sym("share", n)
@@ -81,9 +81,9 @@ def take_step(
     # What is not derived by.
     levels = here.friction_levels(ca.sign(before))
     free = before + ca.mtimes(motors.T, respond(ca.mtimes(rates, speed), force)[1])
-    friction = mean_friction(before, free, mobility, levels)
+    friction = mean_friction(before, free, mobility, levels, creep)
     matrix, _ = friction_error(
-        before, free - ca.mtimes(mobility, friction), friction, mobility, levels
+        before, free - ca.mtimes(mobility, friction), friction, mobility, levels, creep
     )
     values = (
         friction_share(friction, before, levels),
@@ -101,7 +101,7 @@ def take_step(
     )
     moved, gained = combine(first, second)
     after = before + ca.mtimes(motors.T, gained)
-    _, error = friction_error(before, after, friction, mobility, levels)
+    _, error = friction_error(before, after, friction, mobility, levels, creep)
     more = -ca.mtimes(correction, error)
     held = ca.vertcat(share, ca.vec(correction))
     return LoopStep(

@@ -30,7 +30,7 @@ from stiffopt.discovery.judging.ensemble import START_CUTS
 from stiffopt.discovery.judging.explained_shares import MismatchShare
 from stiffopt.discovery.judging.unexplained import ChannelVerdict, Unexplained
 from stiffopt.discovery.laws.law import LAW_FAMILY
-from stiffopt.discovery.loop_effects import loop_parameter, stated_value
+from stiffopt.discovery.loop_effects import inseparable_parameters, loop_parameter, stated_value
 from stiffopt.discovery.loop_fit import stated_tolerance
 from stiffopt.discovery.names import Channel, channel_name
 from stiffopt.discovery.position_fit import ClosedLoopModel
@@ -42,6 +42,7 @@ from stiffopt.discovery.search.uncertainty import (
 )
 from stiffopt.discovery.thresholds import (
     EXPLAINED_SHARE,
+    FINDING_DEVIATIONS,
     OPEN_RATIO,
     OPEN_SHARE,
     UNSTATED_DEVIATIONS,
@@ -54,6 +55,8 @@ if TYPE_CHECKING:
 
 # Two-sided p-value of one standard deviation: a value beyond it is zero within its deviation.
 _ONE_DEVIATION = float(2.0 * special.ndtr(-1.0))
+# The same of the least deviations of a finding.
+_INSIGNIFICANT_CHANCE = float(2.0 * special.ndtr(-FINDING_DEVIATIONS))
 # Odds that a joint has no friction or no rotor worth measuring, before the recordings.
 _ABSENCE_ODDS = 0.1
 # Folds by which probabilities are judged: of six, gains near the noise change by a factor of two
@@ -300,7 +303,8 @@ def _with_loop_value(
         sizes = (values / deviations)[sized]
         solved, _, free, _ = np.linalg.lstsq(correlation[np.ix_(sized, sized)], sizes)
         chance = float(special.chdtrc(free, sizes @ solved))
-        finding = refuted(finding, 1.0 if reversed_sign else chance)
+        zero = reversed_sign or chance > _INSIGNIFICANT_CHANCE
+        finding = refuted(finding, 1.0 if zero else chance)
     if reversed_sign:
         return finding
     whole[numbers] = values
@@ -394,24 +398,25 @@ def _loop_amplitudes(
         body = _loop_body(recordings, model, -1 if located.link is None else located.link)
         return body[0], body[1] - np.sum(alike, axis=0)[body[0]] if alike else body[1], body[2]
     parameter = loop_parameter(entry)
-    numbers, tolerance, slope = [0], 0.0, 1.0
+    numbers, tolerance = [0], 0.0
     if parameter is not None and located.joint is not None:
         joint = int(recordings.order[located.joint])
-        rows = np.array([fitted.place(parameter.name).start + joint])
+        rows, factors = inseparable_parameters(model.loop.law, fitted, parameter.name, joint)
         known = getattr(recordings.robot, entry.nominal)[joint] if entry.nominal else 0.0
         _, tolerance = stated_value(recordings, entry, joint) or (known, 0.0)
-        slope = float(parameter.slope(values[rows[0]]))
-        found = parameter.convert(values[rows]) - known - sum(own[0] for own in alike)
+        value = factors @ values[rows]
+        slopes = float(parameter.slope(value)) * factors[None]
+        found = parameter.convert(value[None]) - known - sum(own[0] for own in alike)
     else:
         keys = model.loop.physics.amplitudes.names
         # Those of the starting model come before those found.
         own = {number: k for k, (key, number) in enumerate(keys) if key == located.key}
         numbers = list(own)
         rows = np.array([fitted.amplitudes.start + k for k in own.values()], dtype=int)
-        found = values[rows]
-    covariance = slope**2 * model.polished.whole_covariance()[np.ix_(rows, rows)]
-    covariance += tolerance**2 * np.eye(len(rows))
-    if not len(rows) or not (np.diag(covariance) > 0.0).all():
+        found, slopes = values[rows], np.eye(len(rows))
+    covariance = slopes @ model.polished.whole_covariance()[np.ix_(rows, rows)] @ slopes.T
+    covariance += tolerance**2 * np.eye(len(found))
+    if not len(found) or not (np.diag(covariance) > 0.0).all():
         return None
     return numbers, found, covariance
 

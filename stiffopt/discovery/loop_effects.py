@@ -13,6 +13,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from stiffopt.actuator.law import ActuatorLaw
+from stiffopt.closed_loop.parameters import Parameters
 from stiffopt.closed_loop.physics import Amplitudes, LoopPhysics, LoopSignals, LoopSpring
 from stiffopt.discovery.catalogue.common import motor_inertia
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect
@@ -78,15 +80,33 @@ def loop_parameter(entry: Effect) -> LoopParameter | None:
     return None if name is None else LoopParameter(name, lambda x: x, lambda x: 1.0 + 0.0 * x)
 
 
+def inseparable_parameters(
+    law: ActuatorLaw, fitted: Parameters, name: str, joint: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return places and factors of the parameters that a motion tells as one, by a joint (from 0).
+
+    Viscous friction and the damping of the drive are told by their sum.
+    """
+    names, factors = [name], [1.0]
+    if name == "viscous" and law.damping[joint] > 0.0:
+        names, factors = [name, "damping"], [1.0, float(law.damping[joint])]
+    return np.array([fitted.place(each).start + joint for each in names]), np.array(factors)
+
+
 def stated_value(recordings: RecordingSet, entry: Effect, joint: int) -> tuple[float, float] | None:
     """Return what a set states of an effect's amplitude at a joint (from 0) of the robot.
 
-    The value that every joint has and its standard deviation; None where the set states none.
+    The value that every joint has and its standard deviation, of viscous friction with that of the
+    drive's damping; None where the set states none.
     """
     if entry.nominal:
         value = float(getattr(recordings.robot, entry.nominal)[joint])
         known = entry.nominal not in recordings.unstated
-        return (value, stated_tolerance(recordings, entry.nominal) * value) if known else None
+        sd = stated_tolerance(recordings, entry.nominal) * value
+        if entry.nominal == "viscous" and recordings.actuator is not None:
+            inside = recordings.actuator.reordered(np.argsort(recordings.order))
+            sd = float(np.hypot(sd, inside.tolerance[joint] * inside.damping[joint]))
+        return (value, sd) if known else None
     parameter, law = loop_parameter(entry), recordings.actuator
     if law is None or parameter is None or parameter.name != "gain":
         return None

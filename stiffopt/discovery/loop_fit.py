@@ -37,6 +37,12 @@ _LOAD_FRICTION_DEVIATION, _ZERO_DEVIATION = 0.15, 0.03
 _DELAY_DEVIATION = 5e-3
 # Deviation of the delay of one joint's commands from that of all: a cycle of a slow bus [s].
 _LATENESS_DEVIATION = 2e-3
+# Velocity at which dry friction has grown to its level, of grease and of friction in simulators
+# that yields (MuJoCo: its level over 1000 /s times the inertia); and that of a fit at first
+# [rad/s].
+_CREEP_DEVIATION, _LEAST_CREEP = 1e-2, 1e-3
+# Integral part of a controller by a regression of filtered errors, relative.
+_INTEGRAL_DEVIATION = 0.3
 # Inertia of bodies besides their mass's, relative: centres of mass and masses are better known.
 _INERTIA_DEVIATION = 0.1
 # Scale of masses that nobody vouches for, one standard deviation, and parameters that go with it:
@@ -99,6 +105,7 @@ def nominal_parameters(
         values[found.place(name)] = getattr(robot, key)
     law = recordings.actuator
     assert law is not None
+    values[found.place("integral")] = law.integral[np.argsort(recordings.order)]
     values[-1] = law.delay if np.isfinite(law.delay) else 0.0
     return found
 
@@ -114,6 +121,8 @@ def expect_parameters(
     """
     prior = replace(begun, values=begun.values.copy())
     robot, law = recordings.robot, loop.law
+    # No slope leads away from none.
+    prior.values[prior.place("creep")] = np.maximum(prior.of("creep"), _LEAST_CREEP)
     error = np.vstack([run.command - run.position for run in runs])
     velocity = np.vstack([run.velocity for run in runs])
     stiffness = np.where(np.isfinite(law.stiffness), law.stiffness, 0.0)
@@ -132,11 +141,13 @@ def expect_parameters(
         "viscous": _VISCOUS_SHARE * torque / speed,
         "coulomb": _DRY_SHARE * torque,
         "load_friction": _LOAD_FRICTION_DEVIATION,
+        "creep": _CREEP_DEVIATION,
         "friction_slope": _SLOPE_SHARE * torque / stroke,
         "drag": _DRAG_SHARE * torque / speed**2,
         "offset": _OFFSET_SHARE * torque,
         "zero": _ZERO_DEVIATION,
         "lateness": _LATENESS_DEVIATION if robot.n > 1 else 0.0,
+        "integral": _INTEGRAL_DEVIATION * law.integral,
     }.items():
         size[found.place(name)] = value
     for key, name in DRIVE_PARAMETERS.items():

@@ -23,7 +23,12 @@ from stiffopt.discovery.diagnosis import Finding, Parameter, Rival
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.extended.value_changes import extended_model
 from stiffopt.discovery.judging.unexplained import Unexplained
-from stiffopt.discovery.loop_effects import loop_parameter, robot_in_loop, stated_value
+from stiffopt.discovery.loop_effects import (
+    inseparable_parameters,
+    loop_parameter,
+    robot_in_loop,
+    stated_value,
+)
 from stiffopt.discovery.loop_fit import (
     commanded_run,
     is_commanded,
@@ -48,7 +53,7 @@ from stiffopt.recording.run import RecordedRun
 from stiffopt.recording.state_pair import StatePair
 
 # Chance that any of the stated values of an arm that lacks nothing is named.
-MAX_CHANCE = 0.01
+MAX_CHANCE = 0.05
 # Difference of the sum of log residuals over noise between fits that are equally good.
 _EQUAL_MISFIT = 0.05
 
@@ -214,10 +219,14 @@ class LoopSearch:
         """Yield values of the fit that are not the nominal ones, beside findings.
 
         What no nominal model has is zero. What is stated lies farther beyond its tolerance than any
-        of all stated values would by chance.
+        of all stated values would by chance. In a joint that the simulation leaves open it is as
+        likely as the share of noise in what is left.
         """
         constants, fitted = self.training.constants, model.fitted
         assert model.expected_deviations is not None
+        assert model.polished is not None
+        assert model.noise_ratio is not None
+        covariance = model.polished.whole_covariance()
         order = self.recordings.order
         places = [
             (located, parameter, stated_value(self.recordings, entry, int(order[located.joint])))
@@ -233,9 +242,10 @@ class LoopSearch:
         for located, parameter, stated in places:
             entry, joint = located.effect, int(order[located.joint or 0])
             shifted = entry.shifts_weight and any(each.effect.shifts_weight for each in taken)
-            place = fitted.place(parameter.name).start + joint
-            fitted_value = float(fitted.values[place])
-            sd = model.deviations[place] * abs(parameter.slope(fitted_value))
+            rows, factors = inseparable_parameters(model.loop.law, fitted, parameter.name, joint)
+            place, fitted_value = rows[0], float(factors @ fitted.values[rows])
+            sd = float(np.sqrt(factors @ covariance[np.ix_(rows, rows)] @ factors))
+            sd *= abs(parameter.slope(fitted_value))
             known = any(located.same_place(other) for other in taken)
             if shifted or known or sd <= 0.0:
                 continue
@@ -252,7 +262,9 @@ class LoopSearch:
             if chance < MAX_CHANCE and abs(value) > NAMED_DEVIATIONS * sd:
                 taken = [*taken, located]
                 estimated = EstimatedEffect(located=located, amplitudes=(value,))
-                yield self._finding(estimated, 1.0, 1.0 - chance)
+                # Beside a residual it may stand for its cause.
+                of_noise = 1.0 / model.noise_ratio[joint] ** 2 if model.lacks[joint] else 1.0
+                yield self._finding(estimated, 1.0, (1.0 - chance) * of_noise)
 
     def _finding(
         self,

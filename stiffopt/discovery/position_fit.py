@@ -44,6 +44,10 @@ from stiffopt.units import joint_unit
 _OPEN_NOISE_RATIO = 1.3
 
 
+# Values of the actuators that a stored model holds, one number a joint each.
+_LAW_LISTS = ("stiffness", "damping", "drive_max", "torque_max", "tolerance", "integral")
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ClosedLoopModel:
     """Nominal and fitted simulation of an arm from its commands."""
@@ -221,10 +225,8 @@ def model_section(
         return None if deviations is None else replace(model.fitted, values=deviations)
 
     return ClosedLoopSection(
-        **{name: tuple(getattr(law, name)) for name in ("stiffness", "damping")},
-        **{name: tuple(getattr(law, name)) for name in ("drive_max", "torque_max")},
+        **{name: tuple(getattr(law, name)) for name in _LAW_LISTS},
         delay=model.nominal.delay,
-        tolerance=tuple(law.tolerance),
         middle=tuple(model.loop.middle[order]),
         values=table(model.fitted),
         deviations=table(spread(model.deviations)),
@@ -287,9 +289,9 @@ def read_model(recordings: RecordingSet, model: ExtendedModel) -> ClosedLoopMode
     simulated = replace(model, extension=replace(model.extension, effects=own))
     robot, physics, _ = robot_in_loop(recordings, simulated)
     lists: dict[str, Any] = {
-        name: np.array(getattr(section, name))
-        for name in ("stiffness", "damping", "drive_max", "torque_max", "tolerance", "middle")
+        name: np.array(getattr(section, name)) for name in (*_LAW_LISTS, "middle")
     }
+    lists["integral"] = lists["integral"] if section.integral else np.zeros(n)
     if any(len(each) != n for each in lists.values()):
         raise InputError(f"closed_loop needs one number a joint ({n}) in every list.")
     middle = lists.pop("middle")[back]
@@ -324,7 +326,11 @@ def read_model(recordings: RecordingSet, model: ExtendedModel) -> ClosedLoopMode
 def _read_parameters(
     table: Mapping[str, tuple[float, ...]], where: str, none: Parameters, back: np.ndarray
 ) -> Parameters:
-    """Return the parameters of a table in the joint order of the robot; `none`: all zero."""
+    """Return the parameters of a table in the joint order of the robot; `none`: all zero.
+
+    Those that files of earlier versions lack are none.
+    """
+    table = {**dict.fromkeys(("creep", "integral"), (0.0,) * none.n), **table}
     found = replace(none, values=none.values.copy())
     sizes = {**dict.fromkeys((*JOINT_PARAMETERS, *BODY_PARAMETERS), none.n), DELAY: 1}
     sizes[AMPLITUDES] = len(none.amplitude_bounds)

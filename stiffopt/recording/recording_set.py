@@ -130,7 +130,17 @@ class RecordingSet(recorded_arm.RecordedArm):
             temperature=entry.temperature,
             prismatic=self.prismatic,
         )
-        return derive_torque(run, self.actuator)
+        return self.derive_torque(run)
+
+    def derive_torque(self, run: RecordedRun) -> RecordedRun:
+        """Return a run with the torques of the actuators' law in place of missing ones."""
+        bodies, order = self.robot.bodies_in_motion(), self.order
+
+        def weight(position: np.ndarray) -> np.ndarray:
+            still = np.zeros_like(position)
+            return np.asarray(bodies.torque(position[:, np.argsort(order)], still, still)[:, order])
+
+        return derive_torque(run, self.actuator, weight)
 
 
 def load_recordings(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> RecordingSet:
@@ -148,12 +158,18 @@ def load_recordings(path: str | os.PathLike[str], changes: Sequence[str] = ()) -
     described, locked = recorded_arm.load_arm(
         document.robot, document.joints, path, document.tool_frame, document.gravity
     )
-    order, stated = recorded_arm.joint_order(described, document.joints), document.nominal
+    order = recorded_arm.joint_order(described, document.joints)
+    signals = build_signals(document.signals, n, path)
+    actuator = _build_actuator(document, signals, _torque_limits(described)[order], path)
+    if actuator is not None and not actuator.damping_stated:
+        # The drives damp besides: no nominal value tells what a joint loses to its velocity.
+        described = replace(described, viscous=np.zeros(described.n))
+        nominal = document.nominal.model_copy(update={"viscous": None})
+        document = document.model_copy(update={"nominal": nominal})
+    stated = document.nominal
     robot = build_nominal_robot(described, order, stated, path)
-    nominal = build_nominal(stated, document.joints, path)
     tolerance = document.tolerance
     noise = build_noise(document.noise, n, path)
-    signals = build_signals(document.signals, n, path)
     runs = tuple(
         _run_entry(section, n, number, path) for number, section in enumerate(document.runs)
     )
@@ -167,12 +183,12 @@ def load_recordings(path: str | os.PathLike[str], changes: Sequence[str] = ()) -
         signals=signals,
         described=described,
         stated=stated,
-        nominal=nominal,
+        nominal=build_nominal(stated, document.joints, path),
         tolerance=tolerance,
         noise=noise,
         runs=runs,
         assumptions=assumptions(document, described, locked),
-        actuator=_build_actuator(document, signals, _torque_limits(described)[order], path),
+        actuator=actuator,
     )
 
 

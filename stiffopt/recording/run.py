@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -108,16 +109,24 @@ class RecordedRun:
         return bool(np.isfinite(self.position).any(axis=0).all())
 
 
-def derive_torque(run: RecordedRun, law: ActuatorLaw | None) -> RecordedRun:
+def derive_torque(
+    run: RecordedRun, law: ActuatorLaw | None, weight: Callable[[np.ndarray], np.ndarray]
+) -> RecordedRun:
     """Return a run with the torques of an actuator's law in place of missing ones.
 
     Unknown gains (and a joint without commands) leave a torque missing. While the delay is not
-    known, none is assumed.
+    known, none is assumed. `weight`: positions (K, n) to the torques that hold them. An integral
+    part begins at an unknown value, so that mean torques of a run are those of the weight.
     """
     if law is None or run.command is None:
         return run
     delay = law.delay if np.isfinite(law.delay) else 0.0
     error = delayed_command(run, delay) - run.position
+    if law.integral.any():
+        whole = law.integral * np.nancumsum(error, axis=0) * run.step
+        mean = np.nanmean(weight(run.position), axis=0) / law.stiffness
+        begun = mean - np.nanmean(error + whole, axis=0)
+        error = error + np.where(law.integral > 0.0, whole + begun, 0.0)
     return replace(run, torque=np.asarray(law.torque(error, encoder_velocity(run))))
 
 

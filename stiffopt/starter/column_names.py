@@ -20,12 +20,13 @@ _WORDS_BY_KIND = {
     ),
     "link_position": ("link", "linkside", "ql", "secondary", "outputside"),
     "position": ("position", "positions", "pos", "q", "angle", "angles", "theta", "winkel", "lage",
-                 "ist", "qpos", "axis", "joint", "a", "j", "state"),
+                 "ist", "qpos", "axis", "joint", "a", "j", "state", "present", "actual",
+                 "measured"),
 }  # fmt: skip
 TIME_WORDS = ("t", "time", "timestamp", "stamp", "zeit", "seconds", "clock")
 CURRENT_WORDS = ("current", "currents", "strom", "amps", "i")
 # Words that other signals of a joint share.
-_VAGUE_WORDS = ("axis", "joint", "a", "j", "state")
+_VAGUE_WORDS = ("axis", "joint", "a", "j", "state", "present", "actual", "measured")
 _AMPERE_UNITS = ("a", "ma", "arms")
 _ACCELERATION_WORDS = ("acceleration", "accelerations", "accel", "acc", "qdd", "ddq")
 # With shares of a torque that models or observers compute; names of MuJoCo and libfranka.

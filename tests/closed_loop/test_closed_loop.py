@@ -51,6 +51,7 @@ def pendulum_loop(tmp_path: Path) -> CommandedArm:
         drive_max=np.array([np.inf]),
         torque_max=np.array([8.0]),
         delay=DELAY,
+        integral=np.zeros(1),
         tolerance=np.full(1, 0.05),
     )
     return CommandedArm(robot.tree, law, np.zeros(1))
@@ -97,7 +98,7 @@ def test_friction_holds_within_its_levels_and_opposes_what_moves() -> None:
     n, rng = 4, np.random.default_rng(0)
     symbols = [ca.SX.sym(name, n) for name in ("before", "free", "forth", "back")]
     mobility = ca.SX.sym("mobility", n, n)
-    found = mean_friction(*symbols[:2], mobility, (symbols[2], symbols[3]))
+    found = mean_friction(*symbols[:2], mobility, (symbols[2], symbols[3]), ca.SX.zeros(n))
     solve_friction = ca.Function("friction", [*symbols, mobility], [found])
     kept = 0
     for _ in range(100):
@@ -115,6 +116,18 @@ def test_friction_holds_within_its_levels_and_opposes_what_moves() -> None:
         np.testing.assert_allclose(own[moved], wanted[moved], atol=0.02)
         kept += int((~moved).sum())
     assert 100 < kept < 300
+
+
+def test_friction_that_creeps_goes_with_the_speed() -> None:
+    """The level at the speed of creep, half of it at half the speed; no more when sliding."""
+    symbols, creep, level, mobility = ca.SX.sym("x", 2), 0.02, 0.5, 1e-3
+    levels = (ca.SX(level), ca.SX(level))
+    found = mean_friction(symbols[0], symbols[1], ca.SX(mobility), levels, ca.SX(creep))
+    solve_friction = ca.Function("friction", [symbols], [found])
+    for speed in (0.002, 0.01, -0.01, 0.3):
+        wanted = np.clip(level * speed / creep, -level, level)
+        steady = float(solve_friction([speed, speed + mobility * wanted]))
+        assert steady == pytest.approx(wanted, rel=1e-6)
 
 
 def test_stretches_side_by_side_are_those_alone(loop: CommandedArm) -> None:
@@ -360,6 +373,7 @@ def test_delays_of_single_joints_are_told_from_that_of_all(tmp_path: Path) -> No
         drive_max=np.full(2, np.inf),
         torque_max=np.full(2, 20.0),
         delay=0.0,
+        integral=np.zeros(2),
         tolerance=np.full(2, 0.05),
     )
     own = CommandedArm(robot.tree, law, np.zeros(2))

@@ -42,7 +42,6 @@ from stiffopt.discovery.position_fit import (
 )
 from stiffopt.discovery.sanity.actuator_estimate import (
     estimate_actuator,
-    joint_rows,
     resolve_actuator,
 )
 from stiffopt.discovery.sanity.command_doubts import (
@@ -50,14 +49,11 @@ from stiffopt.discovery.sanity.command_doubts import (
     doubt_commands,
     take_errors_as_commands,
 )
-from stiffopt.discovery.sanity.doubt import DoubtfulRecordings
-from stiffopt.discovery.sanity.integral_part import doubt_integral_parts, integral_rate
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import open_training_runs, prepare_training
 from stiffopt.errors import InputError
 from stiffopt.recording.joint_facts import joint_facts
 from stiffopt.recording.recording_set import RecordingSet, load_recordings
-from stiffopt.recording.run import derive_torque
 from stiffopt.report.diagnosis.positions import value_section
 from stiffopt.result.trajectory import Trajectory
 
@@ -83,23 +79,6 @@ def test_weight_tells_the_gain_and_motion_the_delay(servo: RecordingSet) -> None
     assert any("estimated from the arm's weight" in note for note in notes)
 
 
-@pytest.mark.parametrize("rate", [0.0, 0.5, 2.0])
-def test_an_integral_part_is_told_from_errors_that_fade(tmp_path: Path, rate: float) -> None:
-    """Gains and delay need not be known."""
-    found = load_recordings(write_servo_set(tmp_path / "set", integral=rate))
-    runs = open_training_runs(found)
-    law = estimate_actuator(RobotModel(found), runs, found.actuator).law
-    rows = joint_rows(RobotModel(found), runs, 0)
-    told, spread, _ = integral_rate(rows, law.delay)
-    assert abs(told - rate) < max(0.1 * rate, 3.0 * spread)
-    doubts = list(doubt_integral_parts(found.with_actuator(law), RobotModel(found), runs))
-    assert [each.joints for each in doubts] == ([(1,)] if rate else [])
-    if rate:
-        assert "integral part" in doubts[0].evidence
-        with pytest.raises(DoubtfulRecordings, match="integral part"):
-            diagnose(tmp_path / "set", experiment=False)
-
-
 def test_a_gain_that_recordings_told_is_free_beside_effects(servo: RecordingSet) -> None:
     own = resolve_actuator(servo, open_training_runs(servo))
     recordings = replace(own.recordings, tolerance=replace(servo.tolerance, mass=0.02))
@@ -120,7 +99,10 @@ def test_late_commands_change_the_torque_by_their_rate(servo: RecordingSet) -> N
             Settings(),
             None,
             lambda _: None,
-            [derive_torque(run, replace(law, delay=DELAY + more)) for run in runs],
+            [
+                own.with_actuator(replace(law, delay=DELAY + more)).derive_torque(run)
+                for run in runs
+            ],
         ).runs[0]
         for more in (0.0, late)
     )

@@ -208,6 +208,10 @@ class ClosedLoopSection(Section):
     ratio_deviations: Annotated[
         dict[str, tuple[Ratio, ...]], Doc("One standard deviation of each.")
     ] = Field(default_factory=dict)
+    integral: Annotated[
+        tuple[Ratio, ...],
+        Doc("Integral over proportional gain before the fit, in 1/s; none if left out."),
+    ] = ()
     without: Annotated[
         tuple[str, ...], Doc("Effects of this model without which it simulates the runs as well.")
     ] = ()

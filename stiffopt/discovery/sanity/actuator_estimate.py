@@ -19,9 +19,10 @@ from stiffopt.discovery.sanity.doubt import format_joints
 from stiffopt.discovery.sanity.torque_fit import MIN_MOVING_INSTANTS
 from stiffopt.discovery.settings import DEFAULT_TOLERANCE, MIN_MOVING_SPEED
 from stiffopt.discovery.signals import smooth_sign
-from stiffopt.formatting import pm
+from stiffopt.discovery.thresholds import NAMED_EVIDENCE
+from stiffopt.formatting import pm, significant
 from stiffopt.recording.recording_set import RecordingSet
-from stiffopt.recording.run import RecordedRun, delayed_command, derive_torque
+from stiffopt.recording.run import RecordedRun, delayed_command
 
 _DERIVED_NOTE: tuple[str, ...] = ("Torques are not recorded: the actuator's law gives them.",)
 
@@ -41,6 +42,9 @@ _MIN_DELAY = 2e-3
 _USUAL_FREQUENCY = 30.0
 # Stretches that are left out in turn: physics that the regressors lack differs between them.
 _JACKKNIFE_STRETCHES = 8
+# Least integral gain over the proportional one that is one [1/s]: slower, an error that lasts for
+# ten seconds adds less than itself, as the drift of an offset does.
+_MIN_INTEGRAL_RATE = 0.1
 # Rounds in which the gain that scales stated tolerances follows the estimated one.
 _SCALE_ROUNDS = 5
 
@@ -62,6 +66,21 @@ class JointRows:
     run: np.ndarray
     independent: float
     stated: np.ndarray
+
+    @property
+    def begins(self) -> np.ndarray:
+        """Indicators (m, r) of the runs: integrals begin at an unknown value in each."""
+        return np.asarray(self.run[:, None] == np.unique(self.run), dtype=float)
+
+    def with_integral(self, rate: float) -> JointRows:
+        """Return the rows of a controller that integrates its error."""
+        if rate == 0.0:
+            return self
+        return replace(
+            self,
+            columns=np.column_stack([self.columns[:, :-1], self.begins]),
+            error=lambda delay: self.error(delay) + rate * self.integral(delay),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,22 +111,22 @@ def resolve_actuator(
 ) -> ResolvedActuator:
     """Estimate the unknown values of a set's actuators.
 
-    Sets with recorded torques, or with a law that is known, are returned unchanged. Commands that
-    contradict the positions are not simulated: the gate doubts them.
+    Sets with recorded torques are returned unchanged. Commands that contradict the positions are
+    not simulated: the gate doubts them.
     """
     law = recordings.actuator
     if law is None:
         return ResolvedActuator(recordings, list(runs), ())
-    parameters, notes = None, _DERIVED_NOTE
-    if not law.known:
-        guess = estimate_actuator(RobotModel(recordings), runs, law)
-        found = guess.law
-        if not any(doubt_commands(recordings, runs)):
-            found, parameters = _refine_law(recordings, runs, guess, say)
-        notes = (*notes, *_describe(law, found, guess.evidence))
-        law = found
-    known = recordings.with_actuator(law)
-    return ResolvedActuator(known, [derive_torque(run, law) for run in runs], notes, parameters)
+    parameters = None
+    guess = estimate_actuator(RobotModel(recordings), runs, law)
+    found = guess.law
+    asked = not law.known or bool(found.integral.any())
+    if asked and not any(doubt_commands(recordings, runs)):
+        found, parameters = _refine_law(recordings, runs, guess, say)
+    notes = (*_DERIVED_NOTE, *_describe(law, found, guess.evidence))
+    known = recordings.with_actuator(found)
+    derived = [known.derive_torque(run) for run in runs]
+    return ResolvedActuator(known, derived, notes, parameters)
 
 
 def estimate_actuator(
@@ -119,7 +138,12 @@ def estimate_actuator(
     are known, so that the factor of their torque is 1 / k, and so are stated friction and rotor
     inertia. Where that is not significant, the gain is guessed from the acceleration.
     """
-    rows = [joint_rows(robot, runs, j) for j in range(robot.n)]
+    rows, rates = [joint_rows(robot, runs, j) for j in range(robot.n)], np.zeros(robot.n)
+    for k in range(robot.n):
+        if (own := rows[k]) is not None:
+            rate, _, gain = integral_rate(own, law.delay if np.isfinite(law.delay) else 0.0)
+            rates[k] = rate if gain > NAMED_EVIDENCE and rate > _MIN_INTEGRAL_RATE else 0.0
+            rows[k] = own.with_integral(rates[k])
     delay, evidence = law.delay, np.inf
     if not np.isfinite(delay):
         delay, evidence = _estimate_delay(rows, law)
@@ -143,7 +167,8 @@ def estimate_actuator(
         law,
         stiffness=stiffness,
         tolerance=np.where(asked, 1.0, law.tolerance),
-        estimated=asked,
+        estimated=asked if asked.any() else law.estimated,
+        integral=rates,
         delay=delay,
         delay_deviation=law.delay_deviation if np.isfinite(law.delay) else _DELAY_DEVIATION,
     )
@@ -175,12 +200,14 @@ def _refine_law(
     fitted = fit[1]
     factor = (1.0 + fitted.parameters.of("gain"))[order]
     spread = fitted.deviations[fitted.parameters.place("gain")][order]
-    assert law.estimated is not None
-    refined = replace(
-        law,
-        stiffness=np.where(law.estimated, law.stiffness * factor, law.stiffness),
-        tolerance=np.where(law.estimated, spread / factor, law.tolerance),
-    )
+    refined = law
+    if law.estimated is not None:
+        refined = replace(
+            law,
+            stiffness=np.where(law.estimated, law.stiffness * factor, law.stiffness),
+            tolerance=np.where(law.estimated, spread / factor, law.tolerance),
+        )
+    refined = replace(refined, integral=fitted.parameters.of("integral")[order])
     if law.delay_deviation:
         spread = max(float(fitted.deviations[-1]), _DELAY_DEVIATION)
         # Whole microseconds: a bound is met to within rounding.
@@ -209,6 +236,15 @@ def _describe(law: ActuatorLaw, found: ActuatorLaw, evidence: float) -> list[str
         notes.append(
             f"Weight and inertia do not tell the gain of {which}: torques there have no scale and"
             " are left out. Give kp in [actuator]; only ratios of friction to gain are known."
+        )
+    if found.integral.any():
+        each = ", ".join(
+            f"joint {j + 1}: {significant(found.integral[j], 2)} 1/s"
+            for j in np.flatnonzero(found.integral)
+        )
+        notes.append(
+            "Position errors fade under a lasting load: controllers have an integral part, over"
+            f" the proportional gain {each}."
         )
     if not np.isfinite(law.delay):
         notes.append(
@@ -276,6 +312,21 @@ def _stated_factors(robot: RobotModel, joint: int) -> np.ndarray:
         known = key not in robot.recordings.unstated and value > 0.0
         found.append((value, max(relative * value, 1e-9) if known else np.inf))
     return np.array(found)
+
+
+def integral_rate(rows: JointRows, delay: float) -> tuple[float, float, float]:
+    """Return the integral over the proportional gain [1/s], its deviation, and log likelihood gain.
+
+    The error is (weight and inertia + friction) / k less the rate times its own integral, which
+    begins at an unknown value in every run.
+    """
+    table = np.column_stack([rows.load, rows.columns[:, :-1], rows.begins])
+    error = rows.error(delay)
+    _, _, without = least_squares(table, error, rows.independent)
+    whole = np.column_stack([table, -rows.integral(delay)])
+    factors, spread, square = least_squares(whole, error, rows.independent)
+    gain = 0.5 * rows.independent * float(np.log(without / square)) if square > 0.0 else 0.0
+    return float(factors[-1]), float(spread[-1]), gain
 
 
 def _estimate_delay(rows: Sequence[JointRows | None], law: ActuatorLaw) -> tuple[float, float]:

@@ -13,7 +13,6 @@ from stiffopt.discovery.sanity.command_doubts import doubt_commands
 from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings, format_joints, limit_to_runs
 from stiffopt.discovery.sanity.explanation_doubts import describe_explanation, doubt_degrees
 from stiffopt.discovery.sanity.explanations import Explanation, Explanations
-from stiffopt.discovery.sanity.integral_part import doubt_integral_parts
 from stiffopt.discovery.sanity.interpretations import Samples, sample_runs
 from stiffopt.discovery.sanity.sensor_doubts import (
     doubt_contacts_at_rest,
@@ -96,7 +95,6 @@ class SanityGate:
         found = [
             *_doubt_unscaled(recordings),
             *_doubt_set_points(recordings),
-            *doubt_integral_parts(recordings, self._nominal_robot, runs),
             *doubt_second_sensors(recordings, runs),
             *doubt_repeated_torques(runs),
         ]

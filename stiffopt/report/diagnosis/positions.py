@@ -25,10 +25,12 @@ _VALUE_WORDS = {
     "viscous": "viscous friction",
     "coulomb": "dry friction",
     "load_friction": "friction per actuator torque",
+    "creep": "speed below which dry friction creeps",
     "friction_slope": "change of dry friction over the stroke",
     "drag": "friction with the square of the speed",
     "offset": "torque offset",
     "zero": "encoder zero",
+    "integral": "integral over proportional gain",
     "lateness": "delay beyond that of all joints",
     DELAY: "delay",
 }
