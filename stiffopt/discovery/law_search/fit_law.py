@@ -41,11 +41,11 @@ def log_evidence(channel: OpenChannel, left: float, parameters: int, tried: int)
     The noise is unknown, and at least the stated one.
     """
     m = len(channel.target)
-    gain = _log_likelihood(m, left) - _log_likelihood(m, channel.square)
+    gain = log_likelihood(m, left) - log_likelihood(m, channel.square)
     return float(gain - 0.5 * parameters * np.log(m) - np.log(max(tried, 1)))
 
 
-def _log_likelihood(count: int, square: float) -> float:
+def log_likelihood(count: int, square: float) -> float:
     """Return the largest log likelihood of rows with a sum of squares, of unit noise at least."""
     variance = max(square / count, 1.0)
     return float(-0.5 * (square / variance + count * np.log(variance)))

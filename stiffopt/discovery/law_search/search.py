@@ -9,7 +9,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.law_search.fit_law import FittedLaw, as_fitted, fit_shapes, score_starts
+from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.law_search.fit_law import (
+    FittedLaw,
+    as_fitted,
+    fit_shapes,
+    log_likelihood,
+    score_starts,
+)
 from stiffopt.discovery.law_search.free_function import (
     FreeTerm,
     best_sum,
@@ -324,20 +331,26 @@ def beats(
 
 
 def _parameter_count(findings: Sequence[Selected]) -> int:
+    """Return the number of values of functions: amplitudes and shapes, none of single runs."""
     found = [each.located for each in findings]
-    return sum(len(e.effect.amplitudes) + len(e.shapes) for e in found)
+    every = sum(len(e.effect.amplitudes) + len(e.shapes) for e in found)
+    return every - _count_run_values(findings)
 
 
 def _count_run_values(findings: Sequence[Selected]) -> int:
     """Return the number of values that differ from run to run."""
+    return sum(len(own.amplitudes) for own in _effects_of_runs(findings))
+
+
+def _effects_of_runs(findings: Sequence[Selected]) -> list[Effect]:
     found = [each.located.effect for each in findings]
-    return sum(len(e.amplitudes) for e in found if e.of_runs is not None)
+    return [own for own in found if own.of_runs is not None]
 
 
 def _gain(channel: OpenChannel, before: float, after: float) -> float:
-    """Return the log likelihood gained where squares fall; those within the noise do not count."""
+    """Return the log likelihood gained where squares fall."""
     m = len(channel.target)
-    return float(0.5 * m * np.log(max(before, m) / max(after, m)))
+    return log_likelihood(m, after) - log_likelihood(m, before)
 
 
 def _log_odds(
@@ -348,12 +361,14 @@ def _log_odds(
     parameters: int,
 ) -> float:
     """Return the log odds of a law that leaves some squares over findings and their rivals."""
-    fewer = _parameter_count(findings) - parameters
     width = tempering_width(_gain(channel, channel.square, left))
-    # Values of single runs are random: their likelihood is that of their spread.
-    values = _count_run_values(findings)
-    spread = 0.5 * values * np.log1p(max(channel.square - named, 0.0) / max(values, 1))
-    ahead = (_gain(channel, named, left) + spread) / width + PARAMETER_LOG_PRICE * fewer
+    # Values of single runs are random, and sum to zero. As many as a law has parameters it meets
+    # anyhow; each further one that it tells counts by the likelihood that its spread takes.
+    free = _count_run_values(findings) - len(_effects_of_runs(findings))
+    told = max(free - parameters, 0)
+    chance = 0.5 * told * np.log1p(max(channel.square - named, 0.0) / max(free, 1))
+    fewer = _parameter_count(findings) - max(parameters - free, 0)
+    ahead = _gain(channel, named, left) / width + chance + PARAMETER_LOG_PRICE * fewer
     among_rivals = sum(float(np.log(each.probability)) for each in findings)
     return float(ahead + among_rivals + len(findings) * np.log(len(CATALOGUE)))
 
