@@ -107,10 +107,6 @@ def _width_scale(constants: JointConstants) -> float:
     return min(high - low, 1.0)
 
 
-def _start_widths(constants: JointConstants) -> tuple[float, ...]:
-    return tuple(share * _width_scale(constants) for share in _WIDTH_SHARES)
-
-
 def _start_angles(shares: Sequence[float], constants: JointConstants) -> tuple[float, ...]:
     low, high = constants.stroke
     return tuple(low + share * (high - low) for share in shares)
@@ -272,7 +268,13 @@ POSITION_FRICTION = Effect(
     amplitudes=(Amplitude("A", "N m", dry_friction, 0.0, 3.0),),
     shapes=(
         Shape("q0", "rad", lambda constants: along_stroke(constants, 10), -20.0, 20.0),
-        Shape("width", "rad", _start_widths, 1e-4, 1.5),
+        Shape(
+            "width",
+            "rad",
+            lambda constants: tuple(v * _width_scale(constants) for v in _WIDTH_SHARES),
+            1e-4,
+            1.5,
+        ),
     ),
     possible=_is_within_stroke,
     separate="Sweep the whole stroke slowly both ways: a gravity error keeps its sign, friction"

@@ -9,12 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.law_search.fit_law import (
     FittedLaw,
     as_fitted,
     fit_shapes,
-    log_likelihood,
+    log_gain,
     score_starts,
 )
 from stiffopt.discovery.law_search.free_function import (
@@ -95,7 +94,7 @@ def search_channel(channel: OpenChannel) -> ChannelLaw:
 
 def _is_short_of(channel: OpenChannel, found: Sequence[FittedLaw]) -> bool:
     """Return True where the best law leaves enough beyond the noise to tell another one by."""
-    return not found or _gain(channel, found[0].left, len(channel.target)) > NAMED_EVIDENCE
+    return not found or log_gain(channel, found[0].left, len(channel.target)) > NAMED_EVIDENCE
 
 
 def _fit_unscreened(channel: OpenChannel) -> list[FittedLaw]:
@@ -322,35 +321,12 @@ def beats(
     the data tell from zero (`significant` False) have no words for it.
     """
     left, own = channel.square - best.fit.removed, best.law
-    is_function = significant and not _count_run_values(findings)
+    is_function = significant and all(e.located.effect.of_runs is None for e in findings)
     if is_function and named - left < SAME_FUNCTION**2 * (channel.square - left):
         return False
     odds = _log_odds(channel, left, named, findings, own.parameter_count)
     prior = min(own.log_prior(channel.comparison.robot.n), -float(np.log(len(CATALOGUE))))
     return odds + prior > RIVAL_LOG_ODDS
-
-
-def _parameter_count(findings: Sequence[Selected]) -> int:
-    """Return the number of values of functions: amplitudes and shapes, none of single runs."""
-    found = [each.located for each in findings]
-    every = sum(len(e.effect.amplitudes) + len(e.shapes) for e in found)
-    return every - _count_run_values(findings)
-
-
-def _count_run_values(findings: Sequence[Selected]) -> int:
-    """Return the number of values that differ from run to run."""
-    return sum(len(own.amplitudes) for own in _effects_of_runs(findings))
-
-
-def _effects_of_runs(findings: Sequence[Selected]) -> list[Effect]:
-    found = [each.located.effect for each in findings]
-    return [own for own in found if own.of_runs is not None]
-
-
-def _gain(channel: OpenChannel, before: float, after: float) -> float:
-    """Return the log likelihood gained where squares fall."""
-    m = len(channel.target)
-    return log_likelihood(m, after) - log_likelihood(m, before)
 
 
 def _log_odds(
@@ -361,14 +337,18 @@ def _log_odds(
     parameters: int,
 ) -> float:
     """Return the log odds of a law that leaves some squares over findings and their rivals."""
-    width = tempering_width(_gain(channel, channel.square, left))
+    width = tempering_width(log_gain(channel, channel.square, left))
+    found = [each.located for each in findings]
+    of_runs = [e.effect for e in found if e.effect.of_runs is not None]
+    values = sum(len(own.amplitudes) for own in of_runs)
     # Values of single runs are random, and sum to zero. As many as a law has parameters it meets
     # anyhow; each further one that it tells counts by the likelihood that its spread takes.
-    free = _count_run_values(findings) - len(_effects_of_runs(findings))
+    free = values - len(of_runs)
     told = max(free - parameters, 0)
     chance = 0.5 * told * np.log1p(max(channel.square - named, 0.0) / max(free, 1))
-    fewer = _parameter_count(findings) - max(parameters - free, 0)
-    ahead = _gain(channel, named, left) / width + chance + PARAMETER_LOG_PRICE * fewer
+    of_functions = sum(len(e.effect.amplitudes) + len(e.shapes) for e in found) - values
+    fewer = of_functions - max(parameters - free, 0)
+    ahead = log_gain(channel, named, left) / width + chance + PARAMETER_LOG_PRICE * fewer
     among_rivals = sum(float(np.log(each.probability)) for each in findings)
     return float(ahead + among_rivals + len(findings) * np.log(len(CATALOGUE)))
 
