@@ -94,7 +94,8 @@ def position_friction(
     # Where the joint comes by: between the quartiles of its angle in the training recordings.
     train = np.concatenate([world.reference[r, :, joint] for r in world.training])
     place = float(np.quantile(train, rng.uniform(0.3, 0.7)))
-    half = rng.uniform(0.25, 0.45)
+    # Narrower than a short stroke, as of a slider in metres.
+    half = rng.uniform(0.25, 0.45) * min(float(np.ptp(train)), 1.0)
 
     def law(state: State, up: np.ndarray, down: np.ndarray) -> None:
         away = np.clip((state.link[:, joint] - place) / half, -1.0, 1.0)

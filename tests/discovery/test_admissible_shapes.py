@@ -64,6 +64,17 @@ def test_position_friction_outside_stroke_is_refused(
     assert bump.possible(replace(ROBOT, joints=(joint,))) == possible
 
 
+def test_a_tight_place_of_a_slider_is_sought_by_its_stroke() -> None:
+    """In metres: .3 rad of a joint that turns is wider than the whole stroke."""
+    robot = replace(ROBOT, joints=(replace(JOINT, stroke=(0.1, 0.3)),))
+    entry = effect("position_friction")
+    widths = entry.shapes[1].start_values(robot.joints[0])
+    assert widths == pytest.approx((0.024, 0.06, 0.14))
+    for width, possible in ((0.02, True), (0.005, False), (0.11, False)):
+        bump = LocatedEffect(effect=entry, joint=0, shapes=(0.2, width))
+        assert bump.possible(robot) == possible
+
+
 @pytest.mark.parametrize(
     ("name", "least"), [("coulomb", -4.0), ("viscous", 0.0), ("rotor_inertia", 0.0)]
 )

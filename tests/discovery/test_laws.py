@@ -243,6 +243,23 @@ def test_a_law_that_the_deflection_shows_may_be_a_torque_on_the_link(
     assert sizes == pytest.approx(places)
 
 
+def test_findings_are_searched_before_channels_near_the_noise() -> None:
+    """A law may stand behind them; two refusals near the noise end the search."""
+    rows = SimpleNamespace(counts=np.full(6, 400))
+    comparison = SimpleNamespace(
+        robot=SimpleNamespace(n=3),
+        bodies=None,
+        least=np.ones(6),
+        rows=rows,
+        fit=lambda effects: SimpleNamespace(residual=None),
+        channel_ratio=lambda residual: np.array([1.2, 1.1, 1.0, 1.3, 1.0, 1.0]),
+    )
+    located = LocatedEffect(effect=catalogue.effect("torque_offset"), joint=2)
+    state = find._State(comparison, [Selected(located, 100.0, 14.0, 1.0, (), 2)], ())
+    assert state.searched_channels(set()) == [2, 5, 0, 1, 3]
+    assert state.searched_channels({3}) == [0, 3, 2, 5, 1]
+
+
 class KnownChannel(OpenChannel):
     """Channel of unfiltered samples of a sample arm, whose content is given."""
 
@@ -313,6 +330,9 @@ def test_a_law_takes_the_place_of_a_known_effect_only_where_it_fits_better() -> 
     values = Selected(drift, 100.0, 14.0, 1.0, (), 4)
     assert wins(left, [values])
     assert not wins(0.9 * left, [values])
+    # They sum to zero: of two runs a law of one parameter meets the difference, whatever it is.
+    two = LocatedEffect(effect=friction_drift(("a", "b")), joint=4, shapes=(0.5,))
+    assert not wins(left, [replace(values, located=two)])
     # By as much as it has to be ahead of a sure finding, it is not of several rivals.
     far = next(f for f in np.geomspace(1.0, 4.0, 200) if wins(f * left, [sure]))
     assert 1.0 < far < 2.0
@@ -483,6 +503,30 @@ def test_the_frequency_of_a_hidden_mode_is_searched(frequency: float) -> None:
     (factor,) = found.best.law.factors
     assert factor.form == "sprung"
     assert factor.shapes[0] == pytest.approx(frequency, rel=0.02)
+
+
+def test_contacts_that_slide_one_after_the_other_are_told_from_a_single_one() -> None:
+    """As the inner friction of a gear: an even spread of limits (Iwan 1966)."""
+    limits = 0.2 * (np.arange(20) + 0.5) / 20
+
+    def content(signals):
+        angle = np.asarray(signals.motor_position[:, 4])
+        return 60.0 * np.mean([operators.stop(angle, r) for r in limits], axis=0)
+
+    found = search_channel(KnownChannel(content))
+    assert found.best is not None
+    (factor,) = found.best.law.factors
+    assert factor.form == "stops"
+    assert factor.shapes == pytest.approx((0.2,), rel=0.05)
+
+
+def test_a_switch_of_the_load_is_a_saturation() -> None:
+    """As of a backlash that the load crosses: it turns over within a thousandth of the load."""
+    found = search_channel(KnownChannel(lambda s: 6.0 * np.tanh(s.spring_torque[:, 4] / 0.05)))
+    assert found.best is not None
+    (factor,) = found.best.law.factors
+    assert factor.form == "saturating"
+    assert found.best.fit.amplitudes == pytest.approx([6.0], rel=0.02)
 
 
 def test_the_order_of_a_motors_ripple_is_searched() -> None:

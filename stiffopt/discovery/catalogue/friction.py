@@ -35,6 +35,8 @@ _EDGE_WIDTH = 0.02
 _MIN_SHARE, _MAX_SHARE = 0.1, 0.85
 # Its angles that are tried, as shares of the stroke; those beyond it leave one edge.
 _FIRST_SHARES, _LAST_SHARES = (-0.05, 0.25, 0.5, 0.75), (0.3, 0.6, 1.05)
+# Initial widths of a tight place, and the least one, over their scale.
+_WIDTH_SHARES, _MIN_WIDTH_SHARE = (0.12, 0.3, 0.7), 0.05
 
 
 def rounded_speed(velocity: Quantity) -> Quantity:
@@ -95,7 +97,14 @@ def _is_within_stroke(shapes: Values, constants: JointConstants) -> bool:
     """Return True for a tight place within the stroke and narrower than half of it."""
     low, high = constants.stroke
     place, width = shapes
-    return bool(low <= place <= high and width <= 0.5 * (high - low))
+    least = _MIN_WIDTH_SHARE * _width_scale(constants)
+    return bool(low <= place <= high and least <= width <= 0.5 * (high - low))
+
+
+def _width_scale(constants: JointConstants) -> float:
+    """Return the scale of a tight place's width: 1 rad, or a shorter stroke, as of a slider [m]."""
+    low, high = constants.stroke
+    return min(high - low, 1.0)
 
 
 def _start_angles(shares: Sequence[float], constants: JointConstants) -> tuple[float, ...]:
@@ -259,7 +268,13 @@ POSITION_FRICTION = Effect(
     amplitudes=(Amplitude("A", "N m", dry_friction, 0.0, 3.0),),
     shapes=(
         Shape("q0", "rad", lambda constants: along_stroke(constants, 10), -20.0, 20.0),
-        Shape("width", "rad", (0.12, 0.3, 0.7), 0.05, 1.5),
+        Shape(
+            "width",
+            "rad",
+            lambda constants: tuple(v * _width_scale(constants) for v in _WIDTH_SHARES),
+            1e-4,
+            1.5,
+        ),
     ),
     possible=_is_within_stroke,
     separate="Sweep the whole stroke slowly both ways: a gravity error keeps its sign, friction"

@@ -221,8 +221,9 @@ class _State:
         """Return channels that hold more than noise, and those whose findings may stand for a law.
 
         A channel with findings that explain it is searched in their place alone. Joints with an
-        unexplained channel come first. Of these and of the others, torques come first, then the
-        worst: a torque on a link winds up its joint too, a deflection does not change the torque.
+        unexplained channel come first, then those findings: of what is near the noise little can be
+        told. Of each, torques come first, then the worst: a torque on a link winds up its joint
+        too, a deflection does not change the torque.
         """
         fit, n = self.comparison.fit(self.effects), self.comparison.robot.n
         beyond = np.nan_to_num(self.comparison.channel_ratio(fit.residual) / self.comparison.least)
@@ -242,7 +243,9 @@ class _State:
             )
         ]
         open_joints = {c % n for c in unexplained}
-        return sorted(found, key=lambda c: (c % n not in open_joints, c >= n))
+        return sorted(
+            found, key=lambda c: (c % n not in open_joints, not self._findings_at(c), c >= n)
+        )
 
     def _findings_at(self, channel: int) -> list[Selected]:
         """Return the findings at a channel's joint that a law could take the place of."""

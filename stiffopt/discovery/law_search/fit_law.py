@@ -40,9 +40,14 @@ def log_evidence(channel: OpenChannel, left: float, parameters: int, tried: int)
 
     The noise is unknown, and at least the stated one.
     """
+    price = 0.5 * parameters * np.log(len(channel.target)) + np.log(max(tried, 1))
+    return float(log_gain(channel, channel.square, left) - price)
+
+
+def log_gain(channel: OpenChannel, before: float, after: float) -> float:
+    """Return the log likelihood gained where the squares of a channel fall."""
     m = len(channel.target)
-    gain = _log_likelihood(m, left) - _log_likelihood(m, channel.square)
-    return float(gain - 0.5 * parameters * np.log(m) - np.log(max(tried, 1)))
+    return _log_likelihood(m, after) - _log_likelihood(m, before)
 
 
 def _log_likelihood(count: int, square: float) -> float:

@@ -9,7 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.law_search.fit_law import FittedLaw, as_fitted, fit_shapes, score_starts
+from stiffopt.discovery.law_search.fit_law import (
+    FittedLaw,
+    as_fitted,
+    fit_shapes,
+    log_gain,
+    score_starts,
+)
 from stiffopt.discovery.law_search.free_function import (
     FreeTerm,
     best_sum,
@@ -88,7 +94,7 @@ def search_channel(channel: OpenChannel) -> ChannelLaw:
 
 def _is_short_of(channel: OpenChannel, found: Sequence[FittedLaw]) -> bool:
     """Return True where the best law leaves enough beyond the noise to tell another one by."""
-    return not found or _gain(channel, found[0].left, len(channel.target)) > NAMED_EVIDENCE
+    return not found or log_gain(channel, found[0].left, len(channel.target)) > NAMED_EVIDENCE
 
 
 def _fit_unscreened(channel: OpenChannel) -> list[FittedLaw]:
@@ -315,29 +321,12 @@ def beats(
     the data tell from zero (`significant` False) have no words for it.
     """
     left, own = channel.square - best.fit.removed, best.law
-    is_function = significant and not _count_run_values(findings)
+    is_function = significant and all(e.located.effect.of_runs is None for e in findings)
     if is_function and named - left < SAME_FUNCTION**2 * (channel.square - left):
         return False
     odds = _log_odds(channel, left, named, findings, own.parameter_count)
     prior = min(own.log_prior(channel.comparison.robot.n), -float(np.log(len(CATALOGUE))))
     return odds + prior > RIVAL_LOG_ODDS
-
-
-def _parameter_count(findings: Sequence[Selected]) -> int:
-    found = [each.located for each in findings]
-    return sum(len(e.effect.amplitudes) + len(e.shapes) for e in found)
-
-
-def _count_run_values(findings: Sequence[Selected]) -> int:
-    """Return the number of values that differ from run to run."""
-    found = [each.located.effect for each in findings]
-    return sum(len(e.amplitudes) for e in found if e.of_runs is not None)
-
-
-def _gain(channel: OpenChannel, before: float, after: float) -> float:
-    """Return the log likelihood gained where squares fall; those within the noise do not count."""
-    m = len(channel.target)
-    return float(0.5 * m * np.log(max(before, m) / max(after, m)))
 
 
 def _log_odds(
@@ -348,12 +337,18 @@ def _log_odds(
     parameters: int,
 ) -> float:
     """Return the log odds of a law that leaves some squares over findings and their rivals."""
-    fewer = _parameter_count(findings) - parameters
-    width = tempering_width(_gain(channel, channel.square, left))
-    # Values of single runs are random: their likelihood is that of their spread.
-    values = _count_run_values(findings)
-    spread = 0.5 * values * np.log1p(max(channel.square - named, 0.0) / max(values, 1))
-    ahead = (_gain(channel, named, left) + spread) / width + PARAMETER_LOG_PRICE * fewer
+    width = tempering_width(log_gain(channel, channel.square, left))
+    found = [each.located for each in findings]
+    of_runs = [e.effect for e in found if e.effect.of_runs is not None]
+    values = sum(len(own.amplitudes) for own in of_runs)
+    # Values of single runs are random, and sum to zero. As many as a law has parameters it meets
+    # anyhow; each further one that it tells counts by the likelihood that its spread takes.
+    free = values - len(of_runs)
+    told = max(free - parameters, 0)
+    chance = 0.5 * told * np.log1p(max(channel.square - named, 0.0) / max(free, 1))
+    of_functions = sum(len(e.effect.amplitudes) + len(e.shapes) for e in found) - values
+    fewer = of_functions - max(parameters - free, 0)
+    ahead = log_gain(channel, named, left) / width + chance + PARAMETER_LOG_PRICE * fewer
     among_rivals = sum(float(np.log(each.probability)) for each in findings)
     return float(ahead + among_rivals + len(findings) * np.log(len(CATALOGUE)))
 

@@ -177,7 +177,8 @@ FORMS = {
             "saturating",
             ("np.tanh(x / s)",),
             "with the {x}, up to a limit",
-            shapes=(SCALE_SHAPE,),
+            # Down to a switch, as of a backlash that the load crosses.
+            shapes=(scale("s", 0.02, 0.1, 0.3, 1.0, least=1e-3),),
             resembles="a clutch, a seal or a controller at its limit",
         ),
         Form(
@@ -381,6 +382,15 @@ FORMS = {
             shapes=(PLAY_SHAPE,),
             analytic=False,
             resembles="a seal or cable that sticks before it slides",
+        ),
+        _form_with_memory(
+            "stops",
+            # Limits spread evenly up to r (Iwan 1966): contacts slide one after the other.
+            f"0.2 * ({' + '.join(f'stop(x, {share} * r)' for share in (0.1, 0.3, 0.5, 0.7, 0.9))})",
+            "with the {x} since the last reversal, ever less up to a limit",
+            shapes=(PLAY_SHAPE,),
+            analytic=False,
+            resembles="bolts, keys or splines that slide one after the other",
         ),
         _form_with_memory(
             "play",

@@ -62,7 +62,7 @@ SOURCE_KINDS = {
         "q_{}",
         "rad",
         "position of joint {}",
-        (*_PLACE_FORMS, "lever", "harmonic", "stop", "play"),
+        (*_PLACE_FORMS, "lever", "harmonic", "stop", "stops", "play"),
     ),
     "speed": SourceKind(
         "motor_velocity",
@@ -93,7 +93,10 @@ SOURCE_KINDS = {
         "T_{}",
         "N m",
         "load of joint {}",
-        (*_SIGNED_FORMS, *("hinge_above", "hinge_below", "lag", "stop", "sprung", "mode", "loose")),
+        (
+            *(*_SIGNED_FORMS, "hinge_above", "hinge_below"),
+            *("lag", "stop", "stops", "sprung", "mode", "loose"),
+        ),
     ),
     "windup": SourceKind(
         "windup",
