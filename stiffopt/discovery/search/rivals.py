@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -147,11 +147,16 @@ def exchange_rivals(
     catalogue: Sequence[Effect],
     tell: Say,
     before: Sequence[Selected] = (),
+    *,
+    refuted: Collection[str] = (),
 ) -> tuple[Comparison, list[Selected]]:
-    """Replace effects by their likeliest rivals until nothing changes; return them ranked."""
+    """Replace effects by their likeliest rivals until nothing changes; return them ranked.
+
+    `refuted`: labels of effects that stretches left out did not support; they replace nothing.
+    """
     ranked = rank_effects(current, effects, catalogue, tell, before)
     seen = [_places(effects)]
-    while (likelier := _exchange_apart(ranked)) != effects:
+    while (likelier := _exchange_apart(ranked, refuted)) != effects:
         if _places(likelier) in seen:
             # Effects that replace each other in turns are dropped.
             kept = [r.located for r in ranked if r.likelier is None]
@@ -196,7 +201,7 @@ def rank_effects(
     return found
 
 
-def _exchange_apart(ranked: Sequence[Selected]) -> list[LocatedEffect]:
+def _exchange_apart(ranked: Sequence[Selected], refuted: Collection[str]) -> list[LocatedEffect]:
     """Return the effects with the surest exchanges that do not touch each other.
 
     Each rival is judged with all other effects kept: of several exchanges at neighbouring places
@@ -206,7 +211,7 @@ def _exchange_apart(ranked: Sequence[Selected]) -> list[LocatedEffect]:
     made: dict[int, LocatedEffect] = {}
     touched: list[LocatedEffect] = []
     for each in sorted(ranked, key=lambda r: r.probability):
-        if each.likelier is None:
+        if each.likelier is None or each.likelier.label in refuted:
             continue
         pair = (each.located, each.likelier)
         if not any(own.is_adjacent(other) for own in pair for other in touched):

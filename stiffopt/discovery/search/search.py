@@ -147,13 +147,15 @@ class _Search:
     def __post_init__(self) -> None:
         self.tell = throttle_progress(self.say)
         self.unstated: Sequence[LocatedEffect] = ()
+        # Labels of effects that stretches left out did not support.
+        self._refuted: set[str] = set()
 
     def run(
         self, unstated: Sequence[LocatedEffect], about: Extension | None, *, reidentify: bool
     ) -> None:
         """Run the stages of `search`."""
         self.unstated = unstated
-        self._fit_unstated(unstated)
+        self._fit_unstated(unstated, prune=not reidentify)
         if reidentify:
             self.say("re-identify the rigid model")
             self.rigid = reidentify_rigid_model(
@@ -162,11 +164,12 @@ class _Search:
             self.start = self.start.with_bodies(self.rigid.bodies(self.start))
             # Fit again: wrong masses may have hidden unstated values.
             single = () if self.rigid.single is None else (self.rigid.single.located,)
-            self._fit_unstated([*unstated, *single])
+            self._fit_unstated([*unstated, *single], prune=True)
         if about is not None:
             # A linearisation about the nominal motion would lead away from it.
             self.start = self.start.with_extension(about)
             self._fit_and_prune([each.located for each in about.effects])
+        most = self.most + len(self.effects)
         if self.current.after_model:
             self.stopped = find_changes(
                 self.start,
@@ -179,20 +182,10 @@ class _Search:
                 keep=self._set_fitted,
             )
         else:
-            self._add_forward()
+            self._add_forward(most)
         if self.effects:
             self.say(f"confirm {len(self.effects)} findings on stretches left out")
-        for number in range(1 + MAX_EXCHANGES):
-            kept = select_predictive(self.current, self.effects)
-            if len(kept) < len(self.effects):
-                self._fit(kept)
-            elif number:
-                break
-            self._set_ranked(
-                exchange_rivals(
-                    self.start, self.current, self.effects, self.catalogue, self.tell, self.ranked
-                )
-            )
+        self._confirm(most)
         self._set_ranked(
             claim_outside_values(
                 self.start, self.current, self.ranked, self.catalogue, self.most, self.tell
@@ -200,6 +193,34 @@ class _Search:
         )
         if reidentify:
             self._adopt_best_model()
+
+    def _confirm(self, most: int) -> None:
+        """Keep effects that stretches left out support, and exchange them for likelier rivals.
+
+        An effect that is not supported has taken the place of another: that one is sought without
+        it, since nothing but the supported effects was beside it until then.
+        """
+        for number in range(1 + MAX_EXCHANGES):
+            kept = select_predictive(self.current, self.effects)
+            refuted = {each.label for each in self.effects if each not in kept}
+            if refuted:
+                self._refuted |= refuted
+                self._fit(kept)
+                if number < MAX_EXCHANGES and not (self.stopped or self.current.after_model):
+                    self._add_forward(most)
+            elif number:
+                return
+            self._set_ranked(
+                exchange_rivals(
+                    self.start,
+                    self.current,
+                    self.effects,
+                    self.catalogue,
+                    self.tell,
+                    self.ranked,
+                    refuted=self._refuted,
+                )
+            )
 
     def selected(self) -> tuple[tuple[Selected, ...], bool]:
         """Return effects in decreasing order of loss, and True if all of them are ranked."""
@@ -241,22 +262,24 @@ class _Search:
         current, tried = fit_jointly(self.start, effects)
         self._set_fitted((current, prune_effects(current, tried)))
 
-    def _fit_unstated(self, unstated: Sequence[LocatedEffect]) -> None:
-        """Fit values that the nominal model does not state; drop unsupported ones."""
+    def _fit_unstated(self, unstated: Sequence[LocatedEffect], *, prune: bool) -> None:
+        """Fit values that the nominal model does not state.
+
+        `prune`: drop unsupported ones; beside wrong masses all of them could seem to be.
+        """
         if not unstated:
             plain = self.start.fit(boxed=False)
             self._set_fitted((self.start.linearised_at(plain), []))
             return
         self.say(f"fit {len(unstated)} values that the nominal model does not state")
         current, effects = fit_jointly(self.start, list(unstated))
-        self._fit(prune_effects(current, effects))
+        self._fit(prune_effects(current, effects) if prune else effects)
 
-    def _add_forward(self) -> None:
-        """Add the best candidates, several per round, until none passes or Ctrl-C.
+    def _add_forward(self, most: int) -> None:
+        """Add the best candidates, several per round, up to `most` effects or Ctrl-C.
 
         Effects that replace one another in turn end it as well: the same ones come again.
         """
-        most = self.most + len(self.effects)
         fitted: set[frozenset[str]] = set()
         while len(self.effects) < most:
             effects = self.effects
@@ -264,7 +287,9 @@ class _Search:
             scorer = Scorer(self.current, effects)
             room = min(self.together, most - len(effects))
             try:
-                best = _select_best(scan(scorer, self.catalogue, tell=self.tell), scorer, room)
+                scanned = scan(scorer, self.catalogue, tell=self.tell)
+                tried = [each for each in scanned if each.located.label not in self._refuted]
+                best = _select_best(tried, scorer, room)
                 if not best:
                     break
                 for each in best:
