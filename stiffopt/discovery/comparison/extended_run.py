@@ -234,7 +234,7 @@ def linearise_run(
         return run, 0.0, 0.0
     if run.vibration is None:
         base = with_turned_gravity(extend_run(run, start), found)
-        change = extension_change(base, replace(found, calibration={}))
+        change = extension_change(base, found)
         if not change.link_torque.any():
             return base, 0.0, 0.0
         bent = with_link_torque(base, change.link_torque)

@@ -109,9 +109,9 @@ def link_moving_part(runs: Sequence[PreparedRun], extension: Extension) -> Exten
         added = each.located.contribution(run, each.amplitudes)
         return (swings and added.deflection is not None) or added.link_torque is not None
 
-    values = extension.calibration.items()
+    kinds = LINK_MOVING_VALUES if swings else BODY_VALUES
     return Extension(
-        calibration={n: v for n, v in values if v and swings and n.kind in LINK_MOVING_VALUES},
+        calibration={n: v for n, v in extension.calibration.items() if v and n.kind in kinds},
         effects=tuple(e for e in extension.effects if any(moves(run, e) for run in runs)),
     )
 
