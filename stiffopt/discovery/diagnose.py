@@ -235,7 +235,8 @@ def _run_diagnosis(
         return kept, explain_by_tool_force(result, left)
 
     selected, unexplained = steps.finish(assessed)
-    half_band = cache(partial(half_band_comparison, training, result.comparison))
+    fitted_model = result.comparison.extension_of(result.fit)
+    half_band = cache(partial(half_band_comparison, training, result.comparison, fitted_model))
     selected, parameters = _estimate_parameters(
         training, result.comparison, selected, half_band, steps
     )

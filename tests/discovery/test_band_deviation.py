@@ -7,7 +7,7 @@ import pytest
 from shipped_set import SHIPPED
 
 from stiffopt.discovery.catalogue import effect
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.located_effect import Extension, LocatedEffect
 from stiffopt.discovery.judging import added_uncertainty
 from stiffopt.discovery.judging.added_uncertainty import (
     add_band_deviation,
@@ -48,9 +48,32 @@ def test_correct_law_has_small_band_deviation(
     monkeypatch.setattr(added_uncertainty, "excess_difference", seen)
     there = LocatedEffect(effect=effect("coulomb"), joint=1)
     known = estimate_parameters(comparison, [there])
-    doubted = add_band_deviation(comparison, half_band_comparison(training, comparison), known)
+    found = comparison.extension_of(comparison.fit([there]))
+    half = half_band_comparison(training, comparison, found)
+    doubted = add_band_deviation(comparison, half, known)
     constants = there.constants(training.constants)
     before, after = (each.parameters(0, constants)["dFc"] for each in (known, doubted))
     assert after[0] == before[0]
     assert before[1] <= after[1] < 1.5 * before[1]
     assert bool(asked) == after_model
+
+
+def test_half_band_reads_torques_with_effects_found() -> None:
+    """A reading of another joint's torque has its friction in every band."""
+    training = prepare_training(load_recordings(SHIPPED), Settings())
+    friction = LocatedEffect(effect=effect("coulomb"), joint=1)
+    reading = LocatedEffect(effect=effect("crosstalk"), joint=0, link=0, shapes=(2.0,))
+    comparison = training.comparison()
+    comparison = comparison.linearised_at(comparison.fit([friction]))
+    found = comparison.extension_of(comparison.fit([friction]))
+    half = half_band_comparison(training, comparison, found)
+    without = half_band_comparison(training, comparison, Extension())
+    assert half is not None
+    assert without is not None
+    # In units of the noise, which differs between the bands: over those of a constant torque.
+    constant = LocatedEffect(effect=effect("torque_offset"), joint=0)
+    sizes = [
+        np.linalg.norm(each.effect_columns(reading)) / np.linalg.norm(each.effect_columns(constant))
+        for each in (half, without)
+    ]
+    assert sizes[1] < 0.97 * sizes[0]

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.comparison.prepared_run import prepare_run
 from stiffopt.discovery.names import ValueName
 from stiffopt.discovery.search.rivals import Selected
@@ -79,8 +80,13 @@ _CUTOFF_FACTOR = 0.5
 _UNDETERMINED_SHARE, _MAX_AMPLITUDE_RANGE = 0.5, 100.0
 
 
-def half_band_comparison(training: Training, comparison: Comparison) -> Comparison | None:
-    """Return the comparison of the same runs in half the band; None if no sample is left."""
+def half_band_comparison(
+    training: Training, comparison: Comparison, found: Extension
+) -> Comparison | None:
+    """Return the comparison of the same runs in half the band; None if no sample is left.
+
+    `found`: nominal values and effects to linearise about, whose torques others read.
+    """
     settings = replace(training.settings, cutoff=_CUTOFF_FACTOR * training.settings.fit_band)
     runs = [
         prepare_run(training.robot, run, k, training.constants, settings)
@@ -89,7 +95,7 @@ def half_band_comparison(training: Training, comparison: Comparison) -> Comparis
     if not all((run.torque_used.any() or run.deflection_used.any()) for run in runs):
         return None
     other = replace(training, runs=tuple(runs)).comparison().with_bodies(comparison.bodies)
-    return other.with_extension(comparison.columns.found, comparison.inflation)
+    return other.with_extension(found, comparison.inflation)
 
 
 def add_band_deviation(
