@@ -46,13 +46,13 @@ class EstimatedBody(LinkBody):
 
 
 def estimate_bodies(arm: LoadedUrdf, urdf: Path, tool: LinkFrame) -> dict[str, EstimatedBody]:
-    """Estimate bodies of links where all links of a joint have no mass.
+    """Estimate bodies of links where all links of a joint have no mass or a placeholder.
 
     `urdf`: file with the shapes of the arm. `tool`: at the end of the arm, where a last link
     without shape ends. Raises `RobotError`: a link without shape of an arm without length.
     """
     model, tree = arm.model, body_tree(arm.model)
-    without = arm.massless_joints
+    without = arm.joints_without_masses
     if not without:
         return {}
     shapes = read_link_shapes(urdf)
@@ -71,7 +71,8 @@ def estimate_bodies(arm: LoadedUrdf, urdf: Path, tool: LinkFrame) -> dict[str, E
             if not radii[joint - 1] > 0.0:
                 raise RobotError(
                     f"{urdf}: the mass of link {link!r} cannot be estimated: it has no <inertial>"
-                    " and no shape, and an arm whose joints all lie at one point has no length."
+                    " of its own and no shape, and an arm whose joints all lie at one point has no"
+                    " length."
                     " Give the link an <inertial>, or a shape, or write [[link]] with its mass,"
                     " com and inertia into a robot file of your own."
                 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import xml.etree.ElementTree as ET
+from collections import Counter
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from stiffopt.errors import InputFileError, RobotError, nearest, shortened
-from stiffopt.robot.body_tree import body_tree
+from stiffopt.robot.body_tree import Body, body_tree
 from stiffopt.robot.held_joints import HeldJoint, fix_free_joints, hold_joints
 from stiffopt.robot.joint_tree import PLANNED_KINDS
 from stiffopt.robot.mjcf import is_mjcf
@@ -55,20 +56,37 @@ class LoadedUrdf:
     format: str = "URDF"  # "URDF" or "MJCF"
 
     @property
-    def massless_joints(self) -> list[int]:
-        """Joints, from 1, whose links have no mass, although a file has to give it.
+    def joints_without_masses(self) -> list[int]:
+        """Joints, from 1, whose links have no mass or a placeholder in its place.
 
-        None of an MJCF: MuJoCo refuses moving bodies without mass, and several joints of one body
-        have links without mass between them.
+        Placeholders are several equal masses at the origins of their joints, with one moment of
+        inertia about all axes: no link is such a body. None of an MJCF: MuJoCo refuses moving
+        bodies without mass, and several joints of one body have links without mass between them.
         """
         if self.format == "MJCF":
             return []
         bodies = body_tree(self.model).bodies
-        return [j for j, body in enumerate(bodies, start=1) if not body.mass > 0.0]
+        points = Counter(body.mass for body in bodies if _is_point_mass(body))
+        return [
+            j
+            for j, body in enumerate(bodies, start=1)
+            if not body.mass > 0.0
+            or (_is_point_mass(body) and points[body.mass] >= MIN_EQUAL_PLACEHOLDERS)
+        ]
 
 
 # Memory of the dynamics grows with the cube: 900 joints need 35 GB.
 MAX_MOVING_JOINTS = 50
+
+
+# Least number of equal point masses that are taken for placeholders: a flange may be one.
+MIN_EQUAL_PLACEHOLDERS = 3
+
+
+def _is_point_mass(body: Body) -> bool:
+    """True for a body with its centre at its joint and one moment of inertia about all axes."""
+    alike = np.allclose(body.inertia, body.inertia[0, 0] * np.eye(3))
+    return body.mass > 0.0 and not body.centre.any() and alike
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

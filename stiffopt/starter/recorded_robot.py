@@ -133,7 +133,7 @@ def _has_gaps(urdf: Path, keep: Collection[str]) -> bool:
     """Return True if a URDF or MJCF lacks limits or masses of moving joints."""
     arm = load_urdf(urdf, keep=keep, limited=None, hold_unplanned=True)
     silent = any(not (each["effort"] and each["velocity"]) for each in arm.joints.values())
-    return silent or bool(arm.massless_joints) or bool(arm.unlimited)
+    return silent or bool(arm.joints_without_masses) or bool(arm.unlimited)
 
 
 def _copy_robot_file(source: Path, folder: Path) -> None:

@@ -224,7 +224,8 @@ def _guessed_masses(bodies: Mapping[str, estimated_masses.EstimatedBody]) -> Ite
         if own:
             total = sum(body.mass for body in own.values())
             yield (
-                f"GUESSED: the URDF gives no mass to {', '.join(own)}; {total:.3g} kg together, by"
+                f"GUESSED: the URDF gives no usable mass to {', '.join(own)};"
+                f" {total:.3g} kg together, by"
                 f" {_describe_mass_source(next(iter(own.values())))}. They can be off by {off}, and"
                 " every torque depends on them: put in your own."
             )
@@ -247,7 +248,7 @@ def _describe_mass_source(body: estimated_masses.EstimatedBody) -> str:
 def _link_lines(name: str, body: estimated_masses.EstimatedBody) -> Iterator[str]:
     yield "[[link]]"
     yield f"name = {toml_string(name)}"
-    yield f"mass = {toml_number(body.mass, 3)}  # [kg], estimated: the URDF has none"
+    yield f"mass = {toml_number(body.mass, 3)}  # [kg], estimated: the URDF has no usable one"
     yield f"com = {toml_list(toml_number(round(float(x), 4)) for x in body.com)}  # [m]"
     moments = toml_list(toml_number(float(x), 3) for x in np.diag(body.inertia))
     yield f"inertia = {moments}  # [kg m^2]"

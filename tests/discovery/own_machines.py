@@ -12,7 +12,7 @@ import pinocchio as pin
 Log = dict[str, np.ndarray]
 
 
-def _link(name: str, mass: float, com: str) -> str:
+def link(name: str, mass: float, com: str) -> str:
     inertia = 0.006 * mass
     return (
         f'<link name="{name}"><inertial><origin xyz="{com}"/><mass value="{mass}"/>'
@@ -21,7 +21,7 @@ def _link(name: str, mass: float, com: str) -> str:
     )
 
 
-def _joint(name: str, kind: str, links: str, xyz: str, axis: str, limits: tuple[float, ...]) -> str:
+def joint(name: str, kind: str, links: str, xyz: str, axis: str, limits: tuple[float, ...]) -> str:
     parent, child = links.split()
     lower, upper, effort, speed = limits
     return (
@@ -117,12 +117,12 @@ SCARA = Machine(
     urdf="".join(
         [
             '<robot name="scara"><link name="pillar"/>',
-            _link("upper", 6.0, "0.15 0 0"),
-            _link("fore", 4.0, "0.12 0 0.02"),
-            _link("wrist", 1.2, "0.01 0 -0.05"),
-            _joint("shoulder", "revolute", "pillar upper", "0 0 0.4", "0 0 1", (-2.4, 2.4, 90, 5)),
-            _joint("elbow", "revolute", "upper fore", "0.325 0 0", "0 0 1", (-2.6, 2.6, 45, 6)),
-            _joint("roll", "revolute", "fore wrist", "0.275 0 0", "0 0 1", (-6, 6, 8, 12)),
+            link("upper", 6.0, "0.15 0 0"),
+            link("fore", 4.0, "0.12 0 0.02"),
+            link("wrist", 1.2, "0.01 0 -0.05"),
+            joint("shoulder", "revolute", "pillar upper", "0 0 0.4", "0 0 1", (-2.4, 2.4, 90, 5)),
+            joint("elbow", "revolute", "upper fore", "0.325 0 0", "0 0 1", (-2.6, 2.6, 45, 6)),
+            joint("roll", "revolute", "fore wrist", "0.275 0 0", "0 0 1", (-6, 6, 8, 12)),
             "</robot>",
         ]
     ),
@@ -138,12 +138,12 @@ GANTRY = Machine(
     urdf="".join(
         [
             '<robot name="gantry"><link name="frame"/>',
-            _link("bridge", 22.0, "0 0.3 0"),
-            _link("cart", 9.0, "0 0 0"),
-            _link("ram", 5.0, "0 0 -0.2"),
-            _joint("X", "prismatic", "frame bridge", "0 0 1", "1 0 0", (-0.1, 1.6, 400, 2)),
-            _joint("Y", "prismatic", "bridge cart", "0 0.1 0", "0 1 0", (-0.1, 0.9, 250, 2)),
-            _joint("Z", "prismatic", "cart ram", "0 0 0", "0 0 1", (-0.5, 0.1, 150, 1.5)),
+            link("bridge", 22.0, "0 0.3 0"),
+            link("cart", 9.0, "0 0 0"),
+            link("ram", 5.0, "0 0 -0.2"),
+            joint("X", "prismatic", "frame bridge", "0 0 1", "1 0 0", (-0.1, 1.6, 400, 2)),
+            joint("Y", "prismatic", "bridge cart", "0 0.1 0", "0 1 0", (-0.1, 0.9, 250, 2)),
+            joint("Z", "prismatic", "cart ram", "0 0 0", "0 0 1", (-0.5, 0.1, 150, 1.5)),
             "</robot>",
         ]
     ),

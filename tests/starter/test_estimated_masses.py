@@ -33,8 +33,8 @@ def test_an_arm_without_masses(tmp_path, capsys):
     urdf = written(tmp_path, chain(6, mass=bar, inside=silent).replace(bar, "", 1))
     assert run(["init", "robot", str(urdf)]) == 0
     said = capsys.readouterr().out
-    assert "gives no mass to link2, link3" in said
-    assert "gives no mass to link1;" in said
+    assert "gives no usable mass to link2, link3" in said
+    assert "gives no usable mass to link1;" in said
     assert "since the URDF has no shapes" in said
     assert "no effort for 1, 2, 3, 4, 5, 6" in said
     path = tmp_path / "arm_robot.toml"
@@ -52,6 +52,16 @@ def test_an_arm_without_masses(tmp_path, capsys):
     bodies = arm.rigid_bodies()
     for pose in motion.points:
         assert np.all(np.abs(bodies.gravity_torque(pose)) < arm.torque_max)
+
+
+@pytest.mark.parametrize(("com", "guessed"), [("0 0 0", [1, 2, 3, 4]), ("0.1 0 0", [])])
+def test_equal_point_masses_are_placeholders(com, guessed, tmp_path):
+    """One mass at every joint's origin is no link; equal modules have theirs elsewhere."""
+    mass = (
+        f'<inertial><origin xyz="{com}"/><mass value="2"/><inertia ixx="0.01" ixy="0" ixz="0"'
+        ' iyy="0.01" iyz="0" izz="0.01"/></inertial>'
+    )
+    assert load_urdf(written(tmp_path, chain(4, mass=mass))).joints_without_masses == guessed
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,8 @@ _MIN_GYRATION_RADIUS, _MIN_MASS_SHARE = 0.05, 0.02
 # Entries (row, column) of the pseudo-inertia for the products of inertia Ixy, Ixz, Iyz.
 _PRODUCT_ENTRIES = {5: (0, 1), 7: (0, 2), 8: (1, 2)}
 _MOMENT_ENTRIES = (4, 6, 9)
+# Powers of a length in the units of the ten inertial parameters of a body.
+LENGTH_POWERS = np.array([0] + [1] * 3 + [2] * 6)
 # Smallest scaled eigenvalue of a consistent pseudo-inertia, for rounding errors.
 _CONSISTENCY_TOLERANCE = 1e-6
 # Smallest eigenvalue over the largest one in the initial guess of a fit.
@@ -45,8 +47,7 @@ def body_units(robot: RobotModel) -> np.ndarray:
     mass = np.maximum(nominal[:, 0], _MIN_MASS_SHARE * nominal[:, 0].sum())
     gyration = np.sqrt(nominal[:, _MOMENT_ENTRIES].sum(axis=1) / (2.0 * mass))
     length = np.maximum(gyration, _MIN_GYRATION_RADIUS)
-    powers = np.array([0] + [1] * 3 + [2] * 6)
-    return np.asarray(mass[:, None] * length[:, None] ** powers)
+    return np.asarray(mass[:, None] * length[:, None] ** LENGTH_POWERS)
 
 
 def nominal_bodies(robot: RobotModel) -> np.ndarray:

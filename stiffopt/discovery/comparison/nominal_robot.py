@@ -91,6 +91,13 @@ class RobotModel:
         )
 
     @cached_property
+    def guessed_bodies(self) -> tuple[int, ...]:
+        """Bodies, by place among the joints, whose masses are estimates of the robot's file."""
+        guessed = {each.element for each in self.arm.sources if each.provenance == "estimated"}
+        links = enumerate(self.constants.links)
+        return tuple(body for body, link in links if f"link {link}" in guessed)
+
+    @cached_property
     def body_value_slopes(self) -> dict[ValueName, np.ndarray]:
         """Changes (10,) of a body's inertial parameters per unit of mass and centre, by name."""
         found = {}

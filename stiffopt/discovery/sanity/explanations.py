@@ -19,10 +19,12 @@ from stiffopt.discovery.sanity.interpretations import (
 )
 from stiffopt.discovery.sanity.sensor_doubts import LIMIT_MARGIN_SHARE
 from stiffopt.discovery.sanity.torque_fit import (
+    MAX_GUESSED_MASS_RATIO,
     Additions,
     Motion,
     allowed_additions,
     fit_gain,
+    guessed_bodies,
     residual_share,
     without_payload,
 )
@@ -101,6 +103,17 @@ class Explanations:
     def strict(self) -> np.ndarray:
         """Residual shares (n,) of the stated description."""
         return self._residual_shares(self.motion, self.samples.torque)
+
+    @cached_property
+    def with_free_guesses(self) -> np.ndarray:
+        """Residual shares (n,) of the stated description with any masses that are guesses."""
+        if not self.robot.guessed_bodies:
+            return self.strict
+        free = guessed_bodies(self.robot, self.motion)
+        pairs = zip(self.samples.torque.T, free, strict=True)
+        return np.array(
+            [residual_share(self.robot, self.motion, t, j, e) for j, (t, e) in enumerate(pairs)]
+        )
 
     @cached_property
     def left(self) -> np.ndarray:
@@ -210,6 +223,10 @@ class Explanations:
         torque = reading.torque(self.samples.torque)
         before = self._residual_shares(motion, torque) if reading.steps else self.left
         gains, left = np.ones(self.n), np.array(before)
+        # A guessed mass is off by more than a torque constant.
+        usual_gains = _USUAL_GAIN_RANGE
+        if self.robot.guessed_bodies:
+            usual_gains = (1.0 / MAX_GUESSED_MASS_RATIO, MAX_GUESSED_MASS_RATIO)
         ratio = [joint.ratio for joint in self.robot.constants.joints]
         for j in range(self.n):
             if not before[j] > _MIN_FAILURE_SHARE:
@@ -217,10 +234,9 @@ class Explanations:
             current = j in self.robot.recordings.signals.unscaled_joints
             usual = (-1.0, 1e3, 1e-3, -1e3, -1e-3, 1.0 / ratio[j], -1.0 / ratio[j])
             gain, share = fit_gain(self.robot, motion, torque[:, j], j, None if current else usual)
-            if not _USUAL_GAIN_RANGE[0] < gain < _USUAL_GAIN_RANGE[1] and _is_explained(
-                before[j], share
-            ):
-                gains[j], left[j] = gain, share
+            if not usual_gains[0] < gain < usual_gains[1] and _is_explained(before[j], share):
+                sign_alone = usual_gains[0] < -gain < usual_gains[1]
+                gains[j], left[j] = -1.0 if sign_alone else gain, share
         idle = self._find_idle_joints(motion, torque)
         gains[idle], left[idle] = 1.0, before[idle]
         if (gains == 1.0).all():

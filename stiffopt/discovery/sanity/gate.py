@@ -362,7 +362,7 @@ def find_odd_runs(searches: Sequence[SingleRun]) -> list[OddRun]:
     """
     if len(searches) < 2:
         return []
-    shares = np.array([search.strict for _, search in searches])
+    shares = np.array([search.with_free_guesses for _, search in searches])
     squares = shares * np.array([_moving_variances(search) for _, search in searches])
     found = []
     for k, (run, search) in enumerate(searches):
@@ -376,7 +376,8 @@ def find_odd_runs(searches: Sequence[SingleRun]) -> list[OddRun]:
             beside = [other.samples for _, other in searches if other is not search]
             shared = [_select_shared_range(search.samples, beside, joint=j) for j in joints]
             outside_range = not any(
-                there is not None and _is_odd(Explanations(search.robot, there).strict, others)[j]
+                there is not None
+                and _is_odd(Explanations(search.robot, there).with_free_guesses, others)[j]
                 for j, there in zip(joints, shared, strict=True)
             )
             found.append(OddRun(run, search, joints, shares[k], others, outside_range))

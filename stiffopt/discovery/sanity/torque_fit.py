@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import lsq_linear, minimize_scalar
 
+from stiffopt.discovery.comparison.inertial_parameters import LENGTH_POWERS
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.settings import MIN_MOVING_SPEED
 from stiffopt.discovery.signals import PARAMETERS_PER_BODY, smooth_sign
@@ -22,6 +23,9 @@ _MAX_LOAD_FRICTION = 0.4
 _MAX_OFFSET_SHARE = 0.5
 # Largest lever of a payload [m], whose mass may be that of the arm.
 _MAX_PAYLOAD_LEVER = 0.5
+# Largest mass of a link over its guess: estimates from shapes and rods are off by up to three, and
+# covers, cables and motors are in no shape.
+MAX_GUESSED_MASS_RATIO = 10.0
 # Rounds in which the inertia of a payload follows its mass and place.
 _PAYLOAD_ROUNDS = 5
 # Largest torque of a counterbalance over the largest gravity torque.
@@ -213,6 +217,18 @@ class _ReducedTable:
         free = upper > lower
         found = lsq_linear(matrix[:, free], target, (lower[free], upper[free]), method="bvls")
         return float(2.0 * found.cost * gain**2 / self.variance)
+
+
+def guessed_bodies(robot: RobotModel, motion: Motion) -> list[Additions]:
+    """Return, for every joint, the changes that are allowed of bodies of guessed mass."""
+    bodies = robot.guessed_bodies
+    masses = robot.constants.masses[list(bodies)]
+    upper = MAX_GUESSED_MASS_RATIO * np.outer(masses, _MAX_PAYLOAD_LEVER**LENGTH_POWERS)
+    lower = -upper
+    lower[:, 0] = -masses
+    where = (motion.position, motion.velocity, motion.acceleration)
+    torques = np.concatenate([robot.body_torques(body, *where) for body in bodies], axis=2)
+    return [Additions(torques[:, j], lower.ravel(), upper.ravel()) for j in range(robot.n)]
 
 
 def allowed_additions(robot: RobotModel, motion: Motion, joint: int) -> Additions:

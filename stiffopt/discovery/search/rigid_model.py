@@ -3,7 +3,7 @@
 Masses and centres of robot descriptions are wrong for nearly every arm. Without stated tolerances,
 all inertial parameters are fitted with the values that the set does not state, before any effect is
 searched. A single change (one body, a payload, a tilted base) is preferred if it explains as much
-in recordings left out.
+in recordings left out. Bodies of guessed mass are free whatever else explains the recordings.
 """
 
 from __future__ import annotations
@@ -34,6 +34,8 @@ from stiffopt.discovery.thresholds import ADDED_MASS_OFFSET, NAMED_EVIDENCE, SIN
 PRIOR_WIDTHS = (0.02, 0.06, 0.2, 0.6)
 # The same for a single body: the first two hold it at the nominal model.
 BODY_WIDTHS = (0.002, 0.006, *PRIOR_WIDTHS)
+# The same for a body of guessed mass, which is off by a factor of three at times.
+GUESSED_WIDTH = 2.0
 # Fits with re-estimated noise until it converges.
 _NOISE_ROUNDS = 3
 # Passes over all bodies, and least gain of squares over noise in recordings left out.
@@ -114,7 +116,7 @@ def reidentify_rigid_model(
         gain = _gain_of_free_bodies(comparison, found, Scorer(comparison, found).by_block, tell)
     else:
         single = None
-    if gain < NAMED_EVIDENCE:
+    if gain < NAMED_EVIDENCE and not comparison.robot.guessed_bodies:
         return RigidStage(widths=(), gain=0.0, single=single, nearest=nearest)
     widths, free, least = _choose_widths(comparison, found, tell)
     tell("re-identify the rigid model: counterbalances in place of bodies")
@@ -166,11 +168,12 @@ def _choose_widths(
     free = comparison.with_bodies(_parameter_deviations(comparison, (PRIOR_WIDTHS[-1],) * n))
     free = with_own_noise(free, effects)
     left_out = predict_folds(free, effects)
-    widths = [BODY_WIDTHS[0]] * n
+    guessed = comparison.robot.guessed_bodies
+    widths = [GUESSED_WIDTH if body in guessed else BODY_WIDTHS[0] for body in range(n)]
     least = left_out.squares(_parameter_deviations(comparison, widths).ravel())
     for number in range(1, _MAX_PASSES + 1):
         before = least
-        for body, width in product(range(n), BODY_WIDTHS):
+        for body, width in product(sorted({*range(n)} - {*guessed}), BODY_WIDTHS):
             tell(f"re-identify the rigid model (body {body + 1} of {n}, pass {number})")
             tried = [*widths[:body], width, *widths[body + 1 :]]
             found = left_out.squares(_parameter_deviations(comparison, tried).ravel())
@@ -197,7 +200,8 @@ def _find_counterweights(
 ) -> tuple[Counterweight, ...]:
     """Find bodies whose first moment changes by more than its nominal value.
 
-    Errors of a description do not move a centre of mass to the other side of its joint.
+    Errors of a description do not move a centre of mass to the other side of its joint; those of a
+    guess do.
     """
     own = free.with_bodies(_parameter_deviations(free, widths))
     moved = (
@@ -209,9 +213,8 @@ def _find_counterweights(
     nominal = np.linalg.norm(bodies[:, 1:4], axis=1)
     change = np.linalg.norm(moved[:, 1:4], axis=1)
     found = []
-    for body in np.flatnonzero(
-        change > np.maximum(nominal, ADDED_MASS_OFFSET * bodies[:, 0])
-    ).tolist():
+    far = np.flatnonzero(change > np.maximum(nominal, ADDED_MASS_OFFSET * bodies[:, 0])).tolist()
+    for body in sorted({*far} - {*free.robot.guessed_bodies}):
         held = _parameter_deviations(
             free, (*widths[:body], BODY_WIDTHS[0], *widths[body + 1 :])
         ).ravel()
