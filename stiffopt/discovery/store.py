@@ -93,7 +93,12 @@ def answer_document(diagnosis: Diagnosis) -> dict[str, Any]:
         "rigid_model": _rigid_entry(diagnosis),
         "black_box": _noise_ceiling_entry(diagnosis),
         "not_carried_over": [vars(each) for each in diagnosis.not_carried_over],
-        "drift": [vars(each) | {"joint": each.joint + 1} for each in diagnosis.drift],
+        "drift": [
+            vars(each)
+            | {"joint": each.joint + 1}
+            | {"by_run": {run: off * each.rms for run, off in each.by_run}}
+            for each in diagnosis.drift
+        ],
         "episodes": [vars(each) for each in diagnosis.episodes],
         "positions": [position_entry(run) for run in diagnosis.positions],
         "simulation": loop_values(diagnosis.closed_loop, diagnosis.recordings.prismatic),

@@ -7,7 +7,12 @@ import pytest
 from diagnosed_folders import written
 from simulated_sets import diagnosed, said, short_case, simulated
 
-from stiffopt.discovery.catalogue.drift import FRICTION_DRIFT, friction_drift, of_other_runs
+from stiffopt.discovery.catalogue.drift import (
+    FRICTION_DRIFT,
+    deviations_of_runs,
+    friction_drift,
+    of_other_runs,
+)
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.extended.model import load_extended
 from stiffopt.discovery.extended.store import extended_text
@@ -63,6 +68,13 @@ def test_drift_reports_spread_of_amplitudes():
     assert list(find_faults(FRICTION_DRIFT)) == []
 
 
+def test_drift_tells_which_run_deviates():
+    entry = friction_drift(("a", "b", "c"))
+    runs, off = zip(*deviations_of_runs(entry, (0.1, 0.4, 0.1)), strict=True)
+    assert runs == ("a", "b", "c")
+    np.testing.assert_allclose(off, [-1.0 / 3**0.5, 2.0 / 3**0.5, -1.0 / 3**0.5])
+
+
 @pytest.mark.slow
 def test_drift_is_not_found_for_other_friction_law():
     """Runs at other speeds differ by it as well."""
@@ -110,6 +122,7 @@ def test_drift_is_found_with_its_spread(tmp_path):
     (kind,) = [each.kind for each in found.not_carried_over]
     assert kind == "friction drift"
     assert drift.rms > 0.5
+    assert [run for run, _ in drift.by_run] == [run.name for run in found.training.recorded]
     assert "predictions use the mean" in transfer_sentences(found)[0]
     path = tmp_path / "extended.toml"
     path.write_text(extended_text(found), encoding="utf-8")

@@ -78,6 +78,16 @@ def _effect_of_runs(
     return Effect(term=term, amplitudes=_amplitudes_of_runs(runs, *deviation), **entry)
 
 
+def deviations_of_runs(
+    effect: Effect, amplitudes: Sequence[float]
+) -> tuple[tuple[str, float], ...]:
+    """Return the runs of a drift with their deviations from the mean, over the standard one."""
+    off = np.asarray(amplitudes, dtype=float) - np.mean(amplitudes)
+    spread = np.std(off, ddof=1) if len(off) > 1 and off.any() else 1.0
+    runs = [each.name.removeprefix(_RUN_PREFIX) for each in effect.amplitudes]
+    return tuple(zip(runs, (off / spread).tolist(), strict=True))
+
+
 def of_other_runs(effect: Effect, names: Iterable[str]) -> Effect:
     """Return an effect of runs with amplitudes of these names, which acts in no run.
 

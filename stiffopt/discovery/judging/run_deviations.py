@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from stiffopt.discovery.catalogue.drift import deviations_of_runs
 from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.prediction import RunProof, residuals
 from stiffopt.discovery.settings import MIN_MOVING_SPEED
@@ -48,6 +49,8 @@ class Drift:
     dry: float
     viscous: float
     rms: float = 0.0  # root mean square error of predictions over the held-out runs from it [N m]
+    # Training runs with their deviations from the mean of all, over the standard deviation.
+    by_run: tuple[tuple[str, float], ...] = ()
 
     def torque(self, speed: np.ndarray) -> np.ndarray:
         """Return the torque of one standard deviation [N m]."""
@@ -76,7 +79,11 @@ def find_friction_drift(
             continue
         parts = [own.torque(proof.velocity[:, own.joint]) for proof in proofs]
         torque = np.concatenate(parts) if parts else np.zeros(1)
-        every[own.joint] = replace(own, rms=float(np.sqrt(np.nanmean(torque**2))))
+        every[own.joint] = replace(
+            own,
+            rms=float(np.sqrt(np.nanmean(torque**2))),
+            by_run=deviations_of_runs(located.effect, each.amplitudes),
+        )
     return tuple(every.values())
 
 

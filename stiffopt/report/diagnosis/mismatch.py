@@ -186,11 +186,15 @@ def transfer_sentences(diagnosis: Diagnosis) -> list[str]:
 
 
 def _drift_sentence(diagnosis: Diagnosis, each: Drift) -> str:
-    slides = diagnosis.training.constants.joints[each.joint].prismatic
+    unit = joint_unit("N m", diagnosis.training.constants.joints[each.joint].prismatic)
+    by_run = listed(
+        f"{run} {'+' if off > 0.0 else ''}{significant(off * each.rms, 2)}"
+        for run, off in each.by_run
+    )
     return (
         f"Friction of joint {each.joint + 1} differs from run to run: predictions use the mean, "
-        f"with a standard deviation between runs of {significant(each.rms, 2)} "
-        f"{joint_unit('N m', slides)}."
+        f"with a standard deviation between runs of {significant(each.rms, 2)} {unit}"
+        f" (from the mean: {by_run} {unit})."
     )
 
 
