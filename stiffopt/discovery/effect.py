@@ -87,6 +87,10 @@ NEEDS = {
         "several runs at known times of a session",
         "there is one training run, or session_time of the runs is not given",
     ),
+    "untimed_session": Need(
+        "three runs whose session times are not given",
+        "there are fewer than three training runs, or session_time of a run is given",
+    ),
     "three_runs": Need("three runs", "there are fewer than three training runs"),
 }
 

@@ -96,6 +96,8 @@ def effect_checks(
         "three_runs": training_runs >= 3,
         "session": training_runs > 1
         and all(run.session_time is not None for run in recordings.with_role("train")),
+        "untimed_session": training_runs >= 3
+        and all(run.session_time is None for run in recordings.runs),
     }
 
     def met(need: str, joint: int | None) -> bool:

@@ -200,6 +200,7 @@ class MotionSignals:
     drive_torque: Quantity
     drive_torque_rate: Quantity
     run: str = ""  # name of the run
+    run_number: int = 0  # its place in the set, from 0
     # Torque asked of the drive, as recorded or by an actuator's law without a limit [N m]; None of
     # motions without recording.
     asked_torque: Quantity | None = None
@@ -307,6 +308,7 @@ class RobotSignals(MotionSignals):
         return JointSignals(
             time=self.time,
             run=self.run,
+            run_number=self.run_number,
             dt=self.dt,
             session_time=self.session_time,
             previous_position=before("motor_position"),

@@ -38,14 +38,15 @@ def clean_run(
     file: str,
     role: Role,
     session_time: float | None = None,
+    number: int = 0,
     temperature: np.ndarray | None = None,
     prismatic: np.ndarray | None = None,
 ) -> RecordedRun:
     """Check the clock and every channel, report faults and remove faulty samples.
 
-    `columns` (R,). `path`: of the file, for messages. `name`, `file`, `role`, `session_time` and
-    `temperature`: as in `RecordedRun`. `prismatic` (n,). Raises `InputFileError`: a clock that
-    cannot be used.
+    `columns` (R,). `path`: of the file, for messages. `name`, `file`, `role`, `session_time`,
+    `number` and `temperature`: as in `RecordedRun`. `prismatic` (n,).
+    Raises `InputFileError`: a clock that cannot be used.
     """
     n = len(signals.position)
     build_run = partial(
@@ -54,6 +55,7 @@ def clean_run(
         file=file,
         role=role,
         session_time=session_time,
+        number=number,
         temperature=temperature,
     )
     if holds_rest_poses(columns, signals):

@@ -42,6 +42,7 @@ class RunEntry:
     file: str
     role: Role  # "train", "test" or "extrapolate"
     session_time: float | None  # time since the robot was switched on [s]
+    number: int  # place in the set, from 0
     # (n,) temperature of the housings at the start of the run [degC].
     temperature: np.ndarray | None
 
@@ -127,6 +128,7 @@ class RecordingSet(recorded_arm.RecordedArm):
             file=entry.file,
             role=entry.role,
             session_time=entry.session_time,
+            number=entry.number,
             temperature=entry.temperature,
             prismatic=self.prismatic,
         )
@@ -254,6 +256,7 @@ def _run_entry(section: RunSection, n: int, number: int, path: Path) -> RunEntry
         file=section.file,
         role=section.role,
         session_time=section.session_time,
+        number=number,
         temperature=per_joint(
             section.housing_temperature, n, path, f"runs[{number + 1}].housing_temperature"
         ),

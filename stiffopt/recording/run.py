@@ -70,6 +70,7 @@ class RecordedRun:
     # "train", "test" (never used to fit) or "extrapolate" (a test outside the training range).
     role: Role
     session_time: float | None  # time since the robot was switched on [s]
+    number: int  # place in the set, from 0
     # (n,) temperature of the housings at the start of the run [degC].
     temperature: np.ndarray | None
     stamps: np.ndarray  # (R,) instant of every row of the file [s]; predictions use these

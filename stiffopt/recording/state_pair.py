@@ -75,6 +75,7 @@ def load_state_pair(
             file=f"{state}/{entry.file}",
             role=entry.role,
             session_time=entry.session_time,
+            number=entry.number,
             temperature=entry.temperature,
             state=state,
             entry=entry,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +16,9 @@ from stiffopt.starter.recording_set import start_recording_set
 BEGINS, MORE, TIME_CONSTANT = (0.0, 40.0, 95.0, 150.0), 9.0, 45.0
 
 
-def cold(logs: list[Log]) -> None:
+def cold(logs: list[Log], begins: Sequence[float] = BEGINS) -> None:
     """The ram rubs by 9 N more when cold."""
-    for begin, log in zip(BEGINS, logs, strict=True):
+    for begin, log in zip(begins, logs, strict=True):
         more = MORE * np.exp(-(begin + log["t"]) / TIME_CONSTANT)
         log["tau"][:, 2] += more * np.tanh(log["v"][:, 2] / 0.01)
 
@@ -38,6 +39,23 @@ def test_friction_that_settles_over_the_session_is_named(tmp_path: Path) -> None
     values = {each.name: each for each in finding.parameters}
     for name, truth in (("dFc", MORE), ("tau_w", TIME_CONSTANT)):
         assert abs(values[name].value - truth) < 3.0 * values[name].sd < truth
+    (proof,) = diagnosis.held_out
+    assert proof.nrmse_after < 1.1
+
+
+def test_order_of_runs_stands_for_their_times(tmp_path: Path) -> None:
+    """Runs of equal pauses: where no session times are given, the fit has the period as well."""
+    folder = GANTRY.write(
+        tmp_path / "set", lambda logs: cold(logs, begins=(0.0, 40.0, 80.0, 120.0))
+    )
+    diagnosis = diagnose(folder, experiment=False)
+    (finding,) = (each for each in diagnosis.findings if each.probability > 0.5)
+    assert (finding.effect.name, finding.joint) == ("untimed_cold_start", 3)
+    values = {each.name: each for each in finding.parameters}
+    # Time constant and period are known as a ratio: the friction left at the next run.
+    for name, truth in (("dFc", MORE), ("tau_w", TIME_CONSTANT), ("period", 40.0)):
+        assert values[name].value == pytest.approx(truth, rel=0.15)
+        assert abs(values[name].value - truth) < 2.0 * values[name].sd
     (proof,) = diagnosis.held_out
     assert proof.nrmse_after < 1.1
 

@@ -43,6 +43,7 @@ REPORTED = {
     },
     "friction_drift": {"dFc_spread": "N m", "dFv_spread": "N m s/rad"},
     "cold_start": {"dFc": "N m", "dFv": "N m s/rad", "tau_w": "s"},
+    "untimed_cold_start": {"dFc": "N m", "dFv": "N m s/rad", "tau_w": "s", "period": "s"},
     "friction_warmup": {"dFc": "N m", "dFv": "N m s/rad"},
     "stroke_friction": {"A": "N m", "q0": "rad", "q1": "rad"},
     "quadratic_drag": {"D": "N m s^2/rad^2"},

@@ -133,6 +133,7 @@ def finding_of(trial: Trial) -> Finding:
 # up over a session, are simulated with the logs of machines of one's own.
 NOT_SIMULATED = {
     "cold_start",
+    "untimed_cold_start",
     "command_delay",
     "coupled_drive",
     "end_stop",

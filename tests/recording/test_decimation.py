@@ -16,6 +16,7 @@ def run_of(time: np.ndarray) -> RecordedRun:
         name="a",
         file="a.npz",
         role="train",
+        number=0,
         session_time=None,
         temperature=None,
         stamps=time,

@@ -167,7 +167,7 @@ def test_episodes_of_a_lerobot_dataset_are_read(tmp_path: Path) -> None:
 
 def test_episodes_of_one_file_are_runs_of_one_set() -> None:
     names = [
-        RunEntry(file=file, role="train", session_time=None, temperature=None).name
+        RunEntry(file=file, role="train", session_time=None, number=0, temperature=None).name
         for file in ("data/file-000.parquet#0", "data/file-000.parquet#12", "data/file-000.parquet")
     ]
     assert names == ["file-000_0", "file-000_12", "file-000"]

@@ -16,6 +16,7 @@ from stiffopt.discovery.catalogue.drift import (
     FRICTION_WARMUP,
     GAIN_DRIFTS,
     GAIN_WARMUP,
+    UNTIMED_COLD_START,
 )
 from stiffopt.discovery.catalogue.elastic import BACKLASH, HYSTERESIS, OUTPUT_BACKLASH
 from stiffopt.discovery.catalogue.friction import (
@@ -45,6 +46,7 @@ CATALOGUE: tuple[Effect, ...] = (
     LUBRICATED_FRICTION,
     FRICTION_DRIFT,
     COLD_START,
+    UNTIMED_COLD_START,
     FRICTION_WARMUP,
     STROKE_FRICTION,
     QUADRATIC_DRAG,

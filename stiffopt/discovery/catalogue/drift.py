@@ -361,6 +361,30 @@ COLD_START = Effect(
     " come back with the next run.",
 )
 
+UNTIMED_COLD_START = replace(
+    COLD_START,
+    name="untimed_cold_start",
+    equation="tau += (dFc*sg(w) + dFv*w)*exp(-(t + k*period)/tau_w), run k = 0, 1, ... of the set",
+    signature="motor torque off against the motion by an amount that falls or grows from run to run"
+    " and within each, in the order of the set",
+    title="friction that changes over the session, in the order of the runs",
+    phrase=(
+        "{dFc} and {dFv} more friction at the begin of the session, which falls within {tau_w} if"
+        " the runs followed one another every {period}",
+        "{dFc} and {dFv} less friction at the begin of the session, which grows within {tau_w} if"
+        " the runs followed one another every {period}",
+    ),
+    needs=("torque", "moves", "reverses", "untimed_session"),
+    confused_with=("cold_start", *COLD_START.confused_with),
+    term=lambda signals, a, s: Term(
+        drive_torque=_added_friction(signals, a)
+        * np.exp(-(signals.time - signals.time[0] + signals.run_number * s[1]) / s[0])
+    ),
+    shapes=(*COLD_START.shapes, Shape("period", "s", (20.0, 80.0, 400.0), 1.0, 1e4, 60.0)),
+    separate="Write session_time of every run, in seconds since the first, into recordings.toml."
+    f" {COLD_START.separate}",
+)
+
 GAIN_WARMUP = Effect(
     name="gain_warmup",
     family="sensor",

@@ -331,6 +331,7 @@ def _nominal_signals(
     return RobotSignals(
         time=time,
         run=run.name,
+        run_number=run.number,
         dt=dt,
         session_time=time - time[0] + (run.session_time or 0.0),
         temperature_rise=robot.temperature_rise(run, len(time)),

@@ -143,6 +143,7 @@ def prepared_motion(training: Training, motion: Trajectory) -> PreparedRun:
         file="",
         role="train",
         session_time=like.session_time,
+        number=like.number,
         temperature=like.temperature,
         stamps=times,
         time=times,
