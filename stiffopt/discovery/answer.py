@@ -137,7 +137,8 @@ def changed_values(diagnosis: Diagnosis) -> list[ChangedValue]:
 def place(diagnosis: Diagnosis, located: LocatedEffect) -> str:
     """Return the place of an effect: link, joint or robot, with the run of an effect of one run."""
     if located.link is not None:
-        return f"link {diagnosis.training.constants.links[located.link]}"
+        link = diagnosis.training.constants.links[located.link]
+        return link if link.startswith("link") else f"link {link}"
     if located.joint is None:
         return located.run or "robot"
     where = f"joint {located.joint + 1}"

@@ -171,7 +171,7 @@ def test_a_joint_that_moves_in_one_direction_alone_makes_no_run_odd(reverses: bo
         speed = 0.1 * friction
         samples = Samples(0.0 * speed, speed, 0.0 * speed, torque, ())
         strict, motion = np.array([share]), SimpleNamespace(velocity=speed)
-        own = SimpleNamespace(strict=strict, samples=samples, motion=motion)
+        own = SimpleNamespace(with_free_guesses=strict, samples=samples, motion=motion)
         return SimpleNamespace(name="run"), own
 
     last = searched(direction if reverses else np.abs(direction), 0.33)

@@ -45,6 +45,6 @@ def test_effects_that_replace_one_another_end_the_search(first, monkeypatch):
     monkeypatch.setattr(search, "_as_unstated", lambda each: each)
     monkeypatch.setattr(search, "_fit_and_prune", fit)
     monkeypatch.setattr(search, "_fit", lambda effects: None)
-    search._add_forward()
+    search._add_forward(12)
     assert len(rounds) == 2
     assert labels(search.effects) == frozenset(first)
