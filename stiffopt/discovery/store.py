@@ -94,9 +94,7 @@ def answer_document(diagnosis: Diagnosis) -> dict[str, Any]:
         "black_box": _noise_ceiling_entry(diagnosis),
         "not_carried_over": [vars(each) for each in diagnosis.not_carried_over],
         "drift": [
-            vars(each)
-            | {"joint": each.joint + 1}
-            | {"by_run": {run: off * each.rms for run, off in each.by_run}}
+            vars(each) | {"joint": each.joint + 1, "by_run": dict(each.by_run)}
             for each in diagnosis.drift
         ],
         "episodes": [vars(each) for each in diagnosis.episodes],

@@ -71,7 +71,7 @@ class LoadedUrdf:
             j
             for j, body in enumerate(bodies, start=1)
             if not body.mass > 0.0
-            or (_is_point_mass(body) and points[body.mass] >= MIN_EQUAL_PLACEHOLDERS)
+            or (_is_point_mass(body) and points[body.mass] >= _MIN_EQUAL_PLACEHOLDERS)
         ]
 
 
@@ -80,7 +80,7 @@ MAX_MOVING_JOINTS = 50
 
 
 # Least number of equal point masses that are taken for placeholders: a flange may be one.
-MIN_EQUAL_PLACEHOLDERS = 3
+_MIN_EQUAL_PLACEHOLDERS = 3
 
 
 def _is_point_mass(body: Body) -> bool:

@@ -24,10 +24,9 @@ from stiffopt.discovery.comparison.evidence import (
     posterior,
     savage_dickey,
 )
-from stiffopt.discovery.comparison.inertial_parameters import body_units
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.search.cross_validation import number_folds, stack_columns
-from stiffopt.discovery.search.rigid_model import PRIOR_WIDTHS
+from stiffopt.discovery.search.rigid_model import PRIOR_WIDTHS, common_deviations
 from stiffopt.discovery.search.rivals import Selected, tempering_width
 from stiffopt.discovery.thresholds import MIN_ACTIVE_SHARE, NAMED_EVIDENCE
 
@@ -125,8 +124,8 @@ def _other_members(
     if half_band is not None:
         yield iter([half_band])
     if free_bodies:
-        units = body_units(comparison.robot)
-        yield (comparison.with_bodies(width * units) for width in FREE_WIDTHS)
+        freed = (common_deviations(comparison, width) for width in FREE_WIDTHS)
+        yield map(comparison.with_bodies, freed)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -49,7 +49,7 @@ class Drift:
     dry: float
     viscous: float
     rms: float = 0.0  # root mean square error of predictions over the held-out runs from it [N m]
-    # Training runs with their deviations from the mean of all, over the standard deviation.
+    # Training runs with their deviations from the mean of all, in that unit [N m].
     by_run: tuple[tuple[str, float], ...] = ()
 
     def torque(self, speed: np.ndarray) -> np.ndarray:
@@ -79,11 +79,10 @@ def find_friction_drift(
             continue
         parts = [own.torque(proof.velocity[:, own.joint]) for proof in proofs]
         torque = np.concatenate(parts) if parts else np.zeros(1)
-        every[own.joint] = replace(
-            own,
-            rms=float(np.sqrt(np.nanmean(torque**2))),
-            by_run=deviations_of_runs(located.effect, each.amplitudes),
-        )
+        rms = float(np.sqrt(np.nanmean(torque**2)))
+        runs = deviations_of_runs(located.effect, each.amplitudes)
+        by_run = tuple((run, off * rms) for run, off in runs)
+        every[own.joint] = replace(own, rms=rms, by_run=by_run)
     return tuple(every.values())
 
 

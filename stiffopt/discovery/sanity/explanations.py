@@ -223,10 +223,6 @@ class Explanations:
         torque = reading.torque(self.samples.torque)
         before = self._residual_shares(motion, torque) if reading.steps else self.left
         gains, left = np.ones(self.n), np.array(before)
-        # A guessed mass is off by more than a torque constant.
-        usual_gains = _USUAL_GAIN_RANGE
-        if self.robot.guessed_bodies:
-            usual_gains = (1.0 / MAX_GUESSED_MASS_RATIO, MAX_GUESSED_MASS_RATIO)
         ratio = [joint.ratio for joint in self.robot.constants.joints]
         for j in range(self.n):
             if not before[j] > _MIN_FAILURE_SHARE:
@@ -234,9 +230,13 @@ class Explanations:
             current = j in self.robot.recordings.signals.unscaled_joints
             usual = (-1.0, 1e3, 1e-3, -1e3, -1e-3, 1.0 / ratio[j], -1.0 / ratio[j])
             gain, share = fit_gain(self.robot, motion, torque[:, j], j, None if current else usual)
-            if not usual_gains[0] < gain < usual_gains[1] and _is_explained(before[j], share):
-                sign_alone = usual_gains[0] < -gain < usual_gains[1]
-                gains[j], left[j] = -1.0 if sign_alone else gain, share
+            low, high = _USUAL_GAIN_RANGE
+            if self.robot.guessed_bodies and not current:
+                # A guessed mass is off by more than a torque constant, but has no sign.
+                low, high = 1.0 / MAX_GUESSED_MASS_RATIO, MAX_GUESSED_MASS_RATIO
+                gain = -1.0 if low < -gain < high else gain
+            if not low < gain < high and _is_explained(before[j], share):
+                gains[j], left[j] = gain, share
         idle = self._find_idle_joints(motion, torque)
         gains[idle], left[idle] = 1.0, before[idle]
         if (gains == 1.0).all():

@@ -221,14 +221,22 @@ class _ReducedTable:
 
 def guessed_bodies(robot: RobotModel, motion: Motion) -> list[Additions]:
     """Return, for every joint, the changes that are allowed of bodies of guessed mass."""
-    bodies = robot.guessed_bodies
-    masses = robot.constants.masses[list(bodies)]
-    upper = MAX_GUESSED_MASS_RATIO * np.outer(masses, _MAX_PAYLOAD_LEVER**LENGTH_POWERS)
-    lower = -upper
-    lower[:, 0] = -masses
+    bodies = list(robot.guessed_bodies)
+    masses = robot.constants.masses[bodies]
+    lower, upper = _body_bounds(masses, MAX_GUESSED_MASS_RATIO * masses)
     where = (motion.position, motion.velocity, motion.acceleration)
     torques = np.concatenate([robot.body_torques(body, *where) for body in bodies], axis=2)
     return [Additions(torques[:, j], lower.ravel(), upper.ravel()) for j in range(robot.n)]
+
+
+def _body_bounds(
+    removed: np.ndarray | float, added: np.ndarray | float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return bounds (..., 10) of the change of bodies by masses (...) removed and added [kg]."""
+    upper = np.asarray(added)[..., None] * _MAX_PAYLOAD_LEVER**LENGTH_POWERS
+    lower = -upper
+    lower[..., 0] = -np.asarray(removed)
+    return lower, upper
 
 
 def allowed_additions(robot: RobotModel, motion: Motion, joint: int) -> Additions:
@@ -239,12 +247,10 @@ def allowed_additions(robot: RobotModel, motion: Motion, joint: int) -> Addition
     mass = float(masses.sum())
     weight = robot.gravity_torque(motion.position, robot.recordings.gravity)[:, joint]
     spring = _MAX_SPRING_SHARE * max(float(np.abs(weight).max()), 1e-9)
-    moment = mass * _MAX_PAYLOAD_LEVER
     stretch = spring / max(float(np.abs(angle).max()), 1e-9)
-    inertia = moment * _MAX_PAYLOAD_LEVER
-    body_lower = [-float(masses[last]), *[-moment] * 3, *[-inertia] * 6]
+    lower, upper = _body_bounds(masses[last], mass)
     return Additions(
         columns=np.column_stack([angle, np.sin(angle), np.cos(angle), payload[:, joint]]),
-        lower=np.array([-stretch, -spring, -spring, *body_lower]),
-        upper=np.array([stretch, spring, spring, mass, *[moment] * 3, *[inertia] * 6]),
+        lower=np.array([-stretch, -spring, -spring, *lower]),
+        upper=np.array([stretch, spring, spring, *upper]),
     )

@@ -23,6 +23,7 @@ from stiffopt.discovery.comparison.inertial_parameters import (
     nominal_bodies,
 )
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, effect_places
+from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.progress import Say
 from stiffopt.discovery.search.candidates import Candidate, Scorer
@@ -35,7 +36,7 @@ PRIOR_WIDTHS = (0.02, 0.06, 0.2, 0.6)
 # The same for a single body: the first two hold it at the nominal model.
 BODY_WIDTHS = (0.002, 0.006, *PRIOR_WIDTHS)
 # The same for a body of guessed mass, which is off by a factor of three at times.
-GUESSED_WIDTH = 2.0
+_GUESSED_WIDTH = 2.0
 # Fits with re-estimated noise until it converges.
 _NOISE_ROUNDS = 3
 # Passes over all bodies, and least gain of squares over noise in recordings left out.
@@ -140,9 +141,7 @@ def _gain_of_free_bodies(
     rows = []
     for k, width in enumerate(PRIOR_WIDTHS, start=1):
         tell(f"re-identify the rigid model ({k} of {len(PRIOR_WIDTHS)} widths)")
-        freed = comparison.with_bodies(
-            _parameter_deviations(comparison, (width,) * comparison.robot.n)
-        )
+        freed = comparison.with_bodies(common_deviations(comparison, width))
         rows.append(Scorer(freed, effects).by_block - without)
     gains = np.array(rows)
     best = int(np.argmax(gains.sum(axis=1)))
@@ -165,15 +164,15 @@ def _choose_widths(
     this noise with these widths.
     """
     n = comparison.robot.n
-    free = comparison.with_bodies(_parameter_deviations(comparison, (PRIOR_WIDTHS[-1],) * n))
+    free = comparison.with_bodies(common_deviations(comparison, PRIOR_WIDTHS[-1]))
     free = with_own_noise(free, effects)
     left_out = predict_folds(free, effects)
     guessed = comparison.robot.guessed_bodies
-    widths = [GUESSED_WIDTH if body in guessed else BODY_WIDTHS[0] for body in range(n)]
+    widths = _common_widths(comparison.robot, BODY_WIDTHS[0])
     least = left_out.squares(_parameter_deviations(comparison, widths).ravel())
     for number in range(1, _MAX_PASSES + 1):
         before = least
-        for body, width in product(sorted({*range(n)} - {*guessed}), BODY_WIDTHS):
+        for body, width in product((b for b in range(n) if b not in guessed), BODY_WIDTHS):
             tell(f"re-identify the rigid model (body {body + 1} of {n}, pass {number})")
             tried = [*widths[:body], width, *widths[body + 1 :]]
             found = left_out.squares(_parameter_deviations(comparison, tried).ravel())
@@ -231,6 +230,16 @@ def _find_counterweights(
         if gain > -_MIN_SQUARES_GAIN:
             found.append(Counterweight(joint=body, nominal=size, change=by, gain=gain))
     return tuple(found)
+
+
+def common_deviations(comparison: Comparison, width: float) -> np.ndarray:
+    """Return prior standard deviations (n, 10) of one width, but for bodies of guessed mass."""
+    return _parameter_deviations(comparison, _common_widths(comparison.robot, width))
+
+
+def _common_widths(robot: RobotModel, width: float) -> list[float]:
+    guessed = robot.guessed_bodies
+    return [_GUESSED_WIDTH if body in guessed else width for body in range(robot.n)]
 
 
 def _parameter_deviations(comparison: Comparison, widths: Sequence[float]) -> np.ndarray:

@@ -159,7 +159,7 @@ def exchange_rivals(
     while (likelier := _exchange_apart(ranked, refuted)) != effects:
         if _places(likelier) in seen:
             # Effects that replace each other in turns are dropped.
-            kept = [r.located for r in ranked if r.likelier is None]
+            kept = [r.located for r in ranked if _replacement(r, refuted) is None]
             current, effects = fit_jointly(comparison, kept)
             ranked = rank_effects(current, effects, catalogue, tell)
             break
@@ -201,6 +201,12 @@ def rank_effects(
     return found
 
 
+def _replacement(each: Selected, refuted: Collection[str]) -> LocatedEffect | None:
+    """Return the rival that takes the place of an effect, if any."""
+    likelier = each.likelier
+    return None if likelier is None or likelier.label in refuted else likelier
+
+
 def _exchange_apart(ranked: Sequence[Selected], refuted: Collection[str]) -> list[LocatedEffect]:
     """Return the effects with the surest exchanges that do not touch each other.
 
@@ -211,11 +217,12 @@ def _exchange_apart(ranked: Sequence[Selected], refuted: Collection[str]) -> lis
     made: dict[int, LocatedEffect] = {}
     touched: list[LocatedEffect] = []
     for each in sorted(ranked, key=lambda r: r.probability):
-        if each.likelier is None or each.likelier.label in refuted:
+        likelier = _replacement(each, refuted)
+        if likelier is None:
             continue
-        pair = (each.located, each.likelier)
+        pair = (each.located, likelier)
         if not any(own.is_adjacent(other) for own in pair for other in touched):
-            made[id(each)] = each.likelier
+            made[id(each)] = likelier
             touched += pair
     kept: list[LocatedEffect] = []
     for each in ranked:

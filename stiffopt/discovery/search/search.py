@@ -140,6 +140,8 @@ class _Search:
     say: Say
     effects: list[LocatedEffect] = field(default_factory=list)
     ranked: list[Selected] = field(default_factory=list)  # effects ranked last
+    # Labels of effects that stretches left out did not support.
+    refuted: set[str] = field(default_factory=set)
     rigid: RigidStage | None = None
     contenders: tuple[Contender, ...] = ()
     stopped: bool = False
@@ -147,8 +149,6 @@ class _Search:
     def __post_init__(self) -> None:
         self.tell = throttle_progress(self.say)
         self.unstated: Sequence[LocatedEffect] = ()
-        # Labels of effects that stretches left out did not support.
-        self._refuted: set[str] = set()
 
     def run(
         self, unstated: Sequence[LocatedEffect], about: Extension | None, *, reidentify: bool
@@ -204,7 +204,7 @@ class _Search:
             kept = select_predictive(self.current, self.effects)
             refuted = {each.label for each in self.effects if each not in kept}
             if refuted:
-                self._refuted |= refuted
+                self.refuted |= refuted
                 self._fit(kept)
                 if number < MAX_EXCHANGES and not (self.stopped or self.current.after_model):
                     self._add_forward(most)
@@ -218,7 +218,7 @@ class _Search:
                     self.catalogue,
                     self.tell,
                     self.ranked,
-                    refuted=self._refuted,
+                    refuted=self.refuted,
                 )
             )
 
@@ -288,7 +288,7 @@ class _Search:
             room = min(self.together, most - len(effects))
             try:
                 scanned = scan(scorer, self.catalogue, tell=self.tell)
-                tried = [each for each in scanned if each.located.label not in self._refuted]
+                tried = [each for each in scanned if each.located.label not in self.refuted]
                 best = _select_best(tried, scorer, room)
                 if not best:
                     break

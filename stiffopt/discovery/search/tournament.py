@@ -15,11 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.inertial_parameters import body_units
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.search.cross_validation import predict_folds
 from stiffopt.discovery.search.rigid_model import (
     PRIOR_WIDTHS,
+    common_deviations,
     with_own_noise,
     with_single_body,
 )
@@ -70,7 +70,7 @@ def hold_tournament(
     body. `effects`: calibrated values and effects of the catalogue.
     """
     held = comparison.with_bodies(None)
-    free = comparison.with_bodies(PRIOR_WIDTHS[-1] * body_units(comparison.robot))
+    free = comparison.with_bodies(common_deviations(comparison, PRIOR_WIDTHS[-1]))
     entries = [(CATALOGUE_MODEL, comparison, tuple(effects))]
     if calibrated:
         entries += [

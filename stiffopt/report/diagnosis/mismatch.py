@@ -188,8 +188,7 @@ def transfer_sentences(diagnosis: Diagnosis) -> list[str]:
 def _drift_sentence(diagnosis: Diagnosis, each: Drift) -> str:
     unit = joint_unit("N m", diagnosis.training.constants.joints[each.joint].prismatic)
     by_run = listed(
-        f"{run} {'+' if off > 0.0 else ''}{significant(off * each.rms, 2)}"
-        for run, off in each.by_run
+        f"{run} {'+' if off > 0.0 else ''}{significant(off, 2)}" for run, off in each.by_run
     )
     return (
         f"Friction of joint {each.joint + 1} differs from run to run: predictions use the mean, "
