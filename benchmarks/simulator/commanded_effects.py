@@ -174,6 +174,13 @@ def _delay(
     return {"d": 0.008 * size}
 
 
+def _deadband(
+    world: World, joint: int, size: float, rng: np.random.Generator, healthy: Healthy
+) -> dict[str, float]:
+    world.deadband[joint] = size * max(4.0 * world.arm.count, 2e-3)
+    return {"width": world.deadband[joint]}
+
+
 def _wrist_coupling(
     world: World, joint: int, size: float, rng: np.random.Generator, healthy: Healthy
 ) -> dict[str, float]:
@@ -212,6 +219,7 @@ COMMANDED_EFFECTS = {
     "cable_spring": CommandedEffect(_cable_spring, _SPRING_EFFECTS),
     "saturation": CommandedEffect(_saturation, ("saturation",)),
     "time_delay": CommandedEffect(_delay, ("command_delay",)),
+    "deadband": CommandedEffect(_deadband, ("deadband",)),
     "wrist_coupling": CommandedEffect(_wrist_coupling, ("wrist_coupling",), first=1),
     "external_contact": CommandedEffect(_contact, ("external_contact",), at_joint=False),
 }

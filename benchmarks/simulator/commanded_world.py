@@ -53,6 +53,8 @@ class World:
         Share of the angle of the joint before in the reading.
     backlash : array (n,)
         Width between the flanks [rad].
+    deadband : array (n,)
+        Position error up to which the servo gives no torque [rad].
     payload : tuple, optional
         Mass [kg] and place in the last link's frame [m].
     forces, friction : list of callable
@@ -72,6 +74,7 @@ class World:
     zero: np.ndarray
     coupling: np.ndarray
     backlash: np.ndarray
+    deadband: np.ndarray
     payload: tuple[float, np.ndarray] | None = None
     forces: list[Callable[[State], np.ndarray]] = field(default_factory=list)
     friction: list[Callable[[State], np.ndarray]] = field(default_factory=list)
@@ -91,6 +94,7 @@ def nominal_world(arm: Arm, delay: float) -> World:
         zero=np.zeros(n),
         coupling=np.zeros(n),
         backlash=np.zeros(n),
+        deadband=np.zeros(n),
     )
 
 
@@ -178,7 +182,9 @@ def simulate(world: World, command: np.ndarray) -> tuple[np.ndarray, np.ndarray]
         readings[k] = read(q)
         wanted = command[np.maximum(k - late, 0), columns]
         rate = v + world.coupling * np.concatenate([[0.0], v[:-1]])
-        torque = world.kp * (wanted - readings[k]) - world.kd * rate
+        error = wanted - readings[k]
+        error = np.sign(error) * np.maximum(np.abs(error) - world.deadband, 0.0)
+        torque = world.kp * error - world.kd * rate
         torque = np.clip(torque, -world.torque_max, world.torque_max)
         torques[k] = torque
         data.qfrc_applied[:] = 0.0

@@ -183,8 +183,10 @@ class Balance:
         """Torques of the actuators, viscous losses of the drives, and their slopes."""
         own, law, v = self.own, self.loop.law, self.motor_speed
         # An actuator damps by the speed that it reads.
-        error = _clip(self.kp * (self.command - self.place[: self.n]), law.drive_max)
-        torque = _clip(error - self.kd * self.speed[: self.n], law.torque_max)
+        away, none = self.command - self.place[: self.n], own["deadband"]
+        away -= ca.fmax(ca.fmin(away, none), -none)
+        drive = _clip(self.kp * away, law.drive_max)
+        torque = _clip(drive - self.kd * self.speed[: self.n], law.torque_max)
         for joint, largest in self.loop.physics.limits.items():
             torque[joint] = ca.fmax(ca.fmin(torque[joint], largest), -largest)
         losses = own["viscous"] * v + own["drag"] * v * ca.fabs(v)

@@ -21,6 +21,7 @@ JOINT_PARAMETERS = {
     "zero": "rad",  # reading of the encoder less the angle of the bodies
     "lateness": "s",  # of the command, beyond the delay of all
     "integral": "1/s",  # integral over the proportional gain of a controller
+    "deadband": "rad",  # position error up to which the actuator gives no torque
 }
 # Parameters over the actuator's gain, and units of the ratios.
 RATIO_UNITS = {"armature": "s^2", "viscous": "s", "coulomb": "rad"}
@@ -34,6 +35,7 @@ LEADING_PARAMETERS = (
     "offset",
     "lateness",
     "integral",
+    "deadband",
 )
 # Of each body, as changes: mass, relative, with its moments in proportion; first moment and inertia
 # about its axis frame besides.
@@ -48,6 +50,7 @@ _BOUNDED_PARAMETERS = (
     "drag",
     "creep",
     "integral",
+    "deadband",
     DELAY,
 )
 

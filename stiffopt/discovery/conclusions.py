@@ -304,7 +304,8 @@ def _with_loop_value(
         solved, _, free, _ = np.linalg.lstsq(correlation[np.ix_(sized, sized)], sizes)
         chance = float(special.chdtrc(free, sizes @ solved))
         zero = reversed_sign or chance > _INSIGNIFICANT_CHANCE
-        finding = refuted(finding, 1.0 if zero else chance)
+        share = max(_null_share(chance), _zero_by_evidence(recordings, model, finding, sizes))
+        finding = refuted(finding, 1.0 if zero else share)
     if reversed_sign:
         return finding
     whole[numbers] = values
@@ -372,12 +373,30 @@ def _torque_in_runs(
     return np.concatenate(found) if found else np.zeros(0)
 
 
-def refuted(finding: Finding, chance: float) -> Finding:
-    """Return a finding as likely as the p-value of its simulated values leaves it."""
-    misfit = max(finding.misfit, _null_share(chance))
+def refuted(finding: Finding, zero: float) -> Finding:
+    """Return a finding as likely as a probability that its simulated values are zero leaves it."""
+    misfit = max(finding.misfit, zero)
     share = (1.0 - misfit) / max(1.0 - finding.misfit, 1e-12)
     rivals = tuple(replace(r, probability=share * r.probability) for r in finding.rivals)
     return replace(finding, misfit=misfit, probability=share * finding.probability, rivals=rivals)
+
+
+def _zero_by_evidence(
+    recordings: RecordingSet, model: ClosedLoopModel, finding: Finding, sizes: np.ndarray
+) -> float:
+    """Return the probability that a value is zero that every simulation fits and none states.
+
+    `sizes` (1,): the value over its standard deviation. 0 of other values.
+    """
+    entry, joint = finding.effect, finding.located.joint
+    parameter = loop_parameter(entry)
+    if parameter is None or joint is None:
+        return 0.0
+    place = int(recordings.order[joint])
+    if stated_value(recordings, entry, place) is not None:
+        return 0.0
+    own = model.fitted.place(parameter.name).start + place
+    return float(special.expit(-model.log_evidence(own, float(sizes[0]))))
 
 
 def _loop_amplitudes(

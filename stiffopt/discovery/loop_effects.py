@@ -49,6 +49,7 @@ LOOP_VALUES = {
     "load_friction": "load_friction",
     "quadratic_drag": "drag",
     "command_delay": "lateness",
+    "deadband": "deadband",
     "torque_gain": "gain",
 }
 # Deviation of a drive's limit before a fit, over the limit: what asks for more is seen at once.

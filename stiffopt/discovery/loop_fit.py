@@ -43,6 +43,8 @@ _LATENESS_DEVIATION = 2e-3
 _CREEP_DEVIATION, _LEAST_CREEP = 1e-2, 1e-3
 # Integral part of a controller by a regression of filtered errors, relative.
 _INTEGRAL_DEVIATION = 0.3
+# Deadband of a servo: a few counts of its encoder [rad].
+_DEADBAND_DEVIATION = 5e-3
 # Inertia of bodies besides their mass's, relative: centres of mass and masses are better known.
 _INERTIA_DEVIATION = 0.1
 # Scale of masses that nobody vouches for, one standard deviation, and parameters that go with it:
@@ -148,6 +150,7 @@ def expect_parameters(
         "zero": _ZERO_DEVIATION,
         "lateness": _LATENESS_DEVIATION if robot.n > 1 else 0.0,
         "integral": _INTEGRAL_DEVIATION * law.integral,
+        "deadband": _DEADBAND_DEVIATION,
     }.items():
         size[found.place(name)] = value
     for key, name in DRIVE_PARAMETERS.items():

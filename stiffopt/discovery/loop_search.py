@@ -223,7 +223,6 @@ class LoopSearch:
         likely as the share of noise in what is left.
         """
         constants, fitted = self.training.constants, model.fitted
-        assert model.expected_deviations is not None
         assert model.polished is not None
         assert model.noise_ratio is not None
         covariance = model.polished.whole_covariance()
@@ -256,8 +255,7 @@ class LoopSearch:
                 value -= stated[0]
                 chance = count * float(erfc(abs(value) / np.hypot(sd, stated[1]) / 2**0.5))
             else:
-                evidence = 0.5 * (value / sd) ** 2
-                evidence -= float(np.log(model.expected_deviations[place] / sd))
+                evidence = model.log_evidence(place, value / sd)
                 chance = 0.0 if evidence > NAMED_EVIDENCE else 1.0
             if chance < MAX_CHANCE and abs(value) > NAMED_DEVIATIONS * sd:
                 taken = [*taken, located]

@@ -85,6 +85,12 @@ class ClosedLoopModel:
         gain = self.loop.law.stiffness * (1.0 + self.fitted.of("gain"))
         return np.asarray(gain * np.sqrt(np.maximum(fit.residual**2 - known, 0.0)))
 
+    def log_evidence(self, place: int, size: float) -> float:
+        """Return the log odds that a fitted parameter is not zero, of so many deviations."""
+        assert self.expected_deviations is not None
+        spread = self.expected_deviations[place] / self.deviations[place]
+        return 0.5 * size**2 - float(np.log(spread))
+
     @property
     def lacks(self) -> np.ndarray:
         """Return the joints (n,) in which it leaves more than noise and its own error."""
@@ -330,7 +336,7 @@ def _read_parameters(
 
     Those that files of earlier versions lack are none.
     """
-    table = {**dict.fromkeys(("creep", "integral"), (0.0,) * none.n), **table}
+    table = {**dict.fromkeys(("creep", "integral", "deadband"), (0.0,) * none.n), **table}
     found = replace(none, values=none.values.copy())
     sizes = {**dict.fromkeys((*JOINT_PARAMETERS, *BODY_PARAMETERS), none.n), DELAY: 1}
     sizes[AMPLITUDES] = len(none.amplitude_bounds)

@@ -96,6 +96,8 @@ class JointConstants:
     # True where a belt is among the connections; None where they are unknown.
     belt: bool | None = None
     joints: int = 1  # number of joints of the arm
+    # Torque per position error by an actuator's law [N m/rad]; nan of measured torques.
+    position_gain: float = np.nan
 
     @property
     def elastic(self) -> bool:
@@ -204,8 +206,10 @@ class MotionSignals:
     # Torque asked of the drive, as recorded or by an actuator's law without a limit [N m]; None of
     # motions without recording.
     asked_torque: Quantity | None = None
-    # The same torque per time that its commands are later than assumed [N m/s]; else None.
+    # Of an actuator's law: the same torque per time that its commands are later than assumed
+    # [N m/s], and the position error that it reads [rad]; else None.
     command_rate: Quantity | None = None
+    position_error: Quantity | None = None
     # 1 while the arm carries a part (K,), else 0; None where it never does.
     carrying: Quantity | None = None
 
@@ -317,12 +321,13 @@ class RobotSignals(MotionSignals):
             constants=self.constants.joints[index],
             **{
                 name: None if getattr(self, name) is None else of(name, index)
-                for name in (*JOINT_SIGNAL_NAMES, "asked_torque", "command_rate")
+                for name in (*JOINT_SIGNAL_NAMES, *_ACTUATOR_SIGNAL_NAMES)
             },
         )
 
 
-# Fields of `MotionSignals` with one column per joint.
+# Fields of `MotionSignals` with one column per joint, and those that may be None.
+_ACTUATOR_SIGNAL_NAMES = ("asked_torque", "command_rate", "position_error")
 JOINT_SIGNAL_NAMES = tuple(
     each.name
     for each in fields(MotionSignals)

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from stiffopt.discovery.catalogue.contacts import CONTACTS, COUPLED_DRIVE, TOOL_FORCES
+from stiffopt.discovery.catalogue.deadband import DEADBAND
 from stiffopt.discovery.catalogue.drift import (
     COLD_START,
     FRICTION_DRIFT,
@@ -66,6 +67,7 @@ CATALOGUE: tuple[Effect, ...] = (
     *SPRINGS,
     *SENSORS,
     *TIMING,
+    DEADBAND,
     *GAIN_DRIFTS,
     GAIN_WARMUP,
     CROSSTALK,

@@ -62,6 +62,7 @@ class RobotModel:
         rated = fill_missing(nominal.torque_rated, torque_max / 3.0)
         ratio = fill_missing(nominal.gear_ratio, np.ones(self.n))
         damping = fill_missing(nominal.joint_damping, np.zeros(self.n))
+        law = self.recordings.actuator
         joints = tuple(
             JointConstants(
                 joint=j + 1,
@@ -77,6 +78,7 @@ class RobotModel:
                 prismatic=bool(self.recordings.prismatic[j]),
                 belt=None if connections is None else "belt" in connections[j],
                 joints=self.n,
+                position_gain=np.nan if law is None else float(law.stiffness[j]),
             )
             for j in range(self.n)
         )

@@ -288,7 +288,7 @@ def prepare_run(
         sent = np.nan_to_num(bridge_gaps(delayed_command(run, law.delay)))
         sent = np.column_stack([np.interp(time, run.time, own) for own in sent.T])
         rate = law.stiffness * derivative(low_pass(sent), dt)
-        signals = replace(signals, command_rate=rate)
+        signals = replace(signals, command_rate=rate, position_error=sent - position)
     moving = np.abs(velocity) >= settings.slow
     inside = np.zeros(len(time), dtype=bool)
     inside[low_pass.settling : max(len(time) - low_pass.settling, 0)] = True

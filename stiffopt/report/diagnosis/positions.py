@@ -31,6 +31,7 @@ _VALUE_WORDS = {
     "offset": "torque offset",
     "zero": "encoder zero",
     "integral": "integral over proportional gain",
+    "deadband": "deadband of the position error",
     "lateness": "delay beyond that of all joints",
     DELAY: "delay",
 }
