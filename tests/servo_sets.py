@@ -33,11 +33,13 @@ def commanded_motion(
     stribeck: float = 0.0,
     integral: float = 0.0,
     warmup: float = 0.0,
+    deadband: float = 0.0,
 ) -> tuple[np.ndarray, ...]:
     """Return time, held commands and positions (K,) of one run.
 
     `integral`: gain of the error's integral over that of the error [1/s]. `warmup`: dry friction
-    that grows from the beginning of the run to its end [N m].
+    that grows from the beginning of the run to its end [N m]. `deadband`: error that gives no
+    torque [rad].
     """
     rng = np.random.default_rng(seed)
     time = np.arange(round(seconds / STEP)) * STEP
@@ -60,10 +62,10 @@ def commanded_motion(
             u = sent[max(k * _SUBSTEPS + s - late, 0)]
             # Leapfrog, dry friction as an impulse that at most stops the link.
             q += 0.5 * h * v
-            lasting += h * integral * KP * (u - q)
-            drive = min(
-                max(KP * (u - q) + lasting, -limit), limit
-            ) - MASS * gravity * LEVER * math.sin(q)
+            error = math.copysign(max(abs(u - q) - deadband, 0.0), u - q)
+            lasting += h * integral * KP * error
+            given = min(max(KP * error + lasting, -limit), limit)
+            drive = given - MASS * gravity * LEVER * math.sin(q)
             slow = 0.5 * h * VISCOUS / about
             free = ((1.0 - slow) * v + h * drive / about) / (1.0 + slow)
             most = h * (dry + stribeck * math.exp(-((v / STRIBECK_SPEED) ** 2))) / about

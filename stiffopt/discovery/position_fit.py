@@ -87,8 +87,8 @@ class ClosedLoopModel:
 
     def log_evidence(self, place: int, size: float) -> float:
         """Return the log odds that a fitted parameter is not zero, of so many deviations."""
-        assert self.expected_deviations is not None
-        spread = self.expected_deviations[place] / self.deviations[place]
+        assert self.polished is not None
+        spread = self.polished.expected_deviations[place] / self.deviations[place]
         return 0.5 * size**2 - float(np.log(spread))
 
     @property

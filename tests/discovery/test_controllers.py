@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from servo_sets import KP, VISCOUS, state_drive, write_servo_set
+from servo_sets import COULOMB, KP, VISCOUS, state_drive, write_servo_set
 
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
+from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.position_fit import fit_positions, simulate_held_out
 from stiffopt.discovery.sanity.actuator_estimate import (
     estimate_actuator,
@@ -72,6 +73,23 @@ def test_viscous_friction_is_unknown_where_the_drives_damping_is(tmp_path: Path)
     assert model.fitted.of("viscous")[0] == pytest.approx(VISCOUS, rel=0.03)
     stated = load_recordings(path, ["actuator.kd=[0.0]"])
     assert "viscous" not in stated.unstated
+
+
+def test_a_deadband_is_told_from_dry_friction(tmp_path: Path) -> None:
+    """Twice as wide as the error that dry friction leaves."""
+    width = 2.0 * COULOMB / KP
+    folder = write_servo_set(
+        tmp_path / "set", actuator=f"kp = [{KP}]\nkd = [0.0]\ntolerance = 0.01", deadband=width
+    )
+    state_drive(folder)
+    found = diagnose(folder, experiment=False)
+    (finding,) = found.findings
+    assert finding.effect.name == "deadband"
+    (told,) = finding.parameters
+    assert told.sd is not None
+    assert abs(told.value - width) < 2.5 * told.sd < 0.05 * width
+    (run,) = found.positions
+    assert np.std(run.after - run.measured) < 1e-4 < 0.1 * np.std(run.before - run.measured)
 
 
 def _resolved(found):

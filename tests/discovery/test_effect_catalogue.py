@@ -83,6 +83,7 @@ REPORTED = {
     "wrist_coupling": {"c": ""},
     "output_backlash": {"width": "rad"},
     "command_delay": {"d": "s"},
+    "deadband": {"width": "rad"},
     "external_contact": {"k": "N/m", "z": "m"},
     "inertial_error": {
         "dm": "kg",

@@ -136,6 +136,7 @@ NOT_SIMULATED = {
     "untimed_cold_start",
     "command_delay",
     "coupled_drive",
+    "deadband",
     "end_stop",
     "friction_drift",
     "joint_damping",

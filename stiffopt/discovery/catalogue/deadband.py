@@ -39,6 +39,8 @@ DEADBAND = Effect(
     term=deadband_term,
     amplitudes=(Amplitude("width", "rad", _TYPICAL_WIDTH, 0.0, _LARGEST_WIDTH / _TYPICAL_WIDTH),),
     shapes=(Shape("about", "rad", (0.0,), 0.0, _LARGEST_WIDTH, 0.0, "secant", reported=False),),
+    # Every joint has dry friction, few controllers a deadband.
+    log_prior=lambda constants: -2.0,
     separate="Step the command by one count at rest, and read the current: within a deadband none"
     " flows, against friction it does.",
 )
