@@ -18,11 +18,13 @@ from stiffopt.closed_loop.simulation import (
     simulate_stretches,
 )
 
-# Iterations at most, and the decreases of the squared deviations that end them: of a step that is
-# not worth its simulation, and of one that was made and reached no more.
-_MAX_ITERATIONS, _LEAST_EXPECTED, _LEAST_REACHED = 24, 0.1, 1.0
-# Levenberg-Marquardt damping over the curvature: at first and at least, and at most.
-_LEAST_DAMPING, _LARGEST_DAMPING = 1e-3, 1e6
+# Iterations at most, and the decrease of the squared deviations that ends them: expected of an
+# undamped step, or reached.
+_MAX_ITERATIONS, _LEAST_DECREASE = 24, 0.1
+# Levenberg-Marquardt damping over the curvature: at first, and least after a step that failed; and
+# at most. It vanishes with steps that succeed: what expected values alone tell, as the scale of all
+# torques, has a curvature far below that of the motion, and any damping by the latter holds it.
+_FIRST_DAMPING, _LARGEST_DAMPING = 1e-3, 1e6
 # Duration of all runs that the leading parameters are fitted to, times joints [s].
 _LEADING_SECONDS = 40.0
 # Degrees of freedom of the prior: what is expected holds within its deviation or is wrong, and a
@@ -376,25 +378,26 @@ class _Fit:
         Noise is what the fit leaves: at every step it is estimated anew, so that what the start
         leaves does not let the prior rule.
         """
-        damping = _LEAST_DAMPING
+        damping = _FIRST_DAMPING
         for number in range(_MAX_ITERATIONS):
             largest = 1e3 * float(np.sqrt(np.nanmean(point.residual**2)))
             say(f"simulate from commands: step {number + 1}, residual {largest:.2f} mrad")
             noise = self.noise(point)
             hessian, gradient = self._normal_equations(parameters, point, noise)
+            best = self._moved(parameters, hessian, gradient, 0.0)
+            step = (best.values - parameters.values)[self.places] / self._size
+            if -step @ (2.0 * gradient + hessian @ step) < _LEAST_DECREASE:
+                break
             decrease = 0.0
             while damping < _LARGEST_DAMPING and decrease <= 0.0:
                 moved = self._moved(parameters, hessian, gradient, damping)
-                step = (moved.values - parameters.values)[self.places] / self._size
-                if -step @ (2.0 * gradient + hessian @ step) < _LEAST_EXPECTED:
-                    return parameters, point
                 ahead = self.evaluate(moved)
                 decrease = self._decrease(parameters, moved, point, ahead, noise)
-                damping = max(damping * (0.1 if decrease > 0.0 else 10.0), _LEAST_DAMPING)
+                damping = 0.1 * damping if decrease > 0.0 else max(10.0 * damping, _FIRST_DAMPING)
             if decrease <= 0.0:
                 break
             parameters, point = moved, ahead
-            if decrease < _LEAST_REACHED:
+            if decrease < _LEAST_DECREASE:
                 break
         return parameters, point
 
