@@ -13,6 +13,7 @@ from stiffopt.discovery.catalogue.contacts import CONTACTS, COUPLED_DRIVE, TOOL_
 from stiffopt.discovery.catalogue.drift import (
     COLD_START,
     FRICTION_DRIFT,
+    FRICTION_IN_RUNS,
     FRICTION_WARMUP,
     GAIN_DRIFTS,
     GAIN_WARMUP,
@@ -45,6 +46,7 @@ CATALOGUE: tuple[Effect, ...] = (
     *FRICTION,
     LUBRICATED_FRICTION,
     FRICTION_DRIFT,
+    FRICTION_IN_RUNS,
     COLD_START,
     UNTIMED_COLD_START,
     FRICTION_WARMUP,
