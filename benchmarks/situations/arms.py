@@ -55,7 +55,9 @@ class Arm:
         m, length, width = self.masses[k], self.lengths[k], 0.35 * self.lengths[k]
         along = self.centres[k] / max(np.linalg.norm(self.centres[k]), 1e-9)
         across = m * (length**2 + 3.0 * width**2) / 12.0
-        return across * np.eye(3) + (m * width**2 / 2.0 - across) * np.outer(along, along)
+        return np.asarray(
+            across * np.eye(3) + (m * width**2 / 2.0 - across) * np.outer(along, along)
+        )
 
     def urdf(self, masses: Masses) -> str:
         """What the user has: masses stated, 2 kg for every link, or none."""
