@@ -39,6 +39,7 @@ START = {
     "gravity_spring": 0.09,
     "hysteresis": 0.11,
     "inertial_error": 2.0,
+    "joint_delay": 0.3,
     "joint_zero": 1.0,
     "k1_softening": 0.2,
     "load_friction": 0.23,

@@ -101,6 +101,19 @@ def time_delay(world: World, joint: int, severity: float, rng: np.random.Generat
     return Outcome(parameters={"d": delay})
 
 
+@effect("sensor")
+def joint_delay(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
+    """The torque of one joint passes a filter or a bus of its own."""
+    delay = 8e-3 * severity * spread(rng) * sign(rng)
+
+    def read(signals: Signals) -> None:
+        late = _late(signals.torque[:, :, [joint]], delay / signals.step)
+        signals.torque[:, :, joint] = late[:, :, 0]
+
+    world.sensors.append(read)
+    return Outcome(parameters={"d": delay})
+
+
 @effect("sensor", "robot")
 def encoder_skew(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
     """What the link encoders say is older than its time stamp."""

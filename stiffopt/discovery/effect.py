@@ -220,8 +220,8 @@ class Effect:
     # True where every real robot has a little of it: it is fitted from the start unless the nominal
     # model is vouched for.
     usual: bool = False
-    # True for an effect of a joint that acts on other joints too: its term takes the signals of the
-    # robot, where `link` is the joint, and returns values of all joints.
+    # True for an effect of a joint whose term takes the signals of the robot, where `link` is the
+    # joint, and returns values of all joints: it acts on others too, or reads their torques.
     couples_joints: bool = False
     # True where it changes the weight that several joints carry: a single one competes with
     # re-identified masses.

@@ -327,6 +327,9 @@ def test_time_delay_shifts_torque(delay: float):
     if abs(delay) < 0.01:
         slope = -delay * 9.0 * np.cos(9.0 * time[:, None] + np.arange(6))
         np.testing.assert_allclose(late.drive_torque[10:-2], slope[10:-2], atol=1e-4)
+    own = replace(ROBOT, drive_torque=wave, link=2)
+    one = effect("joint_delay").term(own, [delay], [delay]).drive_torque
+    np.testing.assert_array_equal(one, late.drive_torque * (np.arange(6) == 2))
 
 
 @pytest.mark.parametrize("bend", [1.0, 1.5, 10.0])

@@ -42,6 +42,7 @@ REPORTED = {
         "b": "1/K",
     },
     "friction_drift": {"dFc_spread": "N m", "dFv_spread": "N m s/rad"},
+    "friction_in_runs": {"dFc": "N m", "dFv": "N m s/rad", "first": "", "last": ""},
     "cold_start": {"dFc": "N m", "dFv": "N m s/rad", "tau_w": "s"},
     "untimed_cold_start": {"dFc": "N m", "dFv": "N m s/rad", "tau_w": "s", "period": "s"},
     "friction_warmup": {"dFc": "N m", "dFv": "N m s/rad"},
@@ -68,6 +69,7 @@ REPORTED = {
     "torque_offset": {"off": "N m"},
     "encoder_offset": {"off": "rad"},
     "time_delay": {"d": "s"},
+    "joint_delay": {"d": "s"},
     "saturation": {"limit": "N m"},
     "reading_limit": {"limit": "N m"},
     "clock_drift": {"e": "", "d": "s"},
@@ -237,6 +239,7 @@ def test_effect_applies_only_to_suitable_joints():
         "wrist_coupling",
         "coupled_drive",
         "crosstalk",
+        "joint_delay",
         "saturation",
         "reading_limit",
     }

@@ -81,6 +81,7 @@ TRIALS = (
     Trial("quadratic_drag", 1, 38),
     Trial("joint_zero", 2, 31, "small3"),
     Trial("crosstalk", 2, 32, "small3"),
+    Trial("joint_delay", 1, 43),
     Trial("tool_force", None, 33, "small3"),
     Trial("turning_tool_force", None, 34, "small3"),
 )
@@ -139,6 +140,7 @@ NOT_SIMULATED = {
     "deadband",
     "end_stop",
     "friction_drift",
+    "friction_in_runs",
     "joint_damping",
     "output_backlash",
     "carried_part",

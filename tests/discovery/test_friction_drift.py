@@ -9,8 +9,10 @@ from simulated_sets import diagnosed, said, short_case, simulated
 
 from stiffopt.discovery.catalogue.drift import (
     FRICTION_DRIFT,
+    FRICTION_IN_RUNS,
     deviations_of_runs,
     friction_drift,
+    friction_in_runs,
     of_other_runs,
 )
 from stiffopt.discovery.diagnose import diagnose
@@ -43,6 +45,19 @@ def test_drift_term_has_zero_mean_over_runs():
 def test_drift_of_unrecorded_runs_ignores_names():
     entry = of_other_runs(FRICTION_DRIFT, ("of a", "of b"))
     assert of_run("a", entry, [0.1, -0.2]) == 0.0
+
+
+def test_friction_of_some_runs_acts_in_these_and_never_in_the_last():
+    entry, signals = friction_in_runs(("a", "b", "c", "d")), sample_signals().of_joint(4)
+    for run, acts in zip("abcde", (False, True, True, False, False), strict=True):
+        term = entry.term(replace(signals, run=run), [0.5, 0.1], [2.0, 3.0])
+        assert np.any(term.drive_torque) == acts
+    tried = [(a, b) for a in range(1, 5) for b in range(1, 5)]
+    kept = [each for each in tried if entry.possible(each, signals.constants)]
+    assert kept == [(1, 1), (1, 2), (1, 3), (2, 2), (2, 3), (3, 3)]
+    assert "from b to c" in entry.remedy([0.5, 0.1], [2.0, 3.0], signals.constants)
+    other = of_other_runs(FRICTION_IN_RUNS, ("dFc", "dFv"))
+    assert other.term(replace(signals, run="a"), [0.5, 0.1], [1.0, 1.0]).drive_torque == 0.0
 
 
 def test_friction_within_runs_acts_in_its_own_run():

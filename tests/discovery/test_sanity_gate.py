@@ -440,6 +440,21 @@ def test_run_of_another_arm_is_doubted(tmp_path, capsys):
     assert doubted(folder) == ()
 
 
+def test_a_push_in_part_of_a_run_is_no_other_arm(tmp_path):
+    folder = tmp_path / "set"
+    shutil.copytree(SHIPPED, folder)
+    with np.load(folder / "train_2.npz") as stored:
+        columns = dict(stored)
+    pushed = slice(int(0.45 * len(columns["q1"])), int(0.6 * len(columns["q1"])))
+    for joint, torque in ((1, 40.0), (2, 30.0)):
+        columns[f"tau{joint}"][pushed] += torque
+    np.savez_compressed(folder / "train_2.npz", **columns)
+    recordings = load_recordings(folder)
+    gate = SanityGate(recordings, open_training_runs(recordings))
+    assert [odd.run.name for odd in gate._odd_runs] == ["train_2"]
+    assert gate.doubts == ()
+
+
 @pytest.mark.parametrize("spring", [True, False])
 def test_a_spring_in_all_runs_makes_none_odd(tmp_path, spring):
     """A share of the torque's variance is larger where a run has less of it."""

@@ -45,6 +45,7 @@ DRIVE = {
     "gain_drift",
     "gain_warmup",
     "crosstalk",
+    "joint_delay",
 }
 ELASTIC = {
     "backlash",

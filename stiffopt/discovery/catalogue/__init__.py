@@ -14,6 +14,7 @@ from stiffopt.discovery.catalogue.deadband import DEADBAND
 from stiffopt.discovery.catalogue.drift import (
     COLD_START,
     FRICTION_DRIFT,
+    FRICTION_IN_RUNS,
     FRICTION_WARMUP,
     GAIN_DRIFTS,
     GAIN_WARMUP,
@@ -46,6 +47,7 @@ CATALOGUE: tuple[Effect, ...] = (
     *FRICTION,
     LUBRICATED_FRICTION,
     FRICTION_DRIFT,
+    FRICTION_IN_RUNS,
     COLD_START,
     UNTIMED_COLD_START,
     FRICTION_WARMUP,

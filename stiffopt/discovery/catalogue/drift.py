@@ -280,6 +280,72 @@ FRICTION_DRIFT = friction_drift(("", "another"))
 GAIN_DRIFTS = tuple(gain_drift(scope, ("", "another")) for scope in ("robot", "joint"))
 
 
+# ---- friction of some runs
+
+
+def _runs_of(runs: Sequence[str], shapes: Values) -> Sequence[str]:
+    """Return the runs from the first to the last of the shapes, which count from 1."""
+    return runs[round(float(shapes[0])) - 1 : round(float(shapes[1]))]
+
+
+def friction_in_runs(runs: Sequence[str], states: Sequence[str] = ()) -> Effect:
+    """Return friction that is another one in consecutive runs than in all others.
+
+    Runs of the latest state are the others: it is the state of further runs, and of a plan. A
+    change that stays is thus that of the runs before it.
+    """
+    numbers = tuple(float(k + 1) for k in range(len(runs)))
+
+    def term(signals: JointSignals, amplitudes: Values, shapes: Values) -> Term:
+        if signals.run not in _runs_of(runs, shapes):
+            return Term()
+        return Term(drive_torque=_added_friction(signals, amplitudes))
+
+    def possible(shapes: Sequence[float], constants: JointConstants) -> bool:
+        return 1.0 <= shapes[0] <= shapes[1] < len(runs)
+
+    def remedy(amplitudes: Values, shapes: Values, constants: JointConstants) -> str:
+        own = _runs_of(runs, shapes)
+        when = f"from {own[0]} to {own[-1]}" if len(own) > 1 else f"in {''.join(own)}"
+        what = "higher" if amplitudes[0] > 0.0 else "lower"
+        return (
+            f"The friction of joint {constants.joint} was {what} {when} than in all other runs: ask"
+            " what was different then (brake, hose, grease, temperature), and plan with the"
+            " friction of the last run."
+        )
+
+    return Effect(
+        name="friction_in_runs",
+        family="friction",
+        scope="joint",
+        equation="tau += dFc*sg(w) + dFv*w in the runs from first to last",
+        signature="motor torque off against the motion in one run, or in runs that follow one"
+        " another, and in no other",
+        title="friction of some runs",
+        phrase=(
+            "{dFc} and {dFv} more friction in runs {first} to {last} than in all others",
+            "{dFc} and {dFv} less friction in runs {first} to {last} than in all others",
+        ),
+        remedy=remedy,
+        needs=("torque", "moves", "reverses", "three_runs"),
+        confused_with=("friction_drift", "cold_start", "untimed_cold_start"),
+        beside=ANY_FRICTION,
+        reference="LairdWare1982",
+        amplitudes=FRICTION_WARMUP.amplitudes,
+        shapes=tuple(Shape(name, "", numbers, 1.0, 1e3, fit="held") for name in ("first", "last")),
+        possible=possible,
+        term=term,
+        report=lambda amplitudes, shapes, constants: {
+            **dict(zip(("dFc", "dFv"), amplitudes, strict=True)),
+            "first": float(shapes[0]),
+            "last": float(shapes[1]),
+        },
+        of_runs=friction_in_runs,
+        separate="Repeat one motion in every run: friction of a place, a load or a speed is then"
+        " alike in all of them.",
+    )
+
+
 # ---- changes within each run
 
 
@@ -409,3 +475,5 @@ GAIN_WARMUP = Effect(
     separate="Hold the arm still under its weight for some minutes: the torque of a constant weight"
     " changes with the torque constant, not with friction.",
 )
+
+FRICTION_IN_RUNS = friction_in_runs(("", "another"))

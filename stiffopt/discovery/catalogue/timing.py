@@ -13,9 +13,8 @@ from stiffopt.discovery.signals import RobotSignals
 
 # Shortest shift [s] whose slope rounding errors leave exact.
 _SHORTEST_SHIFT = 1e-9
-# Longest delay and lead [s]: some cycles of a slow controller.
-_MAX_DELAY = 0.05
-# Longest offset of the clock of one run [s]; the plausibility check finds longer ones.
+# Longest delay, lead, and offset of the clock of one run [s]; the plausibility check finds longer
+# ones.
 MAX_CLOCK_OFFSET = 0.2
 # Largest relative difference of two clocks: 1 % is a rate in the place of another; crystals agree
 # to 1e-4.
@@ -38,6 +37,14 @@ def delay_term(signals: RobotSignals, amplitudes: Values, shapes: Values) -> Ter
     """Return tau(t - d) - tau(t) of all joints, linear in d about the delay of the shape."""
     slope = shift_slope(signals.drive_torque, signals.dt, shapes[0])
     return Term(drive_torque=amplitudes[0] * slope)
+
+
+def joint_delay_term(signals: RobotSignals, amplitudes: Values, shapes: Values) -> Term:
+    """Return tau(t - d) - tau(t) of the joint alone, as `delay_term`."""
+    drive, own = signals.drive_torque, slice(signals.link, signals.link + 1)
+    late = np.zeros_like(drive)
+    late[:, own] = amplitudes[0] * shift_slope(drive[:, own], signals.dt, shapes[0])
+    return Term(drive_torque=late)
 
 
 def shift_samples(values: np.ndarray, samples: np.ndarray | float) -> np.ndarray:
@@ -91,13 +98,37 @@ TIME_DELAY = Effect(
     needs=("torque", "torque_sensor", "moves"),
     reads_torque=True,
     term=delay_term,
-    amplitudes=(Amplitude("d", "s", 5e-3, -10.0, 10.0),),
-    shapes=(_shift_about("s", (2e-4, 1e-3, 5e-3, 0.02), _MAX_DELAY, 1e-4),),
+    amplitudes=(Amplitude("d", "s", 5e-3, -40.0, 40.0),),
+    shapes=(_shift_about("s", (2e-4, 1e-3, 5e-3, 0.02, 0.08), MAX_CLOCK_OFFSET, 1e-4),),
     linear_about=True,
     signals_key="torque_delay",
     separate="Change speed quickly, then hold it: a delay shows while the torque changes, friction"
     " and inertia do not depend on how fast it does. Ahead of the motion is a command: read the"
     " name of its column in the manual, and record the measured current as well.",
+)
+
+JOINT_DELAY = Effect(
+    name="joint_delay",
+    family="sensor",
+    scope="joint",
+    couples_joints=True,
+    equation="tau += tau(t - d) - tau(t) in one joint",
+    signature="motor torque of one joint late or early, by a time that no other joint shows",
+    title="torque of one joint late",
+    phrase=("torque of one joint recorded {d} late", "torque of one joint recorded {d} early"),
+    remedy="Shift the torque channel of {where} by {d}, and look for a filter or a bus segment that"
+    " only this joint has.",
+    needs=("torque", "torque_sensor", "moves"),
+    confused_with=("time_delay", "viscous"),
+    reads_torque=True,
+    term=joint_delay_term,
+    amplitudes=TIME_DELAY.amplitudes,
+    shapes=TIME_DELAY.shapes,
+    linear_about=True,
+    # Of one joint, it is that of all.
+    applies=lambda constants: constants.joints > 1,
+    separate="Move all joints together and change speed quickly: of a delay that all joints share,"
+    " every torque shows the same.",
 )
 
 COMMAND_DELAY = Effect(
@@ -170,4 +201,4 @@ RUN_CLOCK = Effect(
     separate="Repeat the run with one clock for all signals: a cause in the robot stays.",
 )
 
-TIMING = (TIME_DELAY, COMMAND_DELAY, CLOCK_DRIFT, RUN_CLOCK)
+TIMING = (TIME_DELAY, JOINT_DELAY, COMMAND_DELAY, CLOCK_DRIFT, RUN_CLOCK)

@@ -315,7 +315,10 @@ def _doubt_single_runs(
     for run, search in searches[:_MAX_SINGLE_RUNS]:
         explanation = search.best()
         if explanation is not None:
-            yield from _doubt_one_run(recordings, run.name, search, explanation)
+            others = np.array([each.strict for _, each in searches if each is not search])
+            # A model that fails in other runs too says nothing of this one.
+            if not (others[:, explanation.joints] > _MIN_OPEN_SHARE).any():
+                yield from _doubt_one_run(recordings, run.name, search, explanation)
 
 
 # Least residual share of a torque in an odd run, and least ratio to that in any other run, whose
@@ -404,8 +407,23 @@ def _is_effect_of_all_runs(together: Explanations, odd: OddRun) -> bool:
 
 
 def _is_effect_of_one_run(odd: OddRun) -> bool:
-    """True if another payload or a delay of that run explains it: a diagnosis names these."""
-    return any(not _is_odd(left, odd.others).any() for left in odd.search.left_beside_effects)
+    """True if a diagnosis names it: another payload, a delay, or what acts in a third of the run.
+
+    Another arm, or another load, does not fit in the rest either.
+    """
+    return any(
+        not _is_odd(left, odd.others).any()
+        for left in (*odd.search.left_beside_effects, *_shares_without_thirds(odd.search))
+    )
+
+
+def _shares_without_thirds(search: Explanations) -> Iterator[np.ndarray]:
+    """Yield the residual shares (n,) without each third; of the run where the rest tells none."""
+    sixth = 6 * np.arange(len(search.samples.position)) // len(search.samples.position)
+    for first in range(5):
+        rest = search.samples.select((sixth < first) | (sixth > first + 1))
+        own = Explanations(search.robot, rest).with_free_guesses
+        yield np.where(np.isnan(own), search.with_free_guesses, own)
 
 
 def _explains_odd_runs(explanation: Explanation, odd: Sequence[OddRun]) -> bool:
@@ -440,6 +458,4 @@ def _select_shared_range(
         own = getattr(samples, name)[:, columns]
         outside = (own < low - margin) | (own > high + margin)
         inside &= ~(outside & np.isfinite(beside).any(axis=0)).any(axis=1)
-    if inside.sum() < _MIN_SHARED_INSTANTS:
-        return None
-    return replace(samples, **{name: getattr(samples, name)[inside] for name in names})
+    return None if inside.sum() < _MIN_SHARED_INSTANTS else samples.select(inside)

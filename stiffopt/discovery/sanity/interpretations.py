@@ -44,6 +44,11 @@ class Samples:
     torque: np.ndarray
     series: tuple[TorqueSeries, ...]  # one per run
 
+    def select(self, rows: np.ndarray) -> Samples:
+        """Return some of the instants."""
+        names = ("position", "velocity", "acceleration", "torque")
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
+
 
 def sample_runs(runs: Sequence[RecordedRun]) -> Samples | None:
     """Sample instants of the usable runs; None if they are too short."""
