@@ -29,34 +29,41 @@ _DIAGONAL_REGULARISATION = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class BandedRows:
-    """Rows A x <= b in groups of equal columns."""
+    """Rows A x <= b, R at each of K places; those of place k have entries at k to k + 2."""
 
-    first: np.ndarray  # (P,) first of the three unknowns of each group
-    entries: np.ndarray  # (P, R, 3) coefficients of R rows a group
-    bound: np.ndarray  # (P, R) right-hand sides; infinite ones are no rows
-    unknowns: int
+    entries: np.ndarray  # (3, R, K) coefficients
+    bound: np.ndarray  # (R, K) right-hand sides; infinite ones are no rows
+
+    @property
+    def unknowns(self) -> int:
+        """Number of unknowns."""
+        return int(self.bound.shape[1]) + WIDTH - 1
 
     def times(self, x: np.ndarray) -> np.ndarray:
-        """A x (P, R)."""
-        near = x[self.first[:, None] + np.arange(WIDTH)]
-        return np.asarray(np.matmul(self.entries, near[:, :, None])[:, :, 0])
+        """A x (R, K)."""
+        count = self.bound.shape[1]
+        found = self.entries[0] * x[:count]
+        for k in range(1, WIDTH):
+            found += self.entries[k] * x[k : k + count]
+        return np.asarray(found)
 
     def transposed_times(self, weights: np.ndarray) -> np.ndarray:
-        """A^T weights (unknowns,), of weights (P, R)."""
-        parts = np.matmul(weights[:, None, :], self.entries)[:, 0, :]
+        """A^T weights (unknowns,), of weights (R, K)."""
+        count = self.bound.shape[1]
         found = np.zeros(self.unknowns)
         for k in range(WIDTH):
-            found += np.bincount(self.first + k, parts[:, k], self.unknowns)
+            found[k : k + count] += np.einsum("rk,rk->k", self.entries[k], weights)
         return found
 
     def normal_matrix(self, weights: np.ndarray) -> np.ndarray:
         """A^T diag(weights) A in the upper form of `solveh_banded`, (3, unknowns)."""
-        blocks = np.matmul((weights[:, :, None] * self.entries).swapaxes(1, 2), self.entries)
+        count = self.bound.shape[1]
         band = np.zeros((WIDTH, self.unknowns))
         for low in range(WIDTH):
+            weighted = weights * self.entries[low]
             for high in range(low, WIDTH):
-                row = WIDTH - 1 - (high - low)
-                band[row] += np.bincount(self.first + high, blocks[:, low, high], self.unknowns)
+                own = np.einsum("rk,rk->k", weighted, self.entries[high])
+                band[WIDTH - 1 - (high - low), high : high + count] += own
         return band
 
 
@@ -68,14 +75,14 @@ def maximise(rows: BandedRows, weights: np.ndarray, start: np.ndarray) -> np.nda
     """
     there = np.isfinite(rows.bound)
     bound = np.where(there, rows.bound, 1.0)
-    rows = BandedRows(rows.first, rows.entries * there[..., None], bound, rows.unknowns)
+    rows = BandedRows(rows.entries * there, bound)
     x = start.copy()
     slack = np.maximum(bound - rows.times(x), 1e-2)
     price = np.full_like(slack, weights.sum() / slack.size) / slack
     count, scale = slack.size, max(1.0, float(np.abs(bound).max()))
+    primal = bound - rows.times(x) - slack
     for _ in range(_MAX_STEPS):
         dual = weights - rows.transposed_times(price)
-        primal = bound - rows.times(x) - slack
         gap = float(np.vdot(slack, price)) / count
         value = abs(float(weights @ x)) + 1e-12
         if (
@@ -106,13 +113,12 @@ def maximise(rows: BandedRows, weights: np.ndarray, start: np.ndarray) -> np.nda
         forward, upward = (min(1.0, _STEP_SHARE * each) for each in ahead)
         x = x + forward * step
         slack = slack + forward * moved
+        primal = (1.0 - forward) * primal
         price = price + upward * dearer
     return x
 
 
 def _longest_step(value: np.ndarray, change: np.ndarray) -> float:
     """Return the step at which a value reaches zero, at most 1/_STEP_SHARE."""
-    falling = change < 0.0
-    if not falling.any():
-        return 1.0 / _STEP_SHARE
-    return min(1.0 / _STEP_SHARE, float((-value[falling] / change[falling]).min()))
+    fastest = float((change / value).min())
+    return min(1.0 / _STEP_SHARE, -1.0 / fastest) if fastest < 0.0 else 1.0 / _STEP_SHARE

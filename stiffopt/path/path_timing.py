@@ -56,8 +56,13 @@ _LEAST_ALLOWANCE = 0.4
 _NODE_CHANGE_GAIN = 0.05
 # Limits that the programme keeps, and the power of the speed that each grows with.
 _DERIVATIVE_ORDERS = {"velocity": 1, "tool_speed": 1, "acceleration": 2, "torque": 2, "jerk": 3}
+# Largest turn of the joints' direction within a step [rad]: what limits allow turns with it.
+_LARGEST_TURN = 0.05
 # Largest x: the tangent of the jerk limit admits nothing above 3.
 _LARGEST_SCALE = 2.9
+# Use of a limit, nowhere exceeded at a stage, below which a programme leaves it out: at the largest
+# x it would just be met, and the next programme sees where x' exceeds it.
+_SMALL_USE = 1.0 / _LARGEST_SCALE
 # Share of the limits that the first timing uses, and its time of rise to full acceleration [s].
 _FIRST_SHARE, _FIRST_RISE = 0.5, 0.05
 _PATH_SAMPLES_PER_PIECE, _MIN_PATH_SAMPLES = 8, 2000
@@ -131,7 +136,7 @@ def _fastest_part(found: _PathTiming, path: JointPath) -> Trajectory:
         gain = abs(1.0 - better.duration / law.duration)
         # New nodes would smear the jumps of the jerk: not near the optimum.
         settled = settled or gain < _NODE_CHANGE_GAIN
-        law = better if settled else better.with_nodes_at(path.knots)
+        law = better if settled else better.with_nodes_at(path.knots, found.least_steps)
         if not settled:
             continue
         uses = found.uses(law)
@@ -160,6 +165,13 @@ class _PathTiming:
         self._robot, self._limits, self._path, self._demands = robot, limits, path, demands
         # Shares of the limits of acceleration and jerk that may be used in every step.
         self._allowances: dict[str, np.ndarray] = {}
+        # Steps on each piece of the path at least, by how far its direction turns.
+        begin, end = (
+            path.evaluate_piece(s, np.arange(len(s)), 1) for s in (path.knots[:-1], path.knots[1:])
+        )
+        across = np.linalg.norm(begin, axis=1) * np.linalg.norm(end, axis=1)
+        turn = np.arccos(np.clip(np.sum(begin * end, axis=1) / np.maximum(across, 1e-300), -1, 1))
+        self.least_steps = np.maximum(np.ceil(turn / _LARGEST_TURN).astype(int), 1)
 
     def first_law(self) -> TimeLaw:
         """Return a timing that uses a share of the limits, with nodes at the path's knots."""
@@ -190,7 +202,8 @@ class _PathTiming:
             bend = (rate[own + 1] - rate[own]) / steps[own]
             time, s = grid, s[own] + local * (rate[own] + 0.5 * local * bend)
         s[[0, -1]] = 0.0, 1.0
-        return TimeLaw(time, s, self._demands.eased).with_nodes_at(path.knots)
+        law = TimeLaw(time, s, self._demands.eased)
+        return law.with_nodes_at(path.knots, self.least_steps)
 
     def _path_bounds(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Rate [1/s] and acceleration [1/s^2] of s that use a share of each limit, (K,) each."""
@@ -311,28 +324,23 @@ class _PathTiming:
     def _rows(self, law: TimeLaw) -> tuple[BandedRows, list[np.ndarray]]:
         """Rows of the programme, and values of the basis at the stages, (3, K, 3) each."""
         basis = [basis_of(law.time, share) for share in (0.0, 0.5, 1.0)]
-        entries, bounds, first = [], [], []
-        steps = np.arange(len(law.time) - 1)
+        entries, bounds = [], []
         piece = self._pieces(law)
         for share in _STAGE_SHARES:
             value, slope, bend = basis_of(law.time, share)
             own, bound = self._stage_rows(law.at(share), piece)
+            # Rows of a stage, entries of each basis function (3, R, K).
             entries.append(
-                own[0][:, :, None] * value[:, None, :]
-                + own[1][:, :, None] * slope[:, None, :]
-                + own[2][:, :, None] * bend[:, None, :]
+                value.T[:, None] * own[0] + slope.T[:, None] * own[1] + bend.T[:, None] * own[2]
             )
             bounds.append(bound)
-            first.append(steps)
-        rows = BandedRows(
-            np.concatenate(first), np.concatenate(entries), np.concatenate(bounds), len(steps) + 2
-        )
+        rows = BandedRows(np.concatenate(entries, axis=1), np.concatenate(bounds))
         return rows, basis
 
     def _stage_rows(
         self, law: np.ndarray, piece: np.ndarray
     ) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
-        """Factors of x, x', x'' in each row (K, R), and its bound; rows are relative to limits."""
+        """Factors of x, x', x'' in each row (R, K), and its bound; rows are relative to limits."""
         limits, share = self._limits, functools.partial(self._demands.share, s=law[0])
         p0, dq, ddq, dddq = self._joint_motion(law, piece)
         zero = np.zeros_like(dq)
@@ -349,6 +357,8 @@ class _PathTiming:
             for k in np.flatnonzero(np.isfinite(limit).all(axis=0)):
                 allowed = share(name) * limit[:, k]
                 for sign in (1.0, -1.0):
+                    if (sign * (x + fixed)[:, k] / allowed).max() < _SMALL_USE:
+                        continue
                     columns.append(tuple(sign * each[:, k] / allowed for each in (x, x1, zero)))
                     bounds.append(allowance(name) * (1.0 - sign * fixed[:, k] / allowed))
 
@@ -357,6 +367,8 @@ class _PathTiming:
         for k in np.flatnonzero(np.isfinite(limits.jerk)):
             allowed = share("jerk") * limits.jerk[k] * allowance("jerk")
             for sign in (1.0, -1.0):
+                if (sign * dddq[:, k] / allowed).max() < _SMALL_USE:
+                    continue
                 parts = dddq[:, k], 1.5 * ddq[:, k], 0.5 * dq[:, k]
                 own = [sign * each / allowed for each in parts]
                 columns.append((own[0] + 0.5, own[1], own[2]))
@@ -380,8 +392,8 @@ class _PathTiming:
         for sign, bound in ((1.0, ceiling), (-1.0, np.full(len(dq), -LEAST_SCALE))):
             columns.append((np.full(len(dq), sign), zero[:, 0], zero[:, 0]))
             bounds.append(bound)
-        x, x1, x2 = (np.stack(column, axis=1) for column in zip(*columns, strict=True))
-        return (x, x1, x2), np.stack(bounds, axis=1)
+        x, x1, x2 = (np.stack(column) for column in zip(*columns, strict=True))
+        return (x, x1, x2), np.stack(bounds)
 
     def _velocity(self, q: np.ndarray) -> np.ndarray:
         allowed = np.broadcast_to(self._limits.velocity, q.shape)

@@ -70,14 +70,17 @@ class TimeLaw:
             low, high = np.where(before, middle, low), np.where(before, high, middle)
         return high
 
-    def with_nodes_at(self, knots: np.ndarray) -> TimeLaw:
-        """Return the law with nodes where s passes knots, and about equal steps between."""
+    def with_nodes_at(self, knots: np.ndarray, least: np.ndarray) -> TimeLaw:
+        """Return the law with nodes where s passes knots, and about equal steps between.
+
+        `least` (m - 1,): number of steps between neighbouring knots at least.
+        """
         crossed = np.concatenate([[0.0], self.crossings(knots[1:-1]), [self.duration]])
         # Rounding may order crossings of very close knots wrongly.
         crossed = np.maximum.accumulate(crossed)
         spans = np.diff(crossed)
         longest = self.duration / count_steps(self.duration)
-        counts = np.maximum(np.ceil(spans / longest).astype(int), 1)
+        counts = np.maximum(np.ceil(spans / longest).astype(int), least)
         counts[[0, -1]] = np.maximum(counts[[0, -1]], 3)
         ends = np.cumsum(counts)
         inside = (np.arange(ends[-1]) - np.repeat(ends - counts, counts)) / np.repeat(

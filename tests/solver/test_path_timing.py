@@ -14,7 +14,9 @@ from stiffopt.path.path_timing import PathDemands, fastest_timing
 from stiffopt.path.timed_path import timed_motion
 from stiffopt.problem.limit import Limits
 from stiffopt.problem.limits.joint_curve import curve_at
+from stiffopt.problem.limits.travel import with_bounded_travel
 from stiffopt.problem.objective import Objective
+from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import Target, TrajectoryProblem
 from stiffopt.result.joint_path import JointPath
 from stiffopt.robot.files import load_robot
@@ -147,3 +149,18 @@ def test_torque_of_the_drives_falls_with_their_speed():
     assert 0.97 < used.max() < 1.005
     plain = fastest_timing(arm, Limits(free), path, PathDemands(eased=False))
     assert law.duration > plain.duration
+
+
+def test_a_closed_path_is_timed_though_its_ends_are_one_place():
+    arm = load_robot("ur10")
+    closed = np.concatenate([WAYPOINTS, WAYPOINTS[:1]])
+    problem = TrajectoryProblem(
+        robot=arm,
+        start=Target(joints=closed[0]),
+        end=Target(joints=closed[-1]),
+        duration=(0.01, np.inf),
+        objectives=(Objective(name="duration"),),
+        path=closed,
+    )
+    assert with_bounded_travel(problem, resolve(problem)) is problem
+    assert timed_motion(problem).feasible

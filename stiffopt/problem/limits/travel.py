@@ -54,10 +54,10 @@ def with_bounded_travel(problem: TrajectoryProblem, motion: ResolvedMotion) -> T
         # Where the tool error is minimised.
         ratio = 1.5 if problem.judges_uncertain_arms else np.inf
     given = motion.start_fixed and motion.end_fixed and problem.path is None
+    if not (given and np.isfinite(ratio)):
+        return problem
     path = JointPath.through(motion.points, "chord")(np.linspace(0.0, 1.0, 201))
     need, most = np.ptp(path, axis=0), np.zeros(problem.joints)
-    if not (given and np.isfinite(ratio) and need.any()):
-        return problem
     for kind in (problem.robot.prismatic, ~problem.robot.prismatic):
         most[kind] = np.max(need[kind], initial=0.0)
     # Least need of an axis, as a share of the largest of its kind: the others pass by its detour.
