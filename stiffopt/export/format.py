@@ -269,17 +269,26 @@ _MODEL_PATTERNS = {
     "ABB": r"abb\b|irb|crb\W?\d|gofa|yumi",
     "Fanuc": r"fanuc|lr\W?mate|crx\W?\d|m\W?\d+i[abcd]|r\W?2000",
     "EFORT": r"efort|er\d",
-    "Yaskawa": r"yaskawa|motoman|gp\d|hc\d",
-    "Staubli": r"st[äa]e?ubli|tx2?\W?\d",
+    "Yaskawa": r"yaskawa|motoman|gp\d|hc\d|mh\d",
+    "Staubli": r"st[äa]e?ubli|[rt]x2?[\W_]?\d{2}|ts2[\W_]?\d{2}",
     "Franka": r"franka|panda|fr3\b",
+    "Kawasaki": r"kawasaki|rs\d{3}",
+    "Mitsubishi": r"mitsubishi|rv\W?\d+f",
+    "Denso": r"denso|cobotta|vs\W?\d{3}",
+    "Doosan": r"doosan",
+    "Techman": r"techman|tm\d{1,2}\b",
+    "Comau": r"comau",
+    "Kinova": r"kinova|jaco|j2[ns]\d|gen3\b",
+    "UFACTORY": r"ufactory|xarm\d?|lite\W?6",
+    "Rethink": r"sawyer|baxter",
 }
 
 
 def maker_of(name: str) -> str:
     """Maker of an arm by its name; "" where it is not known.
 
-    >>> maker_of("ur10"), maker_of("kuka_kr6_r900"), maker_of("my_arm")
-    ('Universal Robots', 'KUKA', '')
+    >>> maker_of("ur10"), maker_of("kuka_kr6_r900"), maker_of("rx160"), maker_of("my_arm")
+    ('Universal Robots', 'KUKA', 'Staubli', '')
     """
     for maker, pattern in _MODEL_PATTERNS.items():
         if re.search(rf"(?:^|[\W_])(?:{pattern})", name.lower()):

@@ -16,7 +16,7 @@ from scipy.interpolate import BPoly
 from synthetic_solution import assessment, solution, trajectory_columns
 
 from stiffopt.cli import run
-from stiffopt.export.format import FORMATS, read_seal
+from stiffopt.export.format import FORMATS, maker_of, read_seal
 from stiffopt.export.motion import MotionEvent, read_motion
 from stiffopt.files import write_csv
 from stiffopt.problem.files import load_problem
@@ -440,3 +440,20 @@ def test_results_without_joint_names_are_refused(folder, capsys):
     path.write_text(json.dumps(document))
     assert run(["export", str(folder), "--to", "csv"]) == 2
     assert "does not name its joints" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "maker"),
+    [
+        ("staubli_rx160", "Staubli"),
+        ("tx2_60l", "Staubli"),
+        ("mh5", "Yaskawa"),
+        ("m10ia", "Fanuc"),
+        ("xarm7", "UFACTORY"),
+        ("j2s7s300", "Kinova"),
+        ("matrix10", ""),
+        ("spline2", ""),
+    ],
+)
+def test_the_maker_of_an_arm_is_told_by_its_name(name, maker):
+    assert maker_of(name) == maker
