@@ -241,13 +241,18 @@ class _Fit:
         if not (np.diag(covariance) > 0.0).all():  # derivatives that grow without bound
             raise FloatingPointError("the simulation diverges")
         current, covariance = self._share_delay(current, covariance)
+        noise = self.encoder_noise(point)
+        # A controller reads its encoder: a deadband within its noise is none.
+        read = np.zeros(len(start.values))
+        read[start.place("deadband")] = np.nan_to_num(noise) ** 2
+        covariance += np.diag(read[self.places])
         spread[self.places] = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         expected[self.places] = self._size
         return Polished(
             parameters=current,
             deviations=spread,
             residual=np.sqrt(np.nanmean(point.residual**2, axis=0)),
-            noise=self.encoder_noise(point),
+            noise=noise,
             discretisation=discretisation,
             places=self.places,
             covariance=covariance,
