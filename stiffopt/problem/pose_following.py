@@ -166,8 +166,8 @@ def _describe_end(
         return f"stopped by {', '.join(error.limits.values())}."
     try:
         solve_pose(robot, position, rotation, error.joints)
-    except UnreachablePoseError as unreachable:
-        return str(unreachable)
+    except UnreachablePoseError:
+        return str(error)
     jacobian = _weighted_jacobian(robot.rigid_bodies(), robot.tool, error.joints)
     return (
         f"the posture ends in a singular pose, where {_turning_joints(jacobian)} would turn at any "
