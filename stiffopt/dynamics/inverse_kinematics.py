@@ -25,13 +25,19 @@ class UnreachablePoseError(ProblemError):
     """No joint angles within the limits reach the tool pose.
 
     `distance`: smallest distance reached [m]. `angle`: angle error there, where an orientation was
-    given [rad]. `joints` (n,): joint angles there.
+    given [rad]. `joints` (n,): joint angles there. `limits`: the joint limits that stop the search,
+    in words, by joint number from 0.
     """
 
     def __init__(
-        self, message: str, distance: float, angle: float | None, joints: np.ndarray
+        self,
+        message: str,
+        distance: float,
+        angle: float | None,
+        joints: np.ndarray,
+        limits: dict[int, str],
     ) -> None:
-        self.distance, self.angle, self.joints = distance, angle, joints
+        self.distance, self.angle, self.joints, self.limits = distance, angle, joints, limits
         super().__init__(message)
 
 
@@ -198,13 +204,13 @@ def _unreachable_error(robot: Robot, search: _Search, q: np.ndarray) -> Unreacha
     reached = f"{1000 * distance:.4g} mm away"
     if angle is not None:
         reached += f" and turned by {np.degrees(angle):.3g} deg"
-    stops = [
-        f"{robot.joint_names[j]} at its {side} limit {q[j]:.4g}"
+    stops = {
+        int(j): f"{robot.joint_names[j]} at its {side} limit {q[j]:.4g}"
         for j in search.limiting_joints(q)
         for side in ("lower" if q[j] <= search.lower[j] else "upper",)
-    ]
+    }
     cause = (
-        f"Stopped by {', '.join(stops)}."
+        f"Stopped by {', '.join(stops.values())}."
         if stops
         else "No joint limit is active: the target lies outside the reach of the links."
     )
@@ -218,4 +224,5 @@ def _unreachable_error(robot: Robot, search: _Search, q: np.ndarray) -> Unreacha
         distance,
         angle,
         q,
+        stops,
     )

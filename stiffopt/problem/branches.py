@@ -58,6 +58,13 @@ def solutions_of_pose(
     return found[:96]
 
 
+def middle_of_ranges(robot: Robot) -> np.ndarray:
+    """Joint positions (n,) in the middle of their ranges, 0 where a joint has none."""
+    limits = np.stack([robot.position_lower, robot.position_upper])
+    bounded = np.isfinite(limits).all(axis=0)
+    return np.where(bounded, np.where(bounded, limits, 0.0).mean(axis=0), 0.0)
+
+
 def _turns(robot: Robot, q: np.ndarray, reference: np.ndarray) -> list[np.ndarray]:
     """Solutions that differ from q (n,) by full turns, within the limits."""
     whole = 2.0 * np.pi
@@ -155,6 +162,15 @@ def branch_name(robot: Robot, q: np.ndarray) -> str:
         ("wrist", "no flip" if turned > 0.0 else "flip"),
     )
     return ", ".join(f"{part} {side}" for part, side in words)
+
+
+def describe_posture(robot: Robot, q: np.ndarray) -> str:
+    """Branch and joint positions (n,) in words."""
+    angles = ", ".join(
+        f"{1e3 * each:.4g} mm" if slides else f"{each:.4g}"
+        for each, slides in zip(q, robot.prismatic, strict=True)
+    )
+    return f"{f'posture {branch_name(robot, q)}'.rstrip()} [{angles}] rad"
 
 
 def _branch_sides(robot: Robot, q: np.ndarray) -> tuple[float, float, float]:

@@ -279,9 +279,7 @@ class _CycleReader:
             given = step.target.joints if step.target.joints is not None else step.target.near
             if given is not None:
                 return given
-        robot = self._robot(self._loads[0])
-        limits = np.stack([robot.position_lower, robot.position_upper])
-        return np.where(np.isfinite(limits).all(axis=0), limits.mean(axis=0), 0.0)
+        return branches.middle_of_ranges(self._robot(self._loads[0]))
 
     def _candidates(
         self,

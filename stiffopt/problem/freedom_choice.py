@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from stiffopt.errors import ProblemError
-from stiffopt.problem.branches import branch_name
+from stiffopt.problem.branches import describe_posture
 from stiffopt.problem.freedom_programme import FreedomOptimum, optimise_freedom
 from stiffopt.problem.freedom_task import FreedomTask
 from stiffopt.problem.tool_path import FittedPath, ToolPath, fit_tool_path
@@ -104,10 +104,7 @@ def _describe_choice(task: FreedomTask, found: FreedomOptimum) -> str:
     freedom, choice = task.freedom, found.choice
     spin, *tilt = np.degrees(choice.angles(task.along)).T
     parts = []
-    branch = f"posture {branch_name(task.robot, found.joints[0])}".rstrip()
-    start = zip(found.joints[0], task.robot.prismatic, strict=True)
-    angles = ", ".join(f"{1e3 * q:.4g} mm" if slides else f"{q:.4g}" for q, slides in start)
-    parts.append(f"{branch} [{angles}] rad at the start")
+    parts.append(f"{describe_posture(task.robot, found.joints[0])} at the start")
     if freedom.tool_axis_rotation > 0.0:
         parts.append(f"rotation about the tool's axis {spin.min():.4g} to {spin.max():.4g} deg")
     if freedom.tilt > 0.0:

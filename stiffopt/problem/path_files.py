@@ -13,6 +13,7 @@ import scipy
 from stiffopt.dimensions import DIMENSIONS
 from stiffopt.errors import InputFileError, ProblemError
 from stiffopt.files import read_table
+from stiffopt.problem.branches import middle_of_ranges, within_limits
 from stiffopt.problem.freedom_choice import choose_freedom
 from stiffopt.problem.freedom_task import FreedomTask
 from stiffopt.problem.joint_lists import JointLists
@@ -101,12 +102,8 @@ def read_tool_path(
     `kept` is the document of an earlier choice of the freedom.
     """
     robot = joints.robot
-    with np.errstate(invalid="ignore"):  # a joint without limits has no middle
-        middle = 0.5 * (robot.position_lower + robot.position_upper)
-    near = np.where(np.isfinite(middle), middle, 0.0)
     posture = section.near if section.start is None else section.start.near or section.near
-    if posture is not None:
-        near = joints(posture, "angle", "path.near")
+    near = None if posture is None else joints(posture, "angle", "path.near")
     with locate_errors(joints.path, ""):
         frame = frames.rotation_from_rpy(section.frame.rpy), np.array(section.frame.position)
         if section.table is not None:
@@ -116,12 +113,14 @@ def read_tool_path(
         chosen: tuple[str, ...] = ()
         choice = None
         if section.freedom is None:
-            fitted = fit_tool_path(robot, path, near, section.tolerance)
+            fitted = fit_tool_path(within_limits(robot, limits), path, near, section.tolerance)
+            chosen = (fitted.remark,) if fitted.remark else ()
         else:
             stated = _force_along(path, section.force, forces, at)
             axes = "path" if section.force is None else section.force.frame
             task = FreedomTask(robot, section.freedom, limits, path, frame[1], stated, axes)
-            found = choose_freedom(task, near, section.tolerance, cell, kept)
+            start = middle_of_ranges(robot) if near is None else near
+            found = choose_freedom(task, start, section.tolerance, cell, kept)
             path, fitted, choice = found.path, found.fitted, found.document
             chosen = (found.remark,)
         force, followed = _force_along(path, section.force, forces, at), fitted.joints

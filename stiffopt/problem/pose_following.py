@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import scipy
 
-from stiffopt.dynamics.inverse_kinematics import LENGTH_PER_RADIAN, solve_pose
+from stiffopt.dynamics.inverse_kinematics import (
+    LENGTH_PER_RADIAN,
+    UnreachablePoseError,
+    solve_pose,
+)
 from stiffopt.errors import ProblemError
 from stiffopt.result.joint_path import JointPath
 from stiffopt.robot.batched_kinematics import frame_positions, frame_rotations
+from stiffopt.robot.frames import LinkFrame
+from stiffopt.robot.rigid_body import RigidBodies
 from stiffopt.robot.robot import Robot
 
 # Steps within each piece of a path.
@@ -24,13 +30,30 @@ MIN_CONDITION = 2e-3
 Poses = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
+class PathEndsError(ProblemError):
+    """A posture does not follow a path to its end.
+
+    `place`: where it ends [m]. `start` (n,): joint positions at the start of the path. `limited`:
+    numbers from 0 of joints whose limits end it, none where it is singular. `cause`: in words.
+    """
+
+    def __init__(
+        self, place: float, start: np.ndarray, cause: str, limited: Sequence[int] = ()
+    ) -> None:
+        self.place, self.start, self.cause, self.limited = place, start, cause, list(limited)
+        super().__init__(
+            f"path, {place:.3f} m from its start: {cause} Choose another posture by path.near, or "
+            "another path."
+        )
+
+
 class PoseFollower:
     """Inverse kinematics at any distance along a path, close to poses solved step by step.
 
     `poses`: positions (K, 3) [m] and rotations (K, 3, 3) at distances (K,) [m]. `breaks` (m,):
     distances at which pieces of the path meet, 0 and its length among them [m]. `near` (n,) or
-    callable: selects the solution at the start, or at each distance [m]. Raises
-    `ProblemError`: a pose is out of reach, or the path passes a singular pose; with the place.
+    callable: selects the solution at the start, or at each distance [m]. Raises `ProblemError`: the
+    start is out of reach; `PathEndsError`: the posture ends before the path does.
     """
 
     def __init__(
@@ -57,34 +80,18 @@ class PoseFollower:
             restarts = 0 if found else 60
             try:
                 q = np.asarray(solve_pose(robot, position, rotation, guess, restarts=restarts))
-            except ProblemError as error:
-                raise ProblemError(f"path, {place:.3f} m from its start: {error}") from error
-            jacobian = bodies.jacobian(robot.tool, q)
-            jacobian[3:] *= LENGTH_PER_RADIAN
-            self._check_step(place, q, q if before is None else before, jacobian)
+            except UnreachablePoseError as error:
+                if not found:
+                    raise ProblemError(f"path, {place:.3f} m from its start: {error}") from error
+                cause = _describe_end(robot, position, rotation, error)
+                raise PathEndsError(place, found[0], cause, [*error.limits]) from error
+            jacobian = _weighted_jacobian(bodies, robot.tool, q)
+            cause = _describe_singularity(q, q if before is None else before, jacobian)
+            if cause:
+                raise PathEndsError(place, found[0] if found else q, cause)
             found.append(q)
             inverses.append(np.linalg.pinv(jacobian))
         self._joints, self._inverses = np.stack(found), np.stack(inverses)
-
-    def _check_step(
-        self, place: float, q: np.ndarray, before: np.ndarray, jacobian: np.ndarray
-    ) -> None:
-        step = np.abs(q - before)
-        j = int(np.argmax(step))
-        if step[j] > _MAX_JOINT_STEP:
-            raise ProblemError(
-                f"path, {place:.3f} m from its start: joint {j + 1} would turn by "
-                f"{np.degrees(step[j]):.0f} deg in one step, through a singular pose. Choose "
-                "another posture by path.start.near, or another path."
-            )
-        values = np.linalg.svd(jacobian, compute_uv=False)
-        if values[-1] < MIN_CONDITION * values[0]:
-            turning = np.linalg.svd(jacobian)[2][-1]
-            joints = " and ".join(str(k + 1) for k in np.flatnonzero(np.abs(turning) > 0.5))
-            raise ProblemError(
-                f"path, {place:.3f} m from its start: the pose is singular, joint {joints} would "
-                "turn at any speed. Choose another posture by path.start.near, or another path."
-            )
 
     def __call__(self, along: np.ndarray) -> np.ndarray:
         """Joint positions (K, n) at distances (K,) [m]."""
@@ -119,6 +126,53 @@ class PoseFollower:
         ).as_rotvec()
         left = positions - frame_positions(tree, tool, q)
         return np.hstack([left, LENGTH_PER_RADIAN * turn])
+
+
+def _weighted_jacobian(bodies: RigidBodies, tool: LinkFrame, q: np.ndarray) -> np.ndarray:
+    """Return the Jacobian of the tool (6, n), its rotations times a length [m/rad]."""
+    jacobian = np.array(bodies.jacobian(tool, q))
+    jacobian[3:] *= LENGTH_PER_RADIAN
+    return jacobian
+
+
+def _describe_singularity(q: np.ndarray, before: np.ndarray, jacobian: np.ndarray) -> str:
+    """Return what is singular at a step of a path, "" where nothing is."""
+    step = np.abs(q - before)
+    j = int(np.argmax(step))
+    if step[j] > _MAX_JOINT_STEP:
+        return (
+            f"joint {j + 1} would turn by {np.degrees(step[j]):.0f} deg in one step, through a "
+            "singular pose."
+        )
+    values = np.linalg.svd(jacobian, compute_uv=False)
+    if values[-1] < MIN_CONDITION * values[0]:
+        return f"the pose is singular, {_turning_joints(jacobian)} would turn at any speed."
+    return ""
+
+
+def _turning_joints(jacobian: np.ndarray) -> str:
+    """Return the joints that move the tool least, as of a singular pose."""
+    turning = np.abs(np.linalg.svd(jacobian)[2][min(jacobian.shape) - 1])
+    # Least share of a joint that takes part, of the largest.
+    taking_part = np.flatnonzero(turning > 0.5 * turning.max())
+    return f"joint{'s' * (len(taking_part) > 1)} {' and '.join(str(k + 1) for k in taking_part)}"
+
+
+def _describe_end(
+    robot: Robot, position: np.ndarray, rotation: np.ndarray, error: UnreachablePoseError
+) -> str:
+    """Return why a posture does not reach a pose from the step before."""
+    if error.limits:
+        return f"stopped by {', '.join(error.limits.values())}."
+    try:
+        solve_pose(robot, position, rotation, error.joints)
+    except UnreachablePoseError:
+        return str(error)
+    jacobian = _weighted_jacobian(robot.rigid_bodies(), robot.tool, error.joints)
+    return (
+        f"the posture ends in a singular pose, where {_turning_joints(jacobian)} would turn at any "
+        "speed; the tool is within reach in another posture."
+    )
 
 
 # Shares of the interval between two knots at which the error is measured.

@@ -341,7 +341,7 @@ class PathSection(Section):
     frame: Annotated[WorkFrameSection, Doc("Work frame.")] = WorkFrameSection()
     near: Annotated[
         list[JointPosition] | None,
-        Doc("Joint positions that select the posture at the start of a table's path."),
+        Doc("Joint positions near those at the start; default any posture for the whole path."),
     ] = None
     force: Annotated[PathForceSection | None, Doc("Process force along the path.")] = None
     freedom: Annotated[PathFreedom | None, Doc("Freedom that the process leaves.")] = None

@@ -16,7 +16,8 @@ import scipy
 
 from stiffopt.errors import ProblemError
 from stiffopt.problem.path_freedom import FreedomChoice
-from stiffopt.problem.pose_following import PoseFollower, fit_joint_path
+from stiffopt.problem.path_posture import follow_path
+from stiffopt.problem.pose_following import fit_joint_path
 from stiffopt.problem.tool_curves import Arc, Curve, Line, ToolCurve, blend_curve
 from stiffopt.result.joint_path import JointPath
 from stiffopt.robot.robot import Robot
@@ -270,21 +271,23 @@ class FittedPath:
 
     joints: JointPath  # knots where pieces meet; the tool stops at its `stops`
     error: float  # largest distance of the tool from the tool path [m]
+    remark: str  # on the posture, "" where it is the usual one
 
 
 def fit_tool_path(
     robot: Robot,
     path: ToolPath,
-    near: np.ndarray | Callable[[float], np.ndarray],
+    near: np.ndarray | Callable[[float], np.ndarray] | None,
     tolerance: float,
 ) -> FittedPath:
     """Fit a joint spline that follows a tool path.
 
     `near` (n,) or callable: selects the inverse-kinematics solution at the start, or at each
-    distance [m]. `tolerance`: largest error of the tool's position [m]. Raises
-    `ProblemError`: the path is out of reach, passes a singular pose, or needs too many knots.
+    distance [m]; with None, any posture that follows the whole path. `tolerance`: largest error of
+    the tool's position [m]. Raises `ProblemError`: the path is out of reach, passes a singular
+    pose, or needs too many knots.
     """
-    follower = PoseFollower(robot, path.poses, path.breaks, near)
+    follower, remark = follow_path(robot, path.poses, path.breaks, near)
     # Deviation of the joints' path over the size of the smallest blend: it must not vanish.
     allowed = min(tolerance, 0.05 * path.smallest_blend)
     # Orientation error that weighs as much as the tolerance of the position [rad].
@@ -321,7 +324,7 @@ def fit_tool_path(
         dwells=path.dwells,
         corners=path.corners,
     )
-    return FittedPath(joints, worst)
+    return FittedPath(joints, worst, remark)
 
 
 def _segment_curve(start: np.ndarray, segment: ToolSegment, where: str) -> ToolCurve:
