@@ -8,13 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from stiffopt.closed_loop.arm import CommandedArm
+from stiffopt.closed_loop.least_squares import Polished
 from stiffopt.closed_loop.parameters import (
     BODY_PARAMETERS,
     Parameters,
     zero_parameters,
 )
 from stiffopt.closed_loop.physics import LoopPhysics
-from stiffopt.closed_loop.polish import Polished, polish, polish_leading
+from stiffopt.closed_loop.polish import polish, polish_leading
 from stiffopt.closed_loop.simulation import CommandedRun
 from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter, bridge_gaps, derivative
 from stiffopt.discovery.settings import DEFAULT_TOLERANCE

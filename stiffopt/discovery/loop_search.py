@@ -9,8 +9,9 @@ import numpy as np
 from scipy.special import erfc, expit, softmax
 
 from stiffopt.closed_loop.arm import CommandedArm
+from stiffopt.closed_loop.least_squares import Score
 from stiffopt.closed_loop.parameters import Parameters
-from stiffopt.closed_loop.polish import Score, limit_gain, score_amplitudes
+from stiffopt.closed_loop.polish import limit_gain, score_amplitudes
 from stiffopt.closed_loop.simulation import STRETCH_SECONDS, CommandedRun
 from stiffopt.discovery.comparison.located_effect import (
     EstimatedEffect,

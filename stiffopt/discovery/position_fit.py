@@ -10,6 +10,7 @@ import numpy as np
 
 from stiffopt.actuator.law import ActuatorLaw
 from stiffopt.closed_loop.arm import CommandedArm
+from stiffopt.closed_loop.least_squares import Polished
 from stiffopt.closed_loop.parameters import (
     AMPLITUDES,
     BODY_PARAMETERS,
@@ -20,7 +21,6 @@ from stiffopt.closed_loop.parameters import (
     zero_parameters,
 )
 from stiffopt.closed_loop.physics import LoopPhysics
-from stiffopt.closed_loop.polish import Polished
 from stiffopt.closed_loop.simulation import simulate
 from stiffopt.discovery.extended.model import ExtendedModel
 from stiffopt.discovery.extended.schema import ClosedLoopSection

@@ -26,9 +26,10 @@ from servo_sets import (
 from stiffopt.actuator.law import ActuatorLaw
 from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.dry_friction import mean_friction
+from stiffopt.closed_loop.least_squares import LoopFit, SimulatedPoint
 from stiffopt.closed_loop.parameters import Parameters, zero_parameters
 from stiffopt.closed_loop.physics import Amplitudes, LoopPhysics, LoopSpring
-from stiffopt.closed_loop.polish import _Fit, _Point, polish, score_amplitudes
+from stiffopt.closed_loop.polish import polish, score_amplitudes
 from stiffopt.closed_loop.simulation import (
     CommandedRun,
     Stretch,
@@ -191,12 +192,14 @@ def test_noise_of_encoders_is_not_the_motion_that_held_commands_bend(loop: Comma
     bent = np.std(np.diff(runs[0].position[:, 0], n=3)) / np.sqrt(20.0)
     assert bent > 1.5 * noise
     still = replace(runs[0], name="still", position=0.0 * runs[0].position)
-    fit = _Fit(loop, [runs[0], still], prior, deviations)
+    fit = LoopFit(loop, [runs[0], still], prior, deviations)
     point = fit.evaluate(prior)
     own = point.residual[: len(point.residual) // 2]
-    alone = _Fit(loop, runs[:1], prior, deviations)
-    np.testing.assert_allclose(fit.encoder_noise(point), alone.encoder_noise(_Point(own, own)))
-    none = _Fit(loop, [still], prior, deviations)
+    alone = LoopFit(loop, runs[:1], prior, deviations)
+    np.testing.assert_allclose(
+        fit.encoder_noise(point), alone.encoder_noise(SimulatedPoint(own, own))
+    )
+    none = LoopFit(loop, [still], prior, deviations)
     assert np.isnan(none.encoder_noise(none.evaluate(prior))).all()
 
 
@@ -309,7 +312,7 @@ def test_physics_with_which_a_simulation_diverges_has_no_score(loop: CommandedAr
             values=np.insert(fitted.parameters.values, -1, 0.0),
             amplitude_bounds=amplitudes.bounds,
         )
-        fit = _Fit(more, runs, whole, np.insert(deviations, -1, 0.5))
+        fit = LoopFit(more, runs, whole, np.insert(deviations, -1, 0.5))
         assert np.isfinite(fit.misfit(whole)) == (pushed == 0.0)
         if pushed == 0.0:
             assert score_amplitudes(more, runs, fitted, [[0]], 0)[0] is not None

@@ -13,7 +13,7 @@ from scipy import special
 from servo_sets import ARMATURE, COULOMB, DELAY, KP, VISCOUS, state_drive, write_servo_set
 
 from stiffopt.closed_loop.arm import CommandedArm
-from stiffopt.closed_loop.polish import Polished
+from stiffopt.closed_loop.least_squares import Polished
 from stiffopt.closed_loop.simulation import simulate
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.located_effect import (

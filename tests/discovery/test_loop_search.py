@@ -22,7 +22,8 @@ from servo_sets import (
 )
 
 from stiffopt.closed_loop.arm import CommandedArm
-from stiffopt.closed_loop.polish import Score, score_amplitudes
+from stiffopt.closed_loop.least_squares import Score
+from stiffopt.closed_loop.polish import score_amplitudes
 from stiffopt.discovery.catalogue import CATALOGUE, effect
 from stiffopt.discovery.comparison.located_effect import (
     EstimatedEffect,
