@@ -41,8 +41,9 @@ if TYPE_CHECKING:
 
 # Quantities of joints that are compared with their limits, with the SI unit for revolute joints.
 JOINT_LIMITS = {"velocity": "rad/s", "acceleration": "rad/s^2", "jerk": "rad/s^3", "torque": "N m"}
-# Rounds of backing off until the command keeps the limits of the motors.
-_MAX_BACK_OFFS = 8
+# Rounds of backing off until the command keeps the limits of the motors: each takes a part of the
+# excess.
+_MAX_BACK_OFFS = 14
 # Window over which a new timing is averaged, so that motors can lead [s].
 _AVERAGING_WINDOW = 0.02
 
