@@ -339,6 +339,21 @@ def test_sign_reversed_in_one_run(tmp_path):
     assert doubt.evidence.startswith("Only in train_2")
 
 
+def test_a_run_is_described_otherwise_beside_one_that_is_too_short_to_be_judged(tmp_path):
+    shutil.copytree(SHIPPED, folder := tmp_path / "set")
+    file = folder / "recordings.toml"
+    sections = re.split(r"(?=\[\[runs\]\])", file.read_text(encoding="utf-8"))
+    kept = [own for own in sections if "train_" not in own or re.search("train_[12]", own)]
+    file.write_text("".join(kept), encoding="utf-8")
+    for name, rows, sign in (("train_1", slice(None), -1.0), ("train_2", slice(150), 1.0)):
+        with np.load(folder / f"{name}.npz") as stored:
+            columns = {key: own[rows] for key, own in stored.items()}
+        columns["tau2"] = sign * columns["tau2"]
+        np.savez_compressed(folder / f"{name}.npz", **columns)
+    (doubt,) = doubted(folder)
+    assert (doubt.kind, doubt.joints) == ("torque sign", (2,))
+
+
 def test_torques_of_currents_of_a_joint_without_weight_are_no_kilonewtons(monkeypatch):
     """An upright axis bears no weight: whatever factor, friction and inertia make up for it."""
     from stiffopt.discovery.sanity import explanations

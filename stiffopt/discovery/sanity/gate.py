@@ -13,7 +13,7 @@ from stiffopt.discovery.sanity.command_doubts import doubt_commands
 from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings, format_joints, limit_to_runs
 from stiffopt.discovery.sanity.explanation_doubts import describe_explanation, doubt_degrees
 from stiffopt.discovery.sanity.explanations import Explanation, Explanations
-from stiffopt.discovery.sanity.interpretations import Samples, sample_runs
+from stiffopt.discovery.sanity.interpretations import SAMPLED, Samples, sample_runs
 from stiffopt.discovery.sanity.sensor_doubts import (
     doubt_contacts_at_rest,
     doubt_dead_channels,
@@ -315,9 +315,9 @@ def _doubt_single_runs(
     for run, search in searches[:_MAX_SINGLE_RUNS]:
         explanation = search.best()
         if explanation is not None:
-            others = np.array([each.strict for _, each in searches if each is not search])
+            others = (each.strict for _, each in searches if each is not search)
             # A model that fails in other runs too says nothing of this one.
-            if not (others[:, explanation.joints] > _MIN_OPEN_SHARE).any():
+            if not any((own[explanation.joints] > _MIN_OPEN_SHARE).any() for own in others):
                 yield from _doubt_one_run(recordings, run.name, search, explanation)
 
 
@@ -419,8 +419,9 @@ def _is_effect_of_one_run(odd: OddRun) -> bool:
 
 def _shares_without_thirds(search: Explanations) -> Iterator[np.ndarray]:
     """Yield the residual shares (n,) without each third; of the run where the rest tells none."""
-    sixth = 6 * np.arange(len(search.samples.position)) // len(search.samples.position)
-    for first in range(5):
+    count = len(search.samples.position)
+    sixth = 6 * np.arange(count) // count
+    for first in range(5):  # thirds begin at sixths
         rest = search.samples.select((sixth < first) | (sixth > first + 1))
         own = Explanations(search.robot, rest).with_free_guesses
         yield np.where(np.isnan(own), search.with_free_guesses, own)
@@ -448,8 +449,7 @@ def _select_shared_range(
     The torque counts since a limit of the drive shows at the largest demand.
     """
     inside = np.ones(len(samples.position), dtype=bool)
-    names = ("position", "velocity", "acceleration", "torque")
-    for name in names:
+    for name in SAMPLED:
         columns = [joint] if name == "torque" else slice(None)
         beside = np.vstack([getattr(each, name)[:, columns] for each in others])
         low = np.where(np.isnan(beside), np.inf, beside).min(axis=0)

@@ -32,6 +32,10 @@ class TorqueSeries:
         return np.column_stack([np.interp(when, self.time, column) for column in self.torque.T])
 
 
+# Fields of `Samples` with a row for every instant.
+SAMPLED = ("position", "velocity", "acceleration", "torque")
+
+
 @dataclass(frozen=True, eq=False)
 class Samples:
     """Motion and torques at sampled instants of the runs, filtered alike."""
@@ -46,8 +50,7 @@ class Samples:
 
     def select(self, rows: np.ndarray) -> Samples:
         """Return some of the instants."""
-        names = ("position", "velocity", "acceleration", "torque")
-        return replace(self, **{name: getattr(self, name)[rows] for name in names})
+        return replace(self, **{name: getattr(self, name)[rows] for name in SAMPLED})
 
 
 def sample_runs(runs: Sequence[RecordedRun]) -> Samples | None:
