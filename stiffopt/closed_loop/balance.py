@@ -183,12 +183,12 @@ class Balance:
         """Torques of the actuators, viscous losses of the drives, and their slopes."""
         own, law, v = self.own, self.loop.law, self.motor_speed
         # An actuator damps by the speed that it reads.
-        away, none = self.command - self.place[: self.n], own["deadband"]
-        away -= ca.fmax(ca.fmin(away, none), -none)
-        drive = _clip(self.kp * away, law.drive_max)
+        error = self.command - self.place[: self.n]
+        error -= _within(error, own["deadband"])
+        drive = _clip(self.kp * error, law.drive_max)
         torque = _clip(drive - self.kd * self.speed[: self.n], law.torque_max)
         for joint, largest in self.loop.physics.limits.items():
-            torque[joint] = ca.fmax(ca.fmin(torque[joint], largest), -largest)
+            torque[joint] = _within(torque[joint], largest)
         losses = own["viscous"] * v + own["drag"] * v * ca.fabs(v)
         return torque, losses, self.kd + own["viscous"]
 
@@ -254,7 +254,12 @@ def _clip(value: ca.SX, largest: np.ndarray) -> ca.SX:
     """Return a value within plus and minus `largest`, untouched where that is infinite."""
     return ca.vertcat(
         *(
-            ca.fmax(ca.fmin(value[i], most), -most) if np.isfinite(most) else value[i]
+            _within(value[i], most) if np.isfinite(most) else value[i]
             for i, most in enumerate(largest)
         )
     )
+
+
+def _within(value: ca.SX, largest: ca.SX | float) -> ca.SX:
+    """Return a value within plus and minus `largest`."""
+    return ca.fmax(ca.fmin(value, largest), -largest)

@@ -134,9 +134,9 @@ class LoopFit:
         current, covariance = self._share_delay(current, covariance)
         noise = self.encoder_noise(point)
         # A controller reads its encoder: a deadband within its noise is none.
-        read = np.zeros(len(start.values))
-        read[start.place("deadband")] = np.nan_to_num(noise) ** 2
-        covariance += np.diag(read[self.places])
+        least = np.zeros(len(start.values))
+        least[start.place("deadband")] = np.nan_to_num(noise) ** 2
+        covariance += np.diag(least[self.places])
         spread[self.places] = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         expected[self.places] = self._size
         return Polished(

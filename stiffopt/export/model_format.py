@@ -29,7 +29,15 @@ from stiffopt.robot.robot import Robot
 # Places of BODY_PARAMETERS but the mass in `Body.inertial_parameters`.
 _BESIDES_MASS = (1, 2, 3, 4, 6, 9)
 # Parameters of a closed loop that robot files have no field for.
-_UNREPRESENTED_PARAMETERS = ("load_friction", "friction_slope", "drag", "offset")
+_UNREPRESENTED_PARAMETERS = (
+    "load_friction",
+    "friction_slope",
+    "drag",
+    "offset",
+    "lateness",
+    "integral",
+    "deadband",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,7 +139,7 @@ def _with_closed_loop(
             *(
                 f"{name} of joint {j + 1}"
                 for name in _UNREPRESENTED_PARAMETERS
-                for j in np.flatnonzero(own[name])
+                for j in np.flatnonzero(own.get(name, 0.0))  # earlier files have fewer
             ),
         ),
     )

@@ -52,6 +52,7 @@ def test_fitted_values_replace_those_of_the_search(nominal):
         gain=(0.1, 0.0),
         zero=(0.05, 0.0),
         load_friction=(0.0, 0.07),
+        deadband=(0.002, 0.0),
     )
     # The set's first joint is the robot's second.
     np.testing.assert_allclose(found.robot.coulomb, [0.3, 0.2])
@@ -59,7 +60,8 @@ def test_fitted_values_replace_those_of_the_search(nominal):
     np.testing.assert_allclose(found.stiffness, [10.0, 22.0])
     np.testing.assert_allclose(found.zeros, [0.0, -0.05])
     # Physics that is no parameter of the simulation is in no robot file either.
-    assert found.left_out == ("of the search", "load_friction of joint 1")
+    left_out = ("load_friction of joint 1", "deadband of joint 2")
+    assert found.left_out == ("of the search", *left_out)
 
 
 def test_fitted_bodies_are_those_of_the_robot(nominal):
