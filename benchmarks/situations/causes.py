@@ -119,7 +119,7 @@ def conceal(  # noqa: C901, PLR0912  one kind a case
             world.gains = 1.0 + eps * here
             return Truth("torque scale 12 %", ("torque_gain",), j + 1, {"eps": eps})
         case "limit":
-            limit = float(np.quantile(np.abs(plan.torques[:, j]), 0.97))
+            limit = 0.8 * float(np.abs(plan.torques[:, j]).max())
             world.limits = np.where(here > 0.0, limit, np.inf)
             return Truth("drive at its limit", ("saturation",), j + 1, {"limit": limit})
         case "leak":

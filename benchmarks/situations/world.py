@@ -95,7 +95,7 @@ class World:
             stiff = BANDWIDTH**2 * np.diag(mass)
             asked = lead + arm.rotors * acceleration[k] + stiff * (error + wound)
             asked = asked + 2.0 * BANDWIDTH * np.diag(mass) * slip
-            drive = np.clip(asked, -np.minimum(self.limits, 10 * arm.torques), self.limits)
+            drive = np.clip(asked, -self.limits, self.limits)
             outside = np.zeros(n)
             outside += self.spring * (q - self.spring_at)
             force = self.force + (self.push if self._pushed(number, k / ticks) else 0.0)
