@@ -22,8 +22,7 @@ from stiffopt.closed_loop.simulation import (
 _MAX_ITERATIONS, _LEAST_DECREASE = 24, 0.1
 # Levenberg-Marquardt damping over the curvature: at first, and least after a step that failed; and
 # at most. It vanishes with steps that succeed: what stated values alone tell, as the scale of all
-# torques, has a curvature far below that of the motion, and any damping by the latter holds it. So
-# it stays where gains are estimated: what a simulation does not follow exactly would drag it.
+# torques, has a curvature far below that of the motion, and any damping by the latter holds it.
 _FIRST_DAMPING, _LARGEST_DAMPING = 1e-3, 1e6
 # Duration of all runs that the leading parameters are fitted to, and that scores read, times joints
 # [s].
@@ -275,13 +274,12 @@ class LoopFit:
         leaves does not let the prior rule.
         """
         damping = _FIRST_DAMPING
-        least = 0.0 if self._loop.law.estimated is None else _FIRST_DAMPING
         for number in range(_MAX_ITERATIONS):
             largest = 1e3 * float(np.sqrt(np.nanmean(point.residual**2)))
             say(f"simulate from commands: step {number + 1}, residual {largest:.2f} mrad")
             noise = self.noise(point)
             hessian, gradient = self._normal_equations(parameters, point, noise)
-            best = self._moved(parameters, hessian, gradient, least)
+            best = self._moved(parameters, hessian, gradient, 0.0)
             step = (best.values - parameters.values)[self.places] / self._size
             if -step @ (2.0 * gradient + hessian @ step) < _LEAST_DECREASE:
                 break
@@ -291,7 +289,7 @@ class LoopFit:
                 ahead = self.evaluate(moved)
                 decrease = self._decrease(parameters, moved, point, ahead, noise)
                 if decrease > 0.0:
-                    damping = max(0.1 * damping, least)
+                    damping *= 0.1
                 else:
                     damping = max(10.0 * damping, _FIRST_DAMPING)
             if decrease <= 0.0:

@@ -183,6 +183,25 @@ def test_polish_finds_friction_armature_and_delay_from_none(loop: CommandedArm) 
     assert (found.deviations[deviations == 0.0] == 0.0).all()
 
 
+def test_stated_friction_and_rotor_give_an_estimated_gain_its_scale(loop: CommandedArm) -> None:
+    """Beside a payload that nobody knows, and however far the estimate without it was."""
+    begun = 0.4
+    law = replace(loop.law, stiffness=begun * loop.law.stiffness, estimated=np.array([True]))
+    own = CommandedArm(loop.tree, law, loop.middle)
+    prior = true_parameters()
+    prior.values[prior.place("viscous")] *= begun
+    deviations = np.zeros_like(prior.values)
+    sizes = {"gain": 1.0, "armature": 0.1 * ARMATURE, "viscous": 0.5, "coulomb": 0.1 * COULOMB}
+    for name, size in sizes.items():
+        deviations[prior.place(name)] = size
+    deviations[prior.body_places("mass")] = 1.0
+    deviations[-1] = 0.01
+    found = polish(own, [recorded(7), recorded(8)], prior, deviations)
+    (gain,) = begun * (1.0 + found.parameters.of("gain"))
+    spread = begun * found.deviations[prior.place("gain")][0]
+    assert abs(gain - 1.0) < 2.0 * spread < 0.2
+
+
 def test_noise_of_encoders_is_not_the_motion_that_held_commands_bend(loop: CommandedArm) -> None:
     prior, noise = true_parameters(), 2e-5
     deviations = np.where(prior.values > 0.0, 0.1 * prior.values, 0.0)
