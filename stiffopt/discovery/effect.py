@@ -232,7 +232,8 @@ class Effect:
     # (amplitudes, stated gravity) -> gravity in the axes of the base (3,): bodies of other masses
     # and centres than the nominal ones hang in it too.
     turned_gravity: Callable[[Values, Any], Any] | None = None
-    # True where its first amplitude is the position of the joint at which its encoder reads 0.
+    # True where its first amplitude is the position of the joint at which its encoder reads 0:
+    # bodies of other masses than the nominal ones are elsewhere too.
     moves_zero: bool = False
     # True where its term with an amplitude of one is the part of the recorded torque of which the
     # motion tells nothing: the amplitude is known, and each sample of that part is an observation
@@ -328,6 +329,11 @@ class Effect:
     def of_robot(self) -> bool:
         """True where its term acts on all joints, in every run or in one."""
         return self.scope in ("robot", "recording")
+
+    @property
+    def changes_geometry(self) -> bool:
+        """True where bodies of any mass are elsewhere, or hang otherwise, than in the model."""
+        return self.moves_zero or self.turned_gravity is not None
 
     @property
     def identity(self) -> tuple[str, tuple[str, ...]]:

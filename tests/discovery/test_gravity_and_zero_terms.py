@@ -1,5 +1,7 @@
 """Torques of a tilted base and of a wrong joint zero against pinocchio, exact at large angles."""
 
+from dataclasses import replace
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -8,7 +10,9 @@ from simulated_sets import short_case, simulated
 from benchmarks.simulator import write_case
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.catalogue.geometry import BASE_TILT, JOINT_ZERO, tilt_axes, tilted_gravity
+from stiffopt.discovery.comparison.extended_run import extend_run, linearise_run
 from stiffopt.discovery.comparison.extension_change import extension_change
+from stiffopt.discovery.comparison.inertial_parameters import all_body_parameter_names
 from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
 from stiffopt.discovery.comparison.nominal_robot import LazyArmSignals, RobotModel
 from stiffopt.discovery.comparison.prepared_run import prepare_run
@@ -68,7 +72,8 @@ def test_changed_bodies_hang_in_the_gravity_of_a_tilted_base(robot):
     motion = [rng.uniform(-1.5, 1.5, (5, robot.n)) for _ in range(3)]
     change = rng.uniform(0.1, 0.3, (robot.n, 10))
     gravity = tilted_gravity((0.3, -0.2), robot.constants.gravity)
-    signals = LazyArmSignals(robot, *motion).under_gravity(gravity - robot.constants.gravity)
+    added = gravity - robot.constants.gravity
+    signals = LazyArmSignals(robot, *motion).with_geometry(added, np.zeros(robot.n))
     expected = []
     for times in (1.0, 0.0):
         model = robot.arm.model.copy()
@@ -83,6 +88,41 @@ def test_changed_bodies_hang_in_the_gravity_of_a_tilted_base(robot):
     np.testing.assert_allclose(regressor.torque(change), wanted, atol=1e-9)
     columns = sum(regressor.torque_of_body(body, own) for body, own in enumerate(change))
     np.testing.assert_allclose(columns, wanted, atol=1e-9)
+
+
+@pytest.mark.parametrize(("name", "joint"), [("base_tilt", None), ("joint_zero", 1)])
+def test_effects_act_on_the_weight_of_changed_bodies(folder, robot, name, joint):
+    """Predictions and columns against the arm with these bodies: its nominal weight is not its."""
+    (recorded, *_) = open_training_runs(robot.recordings, lambda text: None)
+    run = prepare_run(robot, recorded, 0, None, Settings(), vibrating=False)
+    change = np.random.default_rng(6).uniform(0.2, 0.9, (robot.n, 10))
+    names = all_body_parameter_names(robot)
+    bodies = Extension(calibration=dict(zip(names, change.ravel().tolist(), strict=True)))
+    at = (0.25, -0.1) if joint is None else (0.2,)
+    located = LocatedEffect(effect=effect(name), joint=joint, shapes=at)
+    estimated = EstimatedEffect(located=located, amplitudes=at)
+    s = run.signals
+    q, v, a = s.link_position, s.link_velocity, s.link_acceleration
+    if joint is None:
+        gravity, moved = tilted_gravity(at, robot.constants.gravity), q
+    else:
+        gravity, moved = robot.constants.gravity, q + 0.2 * np.eye(robot.n)[joint]
+    more = gravity - robot.constants.gravity
+    expected = robot.spring_torque(moved, v, a) + robot.changed_torque(change, moved, v, a, more)
+    expected += robot.gravity_torque(moved, more)
+    found = replace(bodies, effects=(estimated,))
+    size = np.abs(expected).max()
+    extended = extend_run(run, found)
+    np.testing.assert_allclose(extended.signals.spring_torque, expected, atol=1e-8 * size)
+    about, own, _ = linearise_run(run, Extension(), found)
+    np.testing.assert_allclose(about.signals.spring_torque, expected, atol=1e-8 * size)
+    # The column is that of these bodies, from no change of the geometry to this one.
+    column = extension_change(about, Extension(effects=(estimated,))).link_torque
+    plain = robot.spring_torque(q, v, a) + robot.changed_torque(change, q, v, a)
+    np.testing.assert_allclose(column, expected - plain, atol=1e-8 * size)
+    # What the linearisation takes back is what its columns add at the point itself.
+    regressor = about.signals.body_regressor.torque(change)
+    np.testing.assert_allclose(own, column + regressor, atol=1e-8 * size)
 
 
 def test_tilt_axes_are_normal_to_any_gravity():

@@ -27,6 +27,7 @@ from stiffopt.discovery.comparison.inertial_parameters import (
     nominal_bodies,
 )
 from stiffopt.discovery.comparison.located_effect import Extension, LocatedEffect, with_amplitudes
+from stiffopt.discovery.comparison.nuisance import BODY_VALUES
 from stiffopt.discovery.comparison.piece_sums import WeightedSums
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.names import ValueName
@@ -132,6 +133,14 @@ class Comparison:
         """Return the comparison about an extension, with other noise factors (2 n,)."""
         noise = self.least if inflation is None else inflation
         return self._derive_comparison(inflation, self.columns.linearised_at(found, noise, near))
+
+    def about_bodies(self, fit: Fit) -> Comparison:
+        """Return the comparison linearised about the bodies of a fit, if these are free."""
+        found = self.extension_of(fit)
+        bodies = {n: v for n, v in found.calibration.items() if n.kind in BODY_VALUES}
+        if self.bodies is None or not bodies:
+            return self
+        return self.with_extension(Extension(calibration=bodies))
 
     def with_runs(self, runs: Sequence[PreparedRun]) -> Comparison:
         """Return the comparison of other runs with the same model."""

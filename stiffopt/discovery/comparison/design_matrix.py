@@ -274,13 +274,13 @@ class DesignMatrix:
         """Return priors and columns of nominal values by name, and the names of unchanged ones.
 
         With rigid joints links move as in the first linearisation: only the load may differ, and
-        gravity.
+        gravity and joint zeros.
         """
         first = self._earlier[0]._nominal_by_freedom.get(self.bodies is not None)
         if first is None or self.robot.elastic:
             return {}, {}, set()
         changing = {LOAD_VALUE}
-        if any(e.effect.turned_gravity is not None for e in self.found.effects):
+        if any(e.effect.changes_geometry for e in self.found.effects):
             changing.update(BODY_VALUES)
         known = {name for name in first.names if name.kind not in changing}
         columns = {

@@ -15,13 +15,14 @@ from stiffopt.discovery.comparison.extension_change import (
     relative_compliance,
     select_calibration,
     spring_laws,
-    with_turned_gravity,
+    with_changed_geometry,
 )
 from stiffopt.discovery.comparison.filtering import derivative
 from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.comparison.nuisance import (
     BODY_VALUES,
     SPRING_VALUES,
+    body_parameter_changes,
     spring_deflection,
 )
 from stiffopt.discovery.comparison.prepared_run import PreparedRun, with_link_torque
@@ -52,7 +53,7 @@ def simulate_links(run: PreparedRun, extension: Extension) -> PreparedRun:
     if key not in run.extension_cache:
         while len(run.extension_cache) >= _MAX_CACHED_RUNS:
             run.extension_cache.pop(next(iter(run.extension_cache)))
-        found = _simulate_with_fallback(with_turned_gravity(run, moving), moving)
+        found = _simulate_with_fallback(with_changed_geometry(run, moving), moving)
         run.extension_cache[key] = found
         assert found.vibration is not None
         # What follows is linearised anew, about the motion found.
@@ -233,13 +234,15 @@ def linearise_run(
     if start.empty and found.empty:
         return run, 0.0, 0.0
     if run.vibration is None:
-        base = with_turned_gravity(extend_run(run, start), found)
+        base = with_changed_geometry(extend_run(run, start), found)
         change = extension_change(base, found)
         if not change.link_torque.any():
             return base, 0.0, 0.0
         bent = with_link_torque(base, change.link_torque)
-        wound = run.robot.compliance(bent.signals.spring_torque) * change.link_torque
-        return bent, change.link_torque, wound
+        compliance = run.robot.compliance(bent.signals.spring_torque)
+        bent, more = _about_changed_bodies(bent, found)
+        own = change.link_torque + more
+        return bent, own, compliance * own
     whole = start.plus(found)
     moved = simulate_links(run, whole)
     laws, rest = spring_laws(moved, whole)
@@ -263,9 +266,26 @@ def linearise_run(
     return moved, torque, deflection
 
 
+def _about_changed_bodies(
+    run: PreparedRun, found: Extension
+) -> tuple[PreparedRun, np.ndarray | float]:
+    """Return a run whose effects are of the bodies found, and by how much these differ (K, n).
+
+    Turned gravity and joint zeros act on the weight of these bodies, not of the nominal ones.
+    """
+    bodies = body_parameter_changes(run.robot, select_calibration(found, BODY_VALUES).calibration)
+    if not bodies.any():
+        return run, 0.0
+    signals = run.signals
+    about = replace(run, signals=replace(signals, arm=signals.arm.with_changed_bodies(bodies)))
+    effects = replace(found, calibration={})
+    own, nominal = (extension_change(each, effects).link_torque for each in (about, run))
+    return about, own - nominal
+
+
 def _extend_static_run(run: PreparedRun, extension: Extension) -> PreparedRun:
     """Return the run with an extension, links quasi-static."""
-    run = with_turned_gravity(run, extension)
+    run = with_changed_geometry(run, extension)
     bent = with_link_torque(run, extension_change(run, extension).link_torque)
     change = extension_change(bent, extension)
     wound = with_link_torque(run, change.link_torque).signals

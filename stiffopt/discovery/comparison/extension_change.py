@@ -87,18 +87,21 @@ def with_drive_torque(run: PreparedRun, added: np.ndarray) -> PreparedRun:
     return replace(run, signals=replace(signals, drive_torque=drive, drive_torque_rate=rate))
 
 
-def with_turned_gravity(run: PreparedRun, extension: Extension) -> PreparedRun:
-    """Return the run with changes of bodies under the gravity that an extension turns."""
+def with_changed_geometry(run: PreparedRun, extension: Extension) -> PreparedRun:
+    """Return the run with changes of bodies under gravity that is turned, at zeros that moved."""
     signals = run.signals
     stated = signals.constants.gravity
-    turned = [
-        each.effect.turned_gravity(each.amplitudes, stated) - stated
-        for each in extension.effects
-        if each.effect.turned_gravity is not None
-    ]
-    if not turned:
+    gravity, zeros = np.zeros(3), np.zeros(run.robot.n)
+    for each in extension.effects:
+        if not each.located.acts_in(run.name):
+            continue
+        if each.effect.turned_gravity is not None:
+            gravity += each.effect.turned_gravity(each.amplitudes, stated) - stated
+        if each.effect.moves_zero and each.located.joint is not None:
+            zeros[each.located.joint] += each.amplitudes[0]
+    if not (gravity.any() or zeros.any()):
         return run
-    return replace(run, signals=replace(signals, arm=signals.arm.under_gravity(sum(turned))))
+    return replace(run, signals=replace(signals, arm=signals.arm.with_geometry(gravity, zeros)))
 
 
 def link_moving_part(runs: Sequence[PreparedRun], extension: Extension) -> Extension:

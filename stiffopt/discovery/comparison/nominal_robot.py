@@ -196,15 +196,29 @@ class RobotModel:
             bodies = bodies.with_gravity(np.asarray(self.arm.tree.gravity + added_gravity))
         return bodies.changed_torque(by_body, *self._ordered(q, v, a))[:, self.order]
 
-    def weight(self, q: np.ndarray) -> np.ndarray:
-        """Return the gravity torque per gravity along the axes of the base (K, n, 3)."""
-        return np.stack([self.gravity_torque(q, axis) for axis in np.eye(3)], axis=2)
+    def weight(self, q: np.ndarray, change: np.ndarray) -> np.ndarray:
+        """Return the gravity torque per gravity along the axes of the base (K, n, 3).
 
-    def zero_harmonics(self, joint: int, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        `change` (n, 10): of the inertial parameters.
+        """
+        rest, stated = np.zeros_like(q), self.arm.tree.gravity
+        return np.stack(
+            [
+                self.gravity_torque(q, axis)
+                + self.changed_torque(change, q, rest, rest, added_gravity=axis - stated)
+                for axis in np.eye(3)
+            ],
+            axis=2,
+        )
+
+    def zero_harmonics(
+        self, joint: int, q: np.ndarray, v: np.ndarray, a: np.ndarray, change: np.ndarray
+    ) -> np.ndarray:
         """Return the harmonics of the body torques over the angle of one joint (K, n, 4).
 
         Rotations are linear in sine and cosine of the angle, and torques quadratic in rotations:
-        five angles determine the harmonics exactly. Counterbalances keep their torque.
+        five angles determine the harmonics exactly. Counterbalances keep their torque. `change`
+        (n, 10): of the inertial parameters.
         """
         count = HARMONICS_PER_JOINT + 1
         angles = 2.0 * np.pi * np.arange(count) / count
@@ -212,10 +226,11 @@ class RobotModel:
         for angle in angles:
             moved = q.copy()
             moved[:, joint] += angle
-            torque = self._bodies.torque(*self._ordered(moved, v, a)).T
+            torque = self._bodies.torque(*self._ordered(moved, v, a))[:, self.order]
+            torque = torque + self.changed_torque(change, moved, v, a)
             for k, order in enumerate((1, 1, 2, 2)):
                 wave = np.cos(order * angle) if k % 2 else np.sin(order * angle)
-                found[k] += 2.0 / count * wave * torque[self.order]
+                found[k] += 2.0 / count * wave * torque.T
         return found.T
 
     def cached_torques(
@@ -303,7 +318,8 @@ class _TorqueParts:
 class BodyRegressor(_TorqueParts):
     """Joint torques along a motion per inertial parameter (K, n, 10 n), body by body.
 
-    `added_gravity` (3,): in the axes of the base, beside the stated gravity [m/s^2].
+    `added_gravity` (3,): in the axes of the base, beside the stated gravity [m/s^2]. `zeros` (n,):
+    where the joints stand beyond the motion [rad].
     """
 
     def __init__(
@@ -311,20 +327,21 @@ class BodyRegressor(_TorqueParts):
         robot: RobotModel,
         motion: tuple[np.ndarray, ...],
         added_gravity: np.ndarray | None = None,
+        zeros: np.ndarray | float = 0.0,
     ) -> None:
         evaluate = partial(robot.body_torques, added_gravity=added_gravity)
-        super().__init__(robot, motion, PARAMETERS_PER_BODY, evaluate)
-        self.added_gravity = added_gravity
+        super().__init__(robot, (motion[0] + zeros, *motion[1:]), PARAMETERS_PER_BODY, evaluate)
+        self._given, self.added_gravity, self.zeros = motion, added_gravity, zeros
         self._changes: dict[bytes, np.ndarray] = {}
 
     def along(self, *motion: np.ndarray) -> BodyRegressor:
         """Return the torques along another motion."""
-        return BodyRegressor(self._robot, motion, self.added_gravity)
+        return BodyRegressor(self._robot, motion, self.added_gravity, self.zeros)
 
-    def under(self, added: np.ndarray) -> BodyRegressor:
-        """Return the torques under still more gravity (3,)."""
+    def under(self, added: np.ndarray, zeros: np.ndarray) -> BodyRegressor:
+        """Return the torques under still more gravity (3,), at still other zeros (n,)."""
         before = 0.0 if self.added_gravity is None else self.added_gravity
-        return BodyRegressor(self._robot, self._motion, before + added)
+        return BodyRegressor(self._robot, self._given, before + added, self.zeros + zeros)
 
     def torque_of_body(self, body: int, change: np.ndarray) -> np.ndarray:
         """Return the torques (K, n) of changed parameters (10,) of one body (from 0)."""
@@ -348,15 +365,20 @@ class LazyArmSignals:
     """Tool, weight, body torques and joint zeros along a link motion, evaluated on demand.
 
     `body_regressor`: torques per inertial parameter. `zero_harmonics`: harmonics of the torques
-    over the zeros of joints (K, n, 4 n).
+    over the zeros of joints (K, n, 4 n). Weight and zeros are those of bodies with changed
+    inertial parameters (n, 10), by default the nominal ones.
     """
 
     def __init__(self, robot: RobotModel, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> None:
         self._robot, self._motion = robot, (q, v, a)
         self.body_regressor = BodyRegressor(robot, self._motion)
-        self.zero_harmonics = _TorqueParts(
-            robot, self._motion, HARMONICS_PER_JOINT, robot.zero_harmonics
-        )
+        self._take_bodies(np.zeros((robot.n, PARAMETERS_PER_BODY)))
+
+    def _take_bodies(self, change: np.ndarray) -> None:
+        evaluate = partial(self._robot.zero_harmonics, change=change)
+        self._change = change
+        self.zero_harmonics = _TorqueParts(self._robot, self._motion, HARMONICS_PER_JOINT, evaluate)
+        self.__dict__.pop("weight", None)
 
     @cached_property
     def _tool_kinematics(self) -> tuple[np.ndarray, np.ndarray]:
@@ -382,7 +404,7 @@ class LazyArmSignals:
     @cached_property
     def weight(self) -> np.ndarray:
         """Torques per gravity along the axes of the base (K, n, 3) [N m per m/s^2]."""
-        return self._robot.weight(self._motion[0])
+        return self._robot.weight(self._motion[0], self._change)
 
     def displaced_torque(self, wound: np.ndarray, dt: float) -> np.ndarray:
         """Return the change (k, n) of the torques of links displaced by -wound, to first order.
@@ -416,10 +438,16 @@ class LazyArmSignals:
         other.body_regressor = self.body_regressor.along(q, v, a)
         return other
 
-    def under_gravity(self, added: np.ndarray) -> LazyArmSignals:
-        """Return the signals with the body torques under more gravity (3,) [m/s^2]."""
+    def with_geometry(self, gravity: np.ndarray, zeros: np.ndarray) -> LazyArmSignals:
+        """Return the signals with the body torques under more gravity (3,), at other zeros (n,)."""
         other = copy(self)
-        other.body_regressor = self.body_regressor.under(added)
+        other.body_regressor = self.body_regressor.under(gravity, zeros)
+        return other
+
+    def with_changed_bodies(self, change: np.ndarray) -> LazyArmSignals:
+        """Return the signals with weight and joint zeros of changed bodies (n, 10)."""
+        other = copy(self)
+        other._take_bodies(change)
         return other
 
 
