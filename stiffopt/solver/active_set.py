@@ -298,7 +298,7 @@ def _lower_bands(matrix: scipy.sparse.csr_matrix, width: int) -> np.ndarray:
 def _report_progress(
     nlp: Nlp, step: int, objective: float, g: np.ndarray, elapsed: float
 ) -> Progress:
-    return Progress(step, float(objective) * nlp.objective_scale, *nlp.worst_excess(g), elapsed)
+    return Progress(step, float(objective), *nlp.worst_excess(g), elapsed)
 
 
 def _raw_solution(

@@ -302,7 +302,7 @@ class IpoptSolver:
             iteration=max(len(self._monitor.history) - 1, 0),
             x=array_of(outputs["x"]).ravel(),
             g=g,
-            objective=float(outputs["f"]) * self.nlp.objective_scale,
+            objective=float(outputs["f"]),
             violation=float(excess.max()) if excess.size else 0.0,
         )
 

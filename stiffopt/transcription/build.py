@@ -136,7 +136,7 @@ class _NlpBuilder:
         statics = self._block_symbol(self.statics)
         for name, index, expression, places in self.scheme.defects(symbols):
             labels = [ocp.states[i] for i in index]
-            rows = Rows.make(name, labels, 0.0, 0.0, ocp.scales_of_states[index])
+            rows = Rows.make(name, labels, 0.0, 0.0, ocp.state_scale[index])
             self._add_rows(rows, expression, places, structural=True)
         points = self.scheme.stage_points(symbols)
         integrals = self._add_stage(symbols, points, statics)
@@ -226,7 +226,7 @@ class _NlpBuilder:
             self.stage,
             (self.z, self.p, self.values),
             self.variables_of_stage,
-            ca.densify(objective) / self.ocp.objective_scale,
+            ca.densify(objective),
             ca.vertcat(ca.MX(0, 1), *self.expressions),
             (x, self.lift),
             self.slope_of_variables,
@@ -237,7 +237,6 @@ class _NlpBuilder:
             f=f,
             g=g,
             derivatives=derivatives,
-            objective_scale=self.ocp.objective_scale,
             **own,
         )
         return Transcription(
@@ -261,7 +260,7 @@ class _NlpBuilder:
     def _declare_variables(self) -> None:
         ocp = self.ocp
         self.states = self.nodes.add_nodes(
-            Rows.make("state", ocp.states, ocp.state_lower, ocp.state_upper, ocp.scales_of_states),
+            Rows.make("state", ocp.states, ocp.state_lower, ocp.state_upper, ocp.state_scale),
             self.scheme.state_places(self.intervals),
             (ocp.initial_lower, ocp.initial_upper),
             (ocp.final_lower, ocp.final_upper),
@@ -273,7 +272,7 @@ class _NlpBuilder:
                 ocp.controls,
                 ocp.control_lower,
                 ocp.control_upper,
-                ocp.scales_of_controls,
+                ocp.control_scale,
             ),
             self.scheme.control_places(self.intervals),
             (ocp.initial_control_lower, ocp.initial_control_upper) if starts else (None, None),
@@ -287,7 +286,7 @@ class _NlpBuilder:
                 ocp.statics,
                 ocp.static_lower,
                 ocp.static_upper,
-                ocp.scales_of_statics,
+                ocp.static_scale,
             ),
             None,
         )
@@ -348,13 +347,13 @@ class _NlpBuilder:
                 labels = [ocp.states[i] for i in index]
                 name = "position" if order == 0 else "state"
                 value = s.spline_values(nodes[columns], orders=(order,))
-                scales = ocp.scales_of_states[index]
+                scales = ocp.state_scale[index]
                 rows = Rows.make(name, labels, low[kept], high[kept], scales)
                 self._add_rows(rows, value[kept.tolist(), :], nodes[columns])
         for phase in range(ocp.phases - 1):
             ends = Places(np.array([phase]), np.ones(1)), Places(np.array([phase + 1]), np.zeros(1))
             leave, enter = (s.spline_values(place) for place in ends)
-            scales = np.concatenate([ocp.scales_of_states, ocp.scales_of_controls])
+            scales = np.concatenate([ocp.state_scale, ocp.control_scale])
             rows = Rows.make("continuity", [*ocp.states, *ocp.controls], 0.0, 0.0, scales)
             self._add_rows(rows, enter - leave, ends[0], structural=True)
 
@@ -468,7 +467,7 @@ class _NlpBuilder:
         # A jump between intervals would be an unbounded rate that no rate row sees.
         jumps = self.scheme.control_jumps(s)[use.tolist(), :]
         labels = [ocp.controls[i] for i in use]
-        rows = Rows.make("control continuity", labels, 0.0, 0.0, ocp.scales_of_controls[use])
+        rows = Rows.make("control continuity", labels, 0.0, 0.0, ocp.control_scale[use])
         inner = self.intervals.places(np.array([0.0]))
         self._add_rows(rows, jumps, inner[1:], structural=True)
 

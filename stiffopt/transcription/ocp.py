@@ -144,31 +144,10 @@ class OptimalControlProblem:
     final_control_lower: np.ndarray | None = None
     final_control_upper: np.ndarray | None = None
     parameters: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (np,) default value of p
-    state_scale: np.ndarray | None = None
-    control_scale: np.ndarray | None = None
-    static_scale: np.ndarray | None = None
-    objective_scale: float = 1.0
-
-    @property
-    def scales_of_states(self) -> np.ndarray:
-        """Typical magnitude of each state; ones unless given."""
-        return _broadcast_vector(
-            1.0 if self.state_scale is None else self.state_scale, len(self.states)
-        )
-
-    @property
-    def scales_of_controls(self) -> np.ndarray:
-        """Typical magnitude of each control; ones unless given."""
-        return _broadcast_vector(
-            1.0 if self.control_scale is None else self.control_scale, len(self.controls)
-        )
-
-    @property
-    def scales_of_statics(self) -> np.ndarray:
-        """Typical magnitude of each static variable; ones unless given."""
-        return _broadcast_vector(
-            1.0 if self.static_scale is None else self.static_scale, len(self.statics)
-        )
+    # Typical magnitudes of states, controls and static variables.
+    state_scale: np.ndarray
+    control_scale: np.ndarray
+    static_scale: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @cached_property
     def numbered_stage(self) -> NumberedStage:

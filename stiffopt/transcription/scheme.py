@@ -185,14 +185,14 @@ class Scheme(abc.ABC):
         degree = len(nodes)
         first = self.state_columns(len(s.intervals))[:, 0].tolist()
         bounds = (ocp.state_lower[v], ocp.state_upper[v])
-        kept, rows = _bounded_rows("velocity", ocp.states, ocp.scales_of_states, v, bounds)
+        kept, rows = _bounded_rows("velocity", ocp.states, ocp.state_scale, v, bounds)
         if rows is not None:
             v, own = [v[i] for i in kept], [a[i] for i in kept]
             for j, weights in enumerate(grid.bernstein_of_integral(nodes)[1:-1], start=1):
                 change = s.step(len(v)) * self._weighted_controls(s, weights, own)
                 yield rows, s.states[v, first] + change, places(np.array([j / degree]))
         bounds = (ocp.control_lower[a], ocp.control_upper[a])
-        kept, rows = _bounded_rows("acceleration", ocp.controls, ocp.scales_of_controls, a, bounds)
+        kept, rows = _bounded_rows("acceleration", ocp.controls, ocp.control_scale, a, bounds)
         if rows is not None:
             own = [a[i] for i in kept]
             for j, weights in enumerate(grid.bernstein_from_values(nodes)):

@@ -107,9 +107,7 @@ class Radau(Scheme):
             return
         start = grid.interpolation_matrix(self.control_nodes, np.array([0.0]))[0]
         value = ca.mtimes(s.controls[:, : self.degree], ca.DM(start))
-        rows = Rows.make(
-            "control at the start", s.ocp.controls, lower, upper, s.ocp.scales_of_controls
-        )
+        rows = Rows.make("control at the start", s.ocp.controls, lower, upper, s.ocp.control_scale)
         yield rows, value, Places(np.array([0]), np.array([0.0]))
 
     def control_jumps(self, s: Symbols) -> ca.MX:

@@ -36,7 +36,7 @@ def structure_of(
         stage.formula,
         (scheme.name, scheme.state_nodes.tolist(), scheme.control_nodes.tolist()),
         [share.tolist() for share in mesh],
-        (ocp.states, ocp.controls, ocp.statics, ocp.chains, ocp.objective_scale),
+        (ocp.states, ocp.controls, ocp.statics, ocp.chains),
         [point is None for point in points],
         ocp.fixed_duration,
         len(ocp.parameters),

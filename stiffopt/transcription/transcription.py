@@ -221,7 +221,7 @@ class Transcription:
         """Fit spline coefficients (k, n) to states and controls at the nodes."""
         assert self.splines is not None
         places = self.scheme.state_places(self.intervals)
-        scales = np.concatenate([self.ocp.scales_of_states, self.ocp.scales_of_controls])
+        scales = np.concatenate([self.ocp.state_scale, self.ocp.control_scale])
         found = self.splines.fit(places, values, scales, durations)
         return found.reshape(-1, len(self.ocp.chains))
 

@@ -39,6 +39,7 @@ def pendulum(stage_row=None, torque: float = 20.0, duration: float = 1.5):
         duration=(duration, duration), parameters=np.array([9.81]),
         state_lower=np.full(4, -INF), state_upper=np.full(4, INF),
         control_lower=np.array([-INF, -torque]), control_upper=np.array([INF, torque]),
+        state_scale=np.ones(4), control_scale=np.ones(2),
         initial_lower=np.zeros(4), initial_upper=np.zeros(4),
         final_lower=np.array([np.pi, 0, -INF, -INF]), final_upper=np.array([np.pi, 0, INF, INF]),
     )  # fmt: skip

@@ -53,9 +53,7 @@ def test_pack_and_unpack_are_inverse(method):
 @pytest.mark.parametrize("method", SCHEMES)
 def test_scaling_does_not_change_the_optimum(method):
     plain = block_move()
-    scaled = block_move(
-        state_scale=np.array([100.0, 0.01]), control_scale=np.array([30.0]), objective_scale=50.0
-    )
+    scaled = block_move(state_scale=np.array([100.0, 0.01]), control_scale=np.array([30.0]))
     values = [
         solved(case.ocp, method, uniform_mesh(10), case.guess)[1].objective
         for case in (plain, scaled)
@@ -297,6 +295,7 @@ def test_statics_bound_a_peak():
         path_rows=(Rows.make("peak", ["above", "below"], 0.0, INF),),
         objective=ca.Function("objective", ends, [z]),
         statics=("peak",), static_lower=np.zeros(1), static_upper=np.full(1, INF),
+        static_scale=np.ones(1),
     )  # fmt: skip
     made, found = solved(ocp, "hermite_simpson", uniform_mesh(20), replace(
         case.guess, statics=np.array([5.0])))  # fmt: skip
@@ -338,7 +337,8 @@ def test_a_chain_of_five_integrators_is_exact():
             "objective", [ca.SX.sym("I"), ca.SX.sym("T"), z, x, ca.SX.sym("xf", 5), p], [x[0]]
         ),
         path_rows=(rows,),
-        state_lower=-free, state_upper=free, initial_lower=-free, initial_upper=free,
+        state_lower=-free, state_upper=free, state_scale=np.ones(5),
+        initial_lower=-free, initial_upper=free,
         final_lower=-free, final_upper=free, chains=((0, 1, 2, 3, 4, 0),), duration=(1.5, 1.5),
         control_lower=np.array([-INF]), control_upper=np.array([INF]),
     )  # fmt: skip

@@ -85,7 +85,7 @@ def problem(
         initial_upper=first,
         final_lower=last,
         final_upper=last,
-        **further,
+        **({"state_scale": np.ones(2 * n), "control_scale": np.ones(n)} | further),
     )
 
 
