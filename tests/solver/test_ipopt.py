@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import stiffopt.symbolic  # noqa: F401 - CasADi conventions
-from stiffopt.errors import InputError
 from stiffopt.solver import ipopt
 from stiffopt.solver.ipopt import IpoptOptions, IpoptSolver
 from stiffopt.solver.programme import predict_rise
@@ -118,7 +117,6 @@ def test_solving_outside_the_main_thread():
 
 def test_limits_on_time_and_iterations():
     made, x0 = pendulum()
-    assert solver(made, max_seconds=0.0).solve(x0, GRAVITY).status == "time_limit"
     found = solver(made, max_iterations=3).solve(x0, GRAVITY)
     assert (found.status, found.iterations) == ("iteration_limit", 3)
     assert found.worst_rows[0].relative == found.violation > 0.0
@@ -162,14 +160,6 @@ def test_a_row_without_slope_is_named():
     found = solver(made).solve(x0, GRAVITY)
     assert found.status == "invalid_number"
     assert "no finite slope of row: row, test (at 0 %)" in found.reason
-
-
-def test_wrong_options_are_refused():
-    made, x0 = pendulum()
-    with pytest.raises(InputError, match=r"IpoptOptions\.extra"):
-        solver(made, linear_solver="ma57").solve(x0, GRAVITY)
-    with pytest.raises(InputError, match=r"IpoptOptions\.extra"):
-        solver(made, extra={"no_such_option": 1}).solve(x0, GRAVITY)
 
 
 def test_a_warm_start_saves_iterations():
