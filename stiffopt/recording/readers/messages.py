@@ -19,7 +19,6 @@ from stiffopt.recording.signals import Signals
 Message = tuple[str, int, Any]
 
 _STEP_PATTERN = re.compile(r"\.?([^.\[\]]+)|\[([^\]]+)\]")
-_NANOSECONDS_PER_SECOND = 1_000_000_000
 # Stamps [s] and [ns] that 64 bits of nanoseconds can hold.
 _MAX_STAMP = 4e9
 
@@ -136,7 +135,7 @@ def gather_columns(
     columns = _topic_columns(path, own, base)
     if not timed:
         clock = own[base].clock
-        columns[signals.time] = (clock - clock[0]) / _NANOSECONDS_PER_SECOND
+        columns[signals.time] = (clock - clock[0]) / 1e9
     return columns
 
 
@@ -184,7 +183,7 @@ def _header_stamp(message: Any) -> int:
     nanoseconds = _as_float(rest)
     if seconds is None or not abs(seconds) < _MAX_STAMP or not abs(nanoseconds or 0.0) < _MAX_STAMP:
         return 0
-    return int(seconds) * _NANOSECONDS_PER_SECOND + int(nanoseconds or 0.0)
+    return 10**9 * int(seconds) + int(nanoseconds or 0.0)
 
 
 def _as_float(value: Any) -> float | None:
