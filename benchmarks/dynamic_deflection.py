@@ -82,7 +82,7 @@ def on_equal_intervals(problem: TrajectoryProblem, guess: Guess, midpoints: bool
     ocp = formulate(problem, resolve(problem), Scales({"dynamic_deflection": 1e-3}))
     if not midpoints:
         ocp = replace(ocp, path_rows=tuple(replace(r, midpoints=False) for r in ocp.path_rows))
-    made = transcribe(ocp, "piecewise_linear", uniform_mesh(problem.method.intervals))
+    made = transcribe(ocp, "piecewise_linear_acceleration", uniform_mesh(problem.method.intervals))
     solver = IpoptSolver(made.nlp)
     x, raw = made.pack(guess), None
     for width in (4.0, 1.0, 0.25):

@@ -218,15 +218,19 @@ _CONVERSION_ADVICE = {
 }
 
 
-def check_header(data: Mapping[str, Any], path: object, kind: str, schema: int = 1) -> None:
+# Version of the format of every file that is read or written.
+SCHEMA = 1
+
+
+def check_header(data: Mapping[str, Any], path: object, kind: str) -> None:
     """Check `schema` and `kind`, the keys that every file has."""
     if data.get("kind") != kind:
         got = f"got {shortened(data['kind'])}" if "kind" in data else "the key is missing"
         step = _CONVERSION_ADVICE.get((str(data.get("kind")), kind), "")
         raise InputFileError(path, "kind", f'this place needs kind = "{kind}", {got}.{step}')
-    if data.get("schema") != schema or isinstance(data.get("schema"), bool):
+    if data.get("schema") != SCHEMA or isinstance(data.get("schema"), bool):
         got = f"got {shortened(data['schema'])}" if "schema" in data else "the key is missing"
-        raise InputFileError(path, "schema", f"this version reads schema = {schema}, {got}.")
+        raise InputFileError(path, "schema", f"this version reads schema = {SCHEMA}, {got}.")
 
 
 def read_document(

@@ -15,7 +15,7 @@ import numpy as np
 from stiffopt.connection import Bolt
 from stiffopt.drivetrain.tables import with_own
 from stiffopt.fastening.utilisation import SAFETY_FACTORS, UtilisationRow
-from stiffopt.files import to_json_types, write_csv, write_json
+from stiffopt.files import SCHEMA, to_json_types, write_csv, write_json
 from stiffopt.preload.bolt_sheet import BoltSheet, bolt_sheets
 from stiffopt.preload.catalogue_choice import CatalogueChoice
 from stiffopt.preload.catalogue_designs import CatalogueDesign
@@ -27,7 +27,6 @@ from stiffopt.preload.solution import PreloadSolution
 from stiffopt.preload.study import PreloadStudy, named_values
 from stiffopt.result.provenance import inputs_hash
 
-SCHEMA = 1
 STUDY_FILE = "study.json"
 CURVES_FILE = "study.csv"
 

@@ -19,7 +19,7 @@ from stiffopt.preload.optimise import optimise_preloads
 from stiffopt.preload.pareto import ParetoFront, pareto_front
 from stiffopt.preload.problem import OBJECTIVES, FreeElement, PreloadProblem
 from stiffopt.preload.sensitivity import Loosening, Sensitivity, loosening, sensitivity
-from stiffopt.preload.solution import PreloadSolution
+from stiffopt.preload.solution import PreloadSolution, largest_utilisation
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.progress import SolveProgress
 from stiffopt.result.provenance import versions
@@ -158,7 +158,7 @@ def _value_rows(problem: PreloadProblem, *, front: bool, motion: bool) -> Iterat
     """Yield name, SI unit and evaluation of every value of a study."""
     yield "objective", OBJECTIVES[problem.objective], lambda s: s.solution.objective
     yield "total_preload", "N", lambda s: s.solution.total_preload
-    yield "bolt_utilisation", "", _largest_utilisation
+    yield "bolt_utilisation", "", _bolt_utilisation
     yield "slip_safety", "", _least_slip_safety
     yield "kkt_residual", "", lambda s: s.solution.kkt_residual
     jacobians = [load.jacobian for load in problem.load_cases]
@@ -203,15 +203,9 @@ def _element_rows(element: FreeElement, *, individual: bool) -> Iterator[_ValueR
         yield f"preload_{name}_{i + 1}", "N", each
 
 
-def _largest_utilisation(study: PreloadStudy) -> float:
-    """Return the largest utilisation of any limit that depends on the preload [-]."""
-    bounded = {
-        (e.key, limit.name)
-        for e in study.problem.elements
-        for limit in e.limits
-        if limit.depends_on_preload
-    }
-    return max(r.value for r in study.solution.rows if (r.element, r.kind) in bounded)
+def _bolt_utilisation(study: PreloadStudy) -> float:
+    model = PreloadModel(study.problem, study.solution.cases)
+    return largest_utilisation(model, study.solution.vector)
 
 
 def _least_slip_safety(study: PreloadStudy, key: str | None = None) -> float:

@@ -65,20 +65,17 @@ def formulate(
     path = _stack_entries([row for block in blocks for row in block.expressions])
     stage = ca.Function("stage", [x, u, goal.statics, p], [_stack_entries(goal.integrands), path])
     through = ca.Function("torques", [x, u, goal.statics, p], [model.computed_torques])
-    dynamics = ca.Function("dynamics", [x, u, p], [ca.vertcat(x[size:], u)])
     return OptimalControlProblem(
         name=problem.title or "trajectory",
         states=coordinates.state_names,
         controls=coordinates.control_names,
-        dynamics=dynamics,
         stage=stage,
         intermediate=through,
         objective=goal.function(order * size, p, smoothing.robust),
         duration=problem.duration,
         statics=tuple(variable.name for variable in goal.variables),
         path_rows=tuple(
-            Rows.make(block.name, block.labels, block.lower, block.upper, midpoints=True)
-            for block in blocks
+            Rows.make(block.name, block.labels, block.lower, block.upper) for block in blocks
         ),
         integral_function=goal.integral_function(p),
         integral_rows=tuple(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stiffopt.files import to_json_types, write_json
+from stiffopt.files import SCHEMA, to_json_types, write_json
 from stiffopt.result.motion_table import write_motion_table
 from stiffopt.result.provenance import versions
 from stiffopt.result.solution import ObjectiveValue, Solution
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from stiffopt.result.simulation import SimulatedMotion
     from stiffopt.result.trajectory import JointMotion
 
-SCHEMA = 1
 CYCLE_FILE = "cycle.json"
 
 

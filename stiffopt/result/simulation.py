@@ -100,18 +100,6 @@ class SimulatedMotion:
         time, square = self.time[chosen], self.distance[chosen] ** 2
         return float(np.sqrt(np.trapezoid(square, time) / (time[-1] - time[0])))
 
-    def summary(self) -> dict[str, float | None]:
-        """Reported quantities, SI."""
-        return {
-            "duration": self.duration,
-            "peak": self.peak,
-            "rms": self.rms,
-            "peak_after": self.peak_after,
-            "rms_after": self.rms_after,
-            "settling_time": self.settling_time,
-            "band": self.band,
-        }
-
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedPart:

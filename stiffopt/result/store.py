@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stiffopt.errors import InputError, InputFileError
-from stiffopt.files import load_json, to_json_types, write_json
+from stiffopt.files import SCHEMA, load_json, to_json_types, write_json
 from stiffopt.folders import check_result
 from stiffopt.result.assessment import Assessment, Violation
 from stiffopt.result.compensation import (
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.compensation import Compensation
 
-SCHEMA = 1
 # Rate of trajectory.csv [Hz].
 EXPORT_RATE = 500.0
 # Samples of one motion in a table: half an hour at 500 Hz, a file of 500 MB.

@@ -13,11 +13,9 @@ import numpy as np
 from stiffopt.robot.body_tree import Body, BodyTree
 from stiffopt.robot.frames import LinkFrame
 
-# Number of inertial parameters of a body.
-_INERTIAL_PARAMETERS = 10
 # Instants of one block, so that intermediate arrays fit into the processor's cache.
 _BLOCK_INSTANTS = 2048
-# Row and column of each element of the inertia among the parameters.
+# Row and column of each element of the inertia among the parameters, behind mass and first moments.
 _INERTIA_ENTRIES = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
 
 
@@ -28,7 +26,7 @@ def body_torque_regressor(
 
     In the order of `Body.inertial_parameters`; instants are contiguous in memory.
     """
-    out = np.zeros((_INERTIAL_PARAMETERS, tree.n, len(q)))
+    out = np.zeros((4 + len(_INERTIA_ENTRIES), tree.n, len(q)))
     for part in _split_blocks(len(q)):
         motion = [np.ascontiguousarray(x[part].T) for x in (q, v, a)]
         _add_torques(out[:, :, part], tree, body, *motion)

@@ -229,15 +229,11 @@ def build_element_section(connection: type[Connection]) -> type[ElementSection]:
     section = create_model(
         f"{connection.__name__}Section",
         __base__=base,
-        __doc__=" ".join(_docstring_summary(cls) for cls in documented),
+        __doc__=" ".join((inspect.getdoc(cls) or "").partition("\n\n")[0] for cls in documented),
         **keys,
     )
     section.connection = connection
     return section
-
-
-def _docstring_summary(cls: type) -> str:
-    return (inspect.getdoc(cls) or "").partition("\n\n")[0]
 
 
 class ElementBuilder:
@@ -274,7 +270,9 @@ class ElementBuilder:
             if isinstance(value, JointNumber):
                 values[name] = fit_joint(value, prismatic, unit(kind, name).dimension, name)
         if "surface" in values:
-            values["surface"] = self._loaded_surface_pair(values["surface"])
+            values["surface"] = replace(
+                self._find_surface(values["surface"]), loading=self.assembly.loading
+            )
         # Settings of the whole robot.
         common = {"contact_law": self.assembly.contact_law, "shear": self.assembly.shear}
         values |= {name: law for name, law in common.items() if name in kind.__dataclass_fields__}
@@ -284,9 +282,6 @@ class ElementBuilder:
             **values,
         )
         return Stage(element, section.ratio, section.efficiency, section.parallel)
-
-    def _loaded_surface_pair(self, name: str) -> SurfacePair:
-        return replace(self._find_surface(name), loading=self.assembly.loading)
 
     def _find_surface(self, name: str) -> SurfacePair:
         if name in self.surfaces:

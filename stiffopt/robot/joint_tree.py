@@ -60,6 +60,10 @@ class JointTree:
             link = link_attribute(self.joints[name], "parent")
         return way
 
+    def carries(self, link: str) -> bool:
+        """Return whether any joint from the base to a link is not a fixed one."""
+        return any(self.joints[name].get("type") != "fixed" for name in self.joints_to(link))
+
     def follows(self, name: str) -> bool:
         """Return whether a joint follows another (mimic)."""
         return self.joints[name].find("mimic") is not None

@@ -133,15 +133,6 @@ class RigidBodies(_Links):
         """Derivative (n, n) of `gravity_torque` by position."""
         return np.array(pin.computeGeneralizedGravityDerivatives(self._model, self._data, q))
 
-    def torque_regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Torques per unit of every inertial parameter (n, 10 n).
-
-        Ten columns per body in the order of `Body.inertial_parameters`.
-        """
-        n = self._model.nv
-        full = pin.computeJointTorqueRegressor(self._model, self._data, q, v, a)
-        return np.array(full).reshape(n, 10 * n)
-
     def pose(self, frame: LinkFrame, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Position (3,) [m] and rotation (3, 3) of a frame in the base, or in `seen_from`."""
         pin.forwardKinematics(self._model, self._data, q)

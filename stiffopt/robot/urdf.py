@@ -16,16 +16,15 @@ import pinocchio as pin
 from stiffopt.errors import InputFileError, RobotError, nearest, shortened
 from stiffopt.robot.body_tree import Body, body_tree
 from stiffopt.robot.held_joints import HeldJoint, fix_free_joints, hold_joints
-from stiffopt.robot.joint_tree import PLANNED_KINDS
+from stiffopt.robot.joint_tree import PLANNED_KINDS, JointTree
 from stiffopt.robot.mjcf import is_mjcf
 from stiffopt.robot.urdf_xml import read_urdf_tree
 from stiffopt.robot.xml_files import set_inertial
 
 _JOINT_KINDS = (*PLANNED_KINDS, "fixed")
-# Limits of a continuous joint, which pinocchio would otherwise model by a unit circle.
+# Beyond any machine in every unit of a URDF; products of a few such numbers do not overflow. Also
+# the limits of a continuous joint, which pinocchio would otherwise model by a unit circle.
 UNLIMITED = 1e9
-# Beyond any machine in every unit of a URDF; products of a few such numbers do not overflow.
-_MAX_NUMBER = 1e9
 # Distance of successive joints of an arm [m].
 _MAX_JOINT_DISTANCE = 50.0
 _INERTIA_KEYS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
@@ -280,11 +279,12 @@ def _check_links(tree: ET.Element, path: Path) -> None:
 
 def _check_gyrations(tree: ET.Element, path: Path) -> None:
     """Raise `RobotError` for an unphysical or too large inertia of a moving link."""
-    moved = _moving_links(tree)
+    joints = JointTree(tree)
     bodies = {
-        link.get("name", ""): _mass_and_inertia(inertial)
+        name: _mass_and_inertia(inertial)
         for link in tree.findall("link")
-        if link.get("name") in moved and (inertial := link.find("inertial")) is not None
+        if joints.carries(name := link.get("name", ""))
+        and (inertial := link.find("inertial")) is not None
     }
     arm = sum(mass for mass, _ in bodies.values())
     moments = {name: float(inertia.diagonal().max()) for name, (_, inertia) in bodies.items()}
@@ -329,26 +329,7 @@ def _mass_and_inertia(inertial: ET.Element) -> tuple[float, np.ndarray]:
     return float(mass.get("value", 0.0)), tensor
 
 
-def _moving_links(tree: ET.Element) -> set[str]:
-    """Links that a moving joint carries, directly or through others."""
-    moved: set[str] = set()
-    joints = [
-        (joint.get("type") != "fixed", joint.find("parent"), joint.find("child"))
-        for joint in tree.findall("joint")
-    ]
-    found = True
-    while found:
-        carried = {
-            child.get("link", "")
-            for moves, parent, child in joints
-            if child is not None and (moves or (parent is not None and parent.get("link") in moved))
-        }
-        found = not carried <= moved
-        moved |= carried
-    return moved
-
-
-def urdf_numbers(text: str, count: int, place: str, most: float = _MAX_NUMBER) -> list[float]:
+def urdf_numbers(text: str, count: int, place: str, most: float = UNLIMITED) -> list[float]:
     """Parse `count` finite numbers of an attribute, none larger than `most`."""
     try:
         values = [float(part) for part in text.split()]

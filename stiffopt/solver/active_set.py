@@ -86,7 +86,9 @@ class ActiveSetSolver:
             if not np.isfinite(stationary + violation):
                 return None
             history.append(
-                _report_progress(nlp, step, objective[0], g, time.perf_counter() - begin)
+                Progress(
+                    step, float(objective[0]), *nlp.worst_excess(g), time.perf_counter() - begin
+                )
             )
             if report is not None:
                 report(history[-1])
@@ -293,12 +295,6 @@ def _lower_bands(matrix: scipy.sparse.csr_matrix, width: int) -> np.ndarray:
     bands = np.zeros((width + 1, matrix.shape[0]))
     bands[below[lower], matrix.indices[lower]] = matrix.data[lower]
     return bands
-
-
-def _report_progress(
-    nlp: Nlp, step: int, objective: float, g: np.ndarray, elapsed: float
-) -> Progress:
-    return Progress(step, float(objective) * nlp.objective_scale, *nlp.worst_excess(g), elapsed)
 
 
 def _raw_solution(

@@ -19,8 +19,6 @@ from stiffopt.transcription.ocp import Guess, shortest_phase_share
 # Intervals of a smoothed guess, and duration over the averaging window.
 _SMOOTHED_INTERVALS = 2000
 _WINDOWS_PER_DURATION = 25
-# Smallest share of the duration that a phase takes in a guess; less with many phases.
-_MIN_PHASE_SHARE = 0.02
 # Projections onto the path's tangent after a motion is located on its samples.
 _TANGENT_PROJECTIONS = 3
 # Random perturbations: standard deviation of the detour [rad], of the timing's skew on a path [-],
@@ -198,5 +196,5 @@ def _phase_fractions(source: Assessment, motion: ResolvedMotion) -> np.ndarray:
         first += int(np.argmin(distance[first:]))
         borders.append(float(source.time[first]))
     shares = np.diff([*borders, source.duration]) / source.duration
-    shares = np.maximum(shares, min(_MIN_PHASE_SHARE, shortest_phase_share(len(shares))))
+    shares = np.maximum(shares, shortest_phase_share(len(shares)))
     return np.asarray(shares / shares.sum())

@@ -43,10 +43,6 @@ _MIN_BARRIER_SHARE = 1.0 / 11.0
 # Largest step of a stationary iterate, over the tolerance.
 _STATIONARY_STEP_FACTOR = 10.0
 
-_OPTIONS_HINT = (
-    "Check IpoptOptions.extra and linear_solver; allowed linear solvers: auto, mumps, spral."
-)
-
 
 @dataclass(frozen=True, kw_only=True)
 class IpoptOptions:
@@ -55,11 +51,6 @@ class IpoptOptions:
     tol: float = 1e-8  # relative tolerance of "optimal"
     acceptable_tol: float = 1e-6  # tolerance of "acceptable"
     max_iterations: int = 500
-    max_seconds: float = float("inf")  # wall clock for one solve [s]
-    # "auto" for the package's frontal solver, MUMPS without the compiled core; "mumps", or "spral"
-    # with its environment variables set.
-    linear_solver: str = "auto"
-    print_level: int = 0  # 0 (silent) to 12
     # Iterations after which a solve without a nearly feasible point (1 % of each row's scale) ends
     # with "iteration_limit"; 0 for never.
     patience: int = 0
@@ -68,13 +59,12 @@ class IpoptOptions:
 
     def for_ipopt(self) -> dict[str, Any]:
         """Return the options by IPOPT's names."""
-        named = {"linear_solver": self.linear_solver}
         return {
             **_tolerance_options(self.tol),
             "acceptable_tol": self.acceptable_tol,
             "max_iter": self.max_iterations,
-            **(ipopt_options(native.library()) if self.linear_solver == "auto" else named),
-            "print_level": self.print_level,
+            **ipopt_options(native.library()),
+            "print_level": 0,
             "sb": "yes",
             # The multipliers of fixed variables would cost a second gradient in each iteration.
             "fixed_variable_treatment": "make_parameter_nodual",
@@ -162,7 +152,7 @@ class IpoptSolver:
         push: float = 1e-8,
         tolerance: float | None = None,
         report: Callable[[Progress], object] | None = None,
-        max_seconds: float | None = None,
+        max_seconds: float = np.inf,
         max_iterations: int | None = None,
     ) -> RawSolution:
         """Solve from a guess; Ctrl-C ends it at the next iteration with the best iterate kept.
@@ -173,7 +163,7 @@ class IpoptSolver:
         to the optimum of a similar problem, monotone is safer where the problem changes more, as by
         a step of the smoothing) and `push` the least distance from bounds (1e-3 halves the
         iterations where they have been backed off beyond the start). `report` is called in each
-        iteration. `tolerance` and `max_seconds` override the options, `max_iterations` only lowers.
+        iteration. `tolerance` overrides that of the options, `max_iterations` only lowers it.
         """
         nlp = self.nlp
         p = nlp.parameters(parameters)
@@ -192,8 +182,7 @@ class IpoptSolver:
             inputs |= {"lam_x0": warm.multipliers_x, "lam_g0": warm.multipliers_g}
         solver = self._solver_with(further)
         monitor = self._monitor
-        limit = self.options.max_seconds if max_seconds is None else max_seconds
-        monitor.begin(report, limit)
+        monitor.begin(report, max_seconds)
 
         def stationary(barrier: float = np.inf) -> bool:
             """True where full Newton steps change nothing, under at most this barrier parameter.
@@ -264,12 +253,7 @@ class IpoptSolver:
             "no_nlp_grad": True,
             **functions,
         }
-        try:
-            return ca.nlpsol("solver", "ipopt", self._symbols, options)
-        except RuntimeError as error:
-            if "IPOPT option" not in str(error):
-                raise
-            raise InputError(f"{str(error).splitlines()[-1]}. {_OPTIONS_HINT}") from error
+        return ca.nlpsol("solver", "ipopt", self._symbols, options)
 
     def _solver_with(self, further: dict[str, Any]) -> ca.Function:
         # IPOPT reads its options at setup; the derivatives are shared with the first solver. Only
@@ -302,7 +286,7 @@ class IpoptSolver:
             iteration=max(len(self._monitor.history) - 1, 0),
             x=array_of(outputs["x"]).ravel(),
             g=g,
-            objective=float(outputs["f"]) * self.nlp.objective_scale,
+            objective=float(outputs["f"]),
             violation=float(excess.max()) if excess.size else 0.0,
         )
 
@@ -330,8 +314,6 @@ def _tolerance_options(tolerance: float) -> dict[str, float]:
 
 
 def _translate_status(word: str) -> str:
-    if word == "Invalid_Option":
-        raise InputError(f"IPOPT cannot use one of its options. {_OPTIONS_HINT}")
     if word == "Not_Enough_Degrees_Of_Freedom":
         raise InputError(
             "The problem has more equations than free variables. Free a boundary value or remove "

@@ -169,7 +169,6 @@ class Monitor(ca.Callback):
         # Copies: the buffers belong to IPOPT.
         x, g = (np.frombuffer(arg[k]).copy() for k in (0, 2))
         objective = float(np.frombuffer(arg[1])[0])
-        objective *= nlp.objective_scale
         violation, row = nlp.worst_excess(g)
         number = len(self.history)
         if self.last is not None:

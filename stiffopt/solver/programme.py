@@ -180,7 +180,7 @@ def predict_rise(before: Outcome, nlp: Nlp) -> float:
     own, old = before.raw.multipliers_g, before.nlp
     with np.errstate(invalid="ignore"):
         closer = np.where(own > 0.0, old.upper_g - nlp.upper_g, nlp.lower_g - old.lower_g)
-    return float(nlp.objective_scale * (np.abs(own) @ np.where(np.isfinite(closer), closer, 0.0)))
+    return float(np.abs(own) @ np.where(np.isfinite(closer), closer, 0.0))
 
 
 def solve_stage(

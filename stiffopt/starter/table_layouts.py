@@ -11,7 +11,8 @@ import numpy as np
 from scipy.stats import spearmanr
 
 from stiffopt.errors import InputError, InputFileError
-from stiffopt.recording.readers.columns import Table, is_unnamed
+from stiffopt.recording.readers.columns import ENTRY_NAME_FIELDS, Table, is_unnamed
+from stiffopt.recording.readers.messages import get_field
 from stiffopt.recording.readers.read import MAX_MAGNITUDE, first_messages, read_columns
 from stiffopt.recording.signals import Signals
 from stiffopt.robot.robot import Robot
@@ -141,7 +142,6 @@ def _is_rate_of(rates: np.ndarray, values: np.ndarray) -> bool:
 
 # Steps of a recording over which rates and changes are compared.
 _RATE_STEPS = 1000
-_NAME_FIELDS = ("name", "names", "joint_names")
 _VALUE_FIELDS = ("position", "velocity", "effort", "torque", "current", "positions", "velocities",
           "efforts", "accelerations", "q", "qd", "tau")  # fmt: skip
 # Parts of controller messages with such lists, measured before commanded.
@@ -180,7 +180,7 @@ def read_message_table(path: Path, joints: Sequence[str]) -> dict[str, np.ndarra
 def _joint_fields(topic: str, message: Any, joints: Sequence[str]) -> list[str]:
     """Return the names of message fields with a number for each joint."""
     stated: Any = next(
-        (n for key in _NAME_FIELDS if (n := _get_field(message, key)) is not None), ()
+        (n for key in ENTRY_NAME_FIELDS if (n := get_field(message, key)) is not None), ()
     )
     # A field called "name" need not list joints.
     listed = isinstance(stated, Sequence) and not isinstance(stated, str)
@@ -188,9 +188,9 @@ def _joint_fields(topic: str, message: Any, joints: Sequence[str]) -> list[str]:
     named = set(joints) <= set(names)
     found: list[str] = []
     for part in _MESSAGE_PARTS:
-        holder = _get_field(message, part) if part else message
+        holder = get_field(message, part) if part else message
         for key in _VALUE_FIELDS:
-            values = _get_field(holder, key)
+            values = get_field(holder, key)
             if not isinstance(values, Sequence | np.ndarray) or isinstance(values, str):
                 continue
             place = f"{topic}.{part}.{key}" if part else f"{topic}.{key}"
@@ -201,10 +201,6 @@ def _joint_fields(topic: str, message: Any, joints: Sequence[str]) -> list[str]:
             elif named and len(values) == len(names):
                 found += [f"{place}[{names.index(joint)}]" for joint in joints]
     return found
-
-
-def _get_field(value: Any, key: str) -> Any:
-    return value.get(key) if isinstance(value, Mapping) else getattr(value, key, None)
 
 
 # Fewest rows of a piece between gaps of as many rows: no filter has settled on fewer.

@@ -20,7 +20,7 @@ import numpy as np
 
 from stiffopt import __version__
 from stiffopt.errors import InputError, InputFileError, shortened
-from stiffopt.files import apply_changes, check_file, load_toml, read_document
+from stiffopt.files import SCHEMA, apply_changes, check_file, load_toml, read_document
 from stiffopt.recording.readers.read import SET_FILE as RECORDINGS
 from stiffopt.recording.readers.read import files_of, find_set_file
 from stiffopt.robot.mjcf import MJCF_ENDINGS, mjcf_files
@@ -108,7 +108,7 @@ def fleet_sweep(sets: Sequence[Path], changes: Sequence[str] = ()) -> Sweep:
             raise InputFileError(base, "", "is named twice. Name it once.")
     document = SweepFile.model_validate(
         {
-            "schema": 1,
+            "schema": SCHEMA,
             "kind": "sweep",
             "title": f"Diagnosis of {len(bases)} recording sets",
             "base": [str(base) for base in bases],

@@ -12,15 +12,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stiffopt.errors import InputError
-from stiffopt.files import to_json_types
+from stiffopt.files import SCHEMA, to_json_types
 from stiffopt.result.status import SolveStatus
 from stiffopt.sweep.cases import Case
 from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
-
-SCHEMA = 1
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from stiffopt.files import atomic_write, write_csv, write_json
+from stiffopt.files import SCHEMA, atomic_write, write_csv, write_json
 from stiffopt.sweep.cases import Case, Sweep
 from stiffopt.sweep.run import is_unusable
 from stiffopt.sweep.shared_values import SharedValue, shared_values
@@ -157,7 +157,7 @@ class SweepSummary:
         """Content of sweep.json."""
         front = self.front()
         return {
-            "schema": 1,
+            "schema": SCHEMA,
             "title": self.sweep.title,
             "kind": self.sweep.kind,
             "cases": len(self.sweep.cases),

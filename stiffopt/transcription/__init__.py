@@ -4,11 +4,11 @@ from stiffopt.transcription.build import transcribe
 from stiffopt.transcription.mesh import Mesh, refine_mesh, uniform_mesh
 from stiffopt.transcription.nlp import Nlp, NlpEntry, RowViolation
 from stiffopt.transcription.ocp import Guess, OptimalControlProblem, Rows, Waypoint
-from stiffopt.transcription.schemes import METHODS
+from stiffopt.transcription.schemes import SCHEMES
 from stiffopt.transcription.transcription import Transcription, Unpacked
 
 __all__ = [
-    "METHODS",
+    "SCHEMES",
     "Guess",
     "Mesh",
     "Nlp",

@@ -11,10 +11,15 @@ import casadi as ca
 import numpy as np
 
 from stiffopt.errors import ProblemError
-from stiffopt.transcription.mesh import Mesh, checked_mesh
+from stiffopt.transcription.mesh import Mesh
 from stiffopt.transcription.nlp import Block, Blocks, BlockScales, Nlp, Places
 from stiffopt.transcription.node_derivatives import NumberedStage, SplineCoordinates
-from stiffopt.transcription.ocp import OptimalControlProblem, Rows, Waypoint
+from stiffopt.transcription.ocp import (
+    OptimalControlProblem,
+    Rows,
+    Waypoint,
+    shortest_phase_share,
+)
 from stiffopt.transcription.point_function import StageFunction, compose_derivatives
 from stiffopt.transcription.scheme import Intervals, Scheme, StagePoints, Symbols
 from stiffopt.transcription.schemes import scheme_of
@@ -24,21 +29,18 @@ from stiffopt.transcription.transcription import Transcription
 
 def transcribe(
     ocp: OptimalControlProblem,
-    method: str = "piecewise_linear",
-    mesh: Sequence[np.ndarray] = (),
-    degree: int = 3,
+    method: str,
+    mesh: Mesh,
     scales: BlockScales | None = None,
 ) -> Transcription:
     """Turn an optimal-control problem into an NLP.
 
     The stage is evaluated through one `casadi.Function.map` over all points and the graph is not
-    expanded, so the time to build hardly grows with the mesh. `method`: "piecewise_linear" (also
-    "piecewise_linear_acceleration"), "hermite_simpson" or "radau". `mesh`: interval fractions of
-    each phase; see `uniform_mesh`. `degree`: points in each interval of "radau". `scales`: of
-    another programme, in place of the problem's own where its blocks are the same.
+    expanded, so the time to build hardly grows with the mesh. `method`: name of `SCHEMES`. `mesh`:
+    interval fractions of each phase; see `uniform_mesh`. `scales`: of another programme, in place
+    of the problem's own where its blocks are the same.
     """
-    integrators = len(ocp.chains[0]) - 1 if ocp.chains else 2
-    scheme = scheme_of(method, degree, integrators)
+    scheme = scheme_of(method, len(ocp.chains[0]) - 1)
     stage = _stage_of(ocp, scheme)
     if scales is not None:
         # Spline coefficients have the units of their states.
@@ -48,7 +50,8 @@ def transcribe(
             ocp = replace(ocp, static_scale=blocks[-1])
             if stage.along is None:
                 ocp = replace(ocp, state_scale=blocks[0], control_scale=blocks[1])
-    return _NlpBuilder(ocp, scheme, checked_mesh(mesh, ocp.phases), stage, scales=scales).build()
+    own_mesh = [part / part.sum() for part in mesh]
+    return _NlpBuilder(ocp, scheme, own_mesh, stage, scales=scales).build()
 
 
 def adapt(first: Transcription, ocp: OptimalControlProblem) -> Transcription | None:
@@ -133,9 +136,9 @@ class _NlpBuilder:
         statics = self._block_symbol(self.statics)
         for name, index, expression, places in self.scheme.defects(symbols):
             labels = [ocp.states[i] for i in index]
-            rows = Rows.make(name, labels, 0.0, 0.0, ocp.scales_of_states[index])
+            rows = Rows.make(name, labels, 0.0, 0.0, ocp.state_scale[index])
             self._add_rows(rows, expression, places, structural=True)
-        points = self.scheme.stage_points(symbols, any(r.midpoints for r in ocp.path_rows))
+        points = self.scheme.stage_points(symbols)
         integrals = self._add_stage(symbols, points, statics)
         for rows, expression, places in self.scheme.extra_rows(symbols):
             self._add_rows(rows, expression, places)
@@ -223,7 +226,7 @@ class _NlpBuilder:
             self.stage,
             (self.z, self.p, self.values),
             self.variables_of_stage,
-            ca.densify(objective) / self.ocp.objective_scale,
+            ca.densify(objective),
             ca.vertcat(ca.MX(0, 1), *self.expressions),
             (x, self.lift),
             self.slope_of_variables,
@@ -234,7 +237,6 @@ class _NlpBuilder:
             f=f,
             g=g,
             derivatives=derivatives,
-            objective_scale=self.ocp.objective_scale,
             **own,
         )
         return Transcription(
@@ -258,7 +260,7 @@ class _NlpBuilder:
     def _declare_variables(self) -> None:
         ocp = self.ocp
         self.states = self.nodes.add_nodes(
-            Rows.make("state", ocp.states, ocp.state_lower, ocp.state_upper, ocp.scales_of_states),
+            Rows.make("state", ocp.states, ocp.state_lower, ocp.state_upper, ocp.state_scale),
             self.scheme.state_places(self.intervals),
             (ocp.initial_lower, ocp.initial_upper),
             (ocp.final_lower, ocp.final_upper),
@@ -270,7 +272,7 @@ class _NlpBuilder:
                 ocp.controls,
                 ocp.control_lower,
                 ocp.control_upper,
-                ocp.scales_of_controls,
+                ocp.control_scale,
             ),
             self.scheme.control_places(self.intervals),
             (ocp.initial_control_lower, ocp.initial_control_upper) if starts else (None, None),
@@ -284,7 +286,7 @@ class _NlpBuilder:
                 ocp.statics,
                 ocp.static_lower,
                 ocp.static_upper,
-                ocp.scales_of_statics,
+                ocp.static_scale,
             ),
             None,
         )
@@ -293,7 +295,7 @@ class _NlpBuilder:
             lower, upper = ocp.duration
             labels = [""]
             if ocp.phases > 1:
-                lower = ocp.shortest_phase_share * (upper if np.isfinite(upper) else lower)
+                lower = shortest_phase_share(ocp.phases) * (upper if np.isfinite(upper) else lower)
                 labels = [f"phase {i + 1}" for i in range(ocp.phases)]
             rows = Rows.make("duration", labels, lower, upper, unit="s")
             self.durations = self.variables.add(rows, None)
@@ -345,13 +347,13 @@ class _NlpBuilder:
                 labels = [ocp.states[i] for i in index]
                 name = "position" if order == 0 else "state"
                 value = s.spline_values(nodes[columns], orders=(order,))
-                scales = ocp.scales_of_states[index]
+                scales = ocp.state_scale[index]
                 rows = Rows.make(name, labels, low[kept], high[kept], scales)
                 self._add_rows(rows, value[kept.tolist(), :], nodes[columns])
         for phase in range(ocp.phases - 1):
             ends = Places(np.array([phase]), np.ones(1)), Places(np.array([phase + 1]), np.zeros(1))
             leave, enter = (s.spline_values(place) for place in ends)
-            scales = np.concatenate([ocp.scales_of_states, ocp.scales_of_controls])
+            scales = np.concatenate([ocp.state_scale, ocp.control_scale])
             rows = Rows.make("continuity", [*ocp.states, *ocp.controls], 0.0, 0.0, scales)
             self._add_rows(rows, enter - leave, ends[0], structural=True)
 
@@ -403,7 +405,6 @@ class _NlpBuilder:
         blocks: Sequence[Rows],
         values: ca.MX,
         places: Places | None = None,
-        main: np.ndarray | None = None,
     ) -> list[tuple[Block, np.ndarray]]:
         """Add the bounded rows of a function's output, block by block.
 
@@ -417,11 +418,7 @@ class _NlpBuilder:
             begin += len(rows)
             if not kept.size:
                 continue
-            where = places
-            if places is not None and main is not None and not rows.midpoints and not main.all():
-                part = part[:, np.flatnonzero(main).tolist()]
-                where = places[main]
-            made.append((self._add_rows(rows.select(kept), part, where), entries))
+            made.append((self._add_rows(rows.select(kept), part, places), entries))
         return made
 
     def _add_stage(self, s: Symbols, points: StagePoints, statics: ca.MX) -> ca.MX:
@@ -442,7 +439,7 @@ class _NlpBuilder:
         self.values = ca.MX.sym("values", values, count)
         first = self.ocp.stage.size1_out(0)
         self.path_blocks = self._add_bounded_rows(
-            self.ocp.path_rows, self.values[first:, :], points.places, points.main
+            self.ocp.path_rows, self.values[first:, :], points.places
         )
         return self.values[:first, :] @ (ca.DM(ca.sparsify(ca.DM(points.weights))) @ s.steps.T)
 
@@ -470,7 +467,7 @@ class _NlpBuilder:
         # A jump between intervals would be an unbounded rate that no rate row sees.
         jumps = self.scheme.control_jumps(s)[use.tolist(), :]
         labels = [ocp.controls[i] for i in use]
-        rows = Rows.make("control continuity", labels, 0.0, 0.0, ocp.scales_of_controls[use])
+        rows = Rows.make("control continuity", labels, 0.0, 0.0, ocp.control_scale[use])
         inner = self.intervals.places(np.array([0.0]))
         self._add_rows(rows, jumps, inner[1:], structural=True)
 

@@ -75,7 +75,7 @@ class ChainSplines:
         """
         matrix, powers, _ = self._coefficient_map(places, orders)
         height = len(orders) * len(self.chains) or self.values
-        moved = ca.mtimes(_to_casadi(matrix), coefficients)
+        moved = ca.mtimes(ca.DM(matrix.tocsc()), coefficients)
         stretched = self._durations_at(places, durations, height) ** ca.DM(-powers)
         return ca.reshape(moved * stretched, height, len(places))
 
@@ -209,7 +209,3 @@ class ChainSplines:
             (count * height, self.size),
         )
         return matrix, powers.ravel(), np.repeat(places.phase, height)
-
-
-def _to_casadi(matrix: scipy.sparse.coo_matrix) -> ca.DM:
-    return ca.DM(matrix.tocsc())

@@ -4,17 +4,8 @@ from __future__ import annotations
 
 from math import comb
 
-import casadi as ca
 import numpy as np
 from numpy.polynomial import legendre
-
-
-def radau_nodes(degree: int) -> np.ndarray:
-    """Flipped Legendre-Gauss-Radau nodes: `degree` points of (0, 1], the last one is 1.
-
-    The quadrature on them is exact up to polynomial degree 2 d - 2.
-    """
-    return np.array(ca.collocation_points(degree, "radau"))
 
 
 def power_from_values(nodes: np.ndarray) -> np.ndarray:

@@ -45,30 +45,6 @@ def split_counts(total: int, weights: np.ndarray, least: int = 1) -> np.ndarray:
     return np.asarray(counts)
 
 
-def checked_mesh(mesh: Sequence[np.ndarray], phases: int) -> Mesh:
-    """Return the mesh as normalised arrays, or a `ProblemError`."""
-    if len(mesh) != phases:
-        raise ProblemError(
-            f"mesh: {len(mesh)} arrays for {phases} phases. Give one array of interval fractions "
-            "a phase."
-        )
-    result = []
-    for index, part in enumerate(mesh):
-        fractions = np.atleast_1d(np.asarray(part, dtype=float))
-        if not np.all(np.isfinite(fractions)) or np.any(fractions <= 0.0):
-            raise ProblemError(
-                f"mesh: phase {index} has an interval fraction that is not positive. All must be "
-                "above 0 and sum to 1."
-            )
-        if abs(fractions.sum() - 1.0) > 1e-6:
-            raise ProblemError(
-                f"mesh: the interval fractions of phase {index} sum to {fractions.sum():g}; they "
-                "must sum to 1."
-            )
-        result.append(fractions / fractions.sum())
-    return result
-
-
 def equidistribute(fractions: np.ndarray, monitor: np.ndarray, count: int) -> np.ndarray:
     """Place `count` intervals with equal integrals of a piecewise-constant, positive monitor."""
     mass = np.concatenate([[0.0], np.cumsum(fractions * monitor)])

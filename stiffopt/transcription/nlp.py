@@ -191,9 +191,9 @@ class BlockScales:
 class Nlp:
     """minimise f(x, p) subject to lower_x <= x <= upper_x, lower_g <= g(x, p) <= upper_g.
 
-    All vectors are scaled: value = scale * entry. `objective_scale` times f is the objective.
-    `derivatives` replace those of `casadi.nlpsol`: grad_f, jac_g, hess_lag. `numbers` are values of
-    the last parameters, which may differ between problems of one graph.
+    All vectors are scaled: value = scale * entry. `derivatives` replace those of `casadi.nlpsol`:
+    grad_f, jac_g, hess_lag. `numbers` are values of the last parameters, which may differ between
+    problems of one graph.
     """
 
     x: Symbols
@@ -206,7 +206,6 @@ class Nlp:
     upper_x: np.ndarray
     lower_g: np.ndarray
     upper_g: np.ndarray
-    objective_scale: float = 1.0
     derivatives: Mapping[str, Any] = field(default_factory=dict)
     numbers: np.ndarray = field(default_factory=lambda: np.zeros(0))
 

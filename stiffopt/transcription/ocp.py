@@ -1,12 +1,12 @@
 """The general optimal-control problem that a transcription turns into an NLP.
 
-Nothing here knows robots: states x, controls u, static variables z (epigraph bounds and the like),
+Nothing here knows robots: chains of integrators with states x (positions and their derivatives) and
+controls u (the highest derivative of each), static variables z (epigraph bounds and the like),
 parameters p (that vary between solves without rebuilding), time scaled by free or fixed phase
-durations.
+durations. Equations of motion enter as path rows: they give the forces for a motion.
 
     minimise    objective(I, T, z, x0, xf, p)          I = integral of the stage's integrands
-    subject to  dx/dt = dynamics(x, u, p)
-                path rows g(x, u, z, p), integral rows, waypoint rows, bounds
+    subject to  path rows g(x, u, z, p), integral rows, waypoint rows, bounds
 
 Keep `objective` linear in I, or IPOPT's Hessian becomes dense: a root of an integral goes through a
 static variable and an integral row instead.
@@ -23,13 +23,13 @@ import numpy as np
 
 from stiffopt.transcription.node_derivatives import NumberedStage, extract_numbers
 
-# Smallest share of the mean duration of a phase that one may take.
-_MIN_SHARE_OF_MEAN_PHASE = 0.2
+# Smallest shares that a phase may take: of the upper duration, and of the mean of many phases.
+_MIN_PHASE_SHARE, _MIN_SHARE_OF_MEAN_PHASE = 0.02, 0.2
 
 
 def shortest_phase_share(phases: int) -> float:
-    """Return the smallest share of the duration that one of many phases may take."""
-    return _MIN_SHARE_OF_MEAN_PHASE / phases
+    """Return the smallest share of the duration that one of several phases may take."""
+    return min(_MIN_PHASE_SHARE, _MIN_SHARE_OF_MEAN_PHASE / phases)
 
 
 def _broadcast_vector(value: object, size: int) -> np.ndarray:
@@ -48,8 +48,6 @@ class Rows:
     # (m,) typical magnitude; the NLP row is divided by it, violations are reported relative to it.
     scale: np.ndarray
     unit: str = ""  # for messages
-    # Also enforced in the middle of each interval where the transcription has such points.
-    midpoints: bool = False
 
     @classmethod
     def make(
@@ -60,7 +58,6 @@ class Rows:
         upper: object,
         scale: object = 1.0,
         unit: str = "",
-        midpoints: bool = False,
     ) -> Rows:
         """Make rows, with scalars broadcast to the number of labels."""
         m = len(labels)
@@ -71,7 +68,6 @@ class Rows:
             upper=_broadcast_vector(upper, m),
             scale=_broadcast_vector(scale, m),
             unit=unit,
-            midpoints=midpoints,
         )
 
     def __len__(self) -> int:
@@ -108,7 +104,12 @@ class OptimalControlProblem:
     name: str
     states: tuple[str, ...]
     controls: tuple[str, ...]
-    dynamics: ca.Function  # (x, u, p) -> dx/dt
+    # Chains of integrators, as indices (position, velocity, .., control): each state's derivative
+    # is the next one, the last one's is that control; all of one length, and each state and control
+    # in one of them. Integrated exactly. Of length 3 (the control is an acceleration) in every
+    # transcription: piecewise-linear control then gives positions that are C2 cubic splines. Longer
+    # ones, for smoother motions, with piecewise-linear control only.
+    chains: tuple[tuple[int, ...], ...]
     # (x, u, z, p) -> (integrands (k,), path rows (m,)); either may be empty (0, 1).
     stage: ca.Function
     # (I (k,), T, z, x0, xf, p) -> scalar. T is the total duration.
@@ -125,9 +126,6 @@ class OptimalControlProblem:
     start: Waypoint | None = None
     end: Waypoint | None = None
     vias: tuple[Waypoint, ...] = ()  # rows at the borders between phases; len(vias) + 1 phases
-    # Smallest share of the upper duration that a phase may take (only with vias); with many, a
-    # share of their mean (`shortest_phase_share`).
-    phase_fraction_min: float = 0.02
     state_lower: np.ndarray
     state_upper: np.ndarray
     control_lower: np.ndarray
@@ -145,48 +143,16 @@ class OptimalControlProblem:
     initial_control_upper: np.ndarray | None = None
     final_control_lower: np.ndarray | None = None
     final_control_upper: np.ndarray | None = None
-    # Chains of integrators, as indices (position, velocity, .., control): each state's derivative
-    # IS the next one, the last one's IS that control; all of one length. Integrated exactly. Of
-    # length 3 (the control is an acceleration) in every transcription: piecewise-linear control
-    # then gives positions that are C2 cubic splines. Longer ones, for smoother motions, with
-    # piecewise-linear control only.
-    chains: tuple[tuple[int, ...], ...] = ()
     parameters: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (np,) default value of p
-    state_scale: np.ndarray | None = None
-    control_scale: np.ndarray | None = None
-    static_scale: np.ndarray | None = None
-    objective_scale: float = 1.0
-
-    @property
-    def scales_of_states(self) -> np.ndarray:
-        """Typical magnitude of each state; ones unless given."""
-        return _broadcast_vector(
-            1.0 if self.state_scale is None else self.state_scale, len(self.states)
-        )
-
-    @property
-    def scales_of_controls(self) -> np.ndarray:
-        """Typical magnitude of each control; ones unless given."""
-        return _broadcast_vector(
-            1.0 if self.control_scale is None else self.control_scale, len(self.controls)
-        )
-
-    @property
-    def scales_of_statics(self) -> np.ndarray:
-        """Typical magnitude of each static variable; ones unless given."""
-        return _broadcast_vector(
-            1.0 if self.static_scale is None else self.static_scale, len(self.statics)
-        )
+    # Typical magnitudes of states, controls and static variables.
+    state_scale: np.ndarray
+    control_scale: np.ndarray
+    static_scale: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @cached_property
     def numbered_stage(self) -> NumberedStage:
         """The stage with its numbers as inputs: the same on every mesh."""
         return extract_numbers(self.stage, self.intermediate)
-
-    @property
-    def shortest_phase_share(self) -> float:
-        """Smallest share of the upper duration that each phase may take."""
-        return min(self.phase_fraction_min, shortest_phase_share(self.phases))
 
     @property
     def phases(self) -> int:

@@ -1,8 +1,7 @@
 """Piecewise-linear control: chains of integrators become splines, integrated exactly.
 
-States that the dynamics integrate follow the trapezoidal rule, so they and the optimum converge
-with order 2; for second-order states the equations hold exactly and only the shape of the control
-is restricted.
+The equations hold exactly and only the shape of the control is restricted, so that the optimum
+converges with order 2.
 """
 
 from __future__ import annotations
@@ -22,46 +21,39 @@ from stiffopt.transcription.scheme import Defect, Scheme, StagePoints, Symbols
 class PiecewiseLinear(Scheme):
     """Control linear in each interval and continuous.
 
-    Integrals use Simpson's rule when some row asks for midpoints (they are evaluated anyway),
+    Path rows hold in the middles of the intervals too. Integrals then use Simpson's rule,
     else the trapezoidal rule on the nodes. Midpoints double the work of an interval; on the torque
     squared of a six-joint arm both rules are equally accurate for equal solve time, so midpoints
     are not added for the integrals' sake.
     """
 
-    name = "piecewise_linear"
+    name = "piecewise_linear_acceleration"
     state_nodes = np.array([0.0, 1.0])
     control_nodes = np.array([0.0, 1.0])
     rate_nodes = np.array([0.0])
 
     def defects(self, s: Symbols) -> Iterator[Defect]:
-        """Exact double integration, and the trapezoidal rule for the rest."""
+        """Exact double integration."""
         places = s.intervals.places(np.array([0.5]))
         q, v, a = s.second_order
         x0, x1, u0, u1 = _interval_ends(s)
-        if q:
-            h = s.step(len(q))
-            v0, a0, a1 = x0[v, :], u0[a, :], u1[a, :]
-            yield "velocity step", v, x1[v, :] - v0 - h * (a0 + a1) / 2.0, places
-            moved = h * v0 + h * h * (2.0 * a0 + a1) / 6.0
-            yield "position step", q, x1[q, :] - x0[q, :] - moved, places
-        first = s.first_order
-        if first:
-            f = s.rates(s.states, s.controls)
-            mean = (f[:, :-1] + f[:, 1:]) / 2.0
-            yield "dynamics", first, x1[first, :] - x0[first, :] - s.step(len(first)) * mean, places
+        h = s.step(len(q))
+        v0, a0, a1 = x0[v, :], u0[a, :], u1[a, :]
+        yield "velocity step", v, x1[v, :] - v0 - h * (a0 + a1) / 2.0, places
+        moved = h * v0 + h * h * (2.0 * a0 + a1) / 6.0
+        yield "position step", q, x1[q, :] - x0[q, :] - moved, places
 
-    def stage_points(self, s: Symbols, midpoints: bool) -> StagePoints:
-        """Nodes, and the middles of the intervals when rows ask for them."""
+    def stage_points(self, s: Symbols) -> StagePoints:
+        """Nodes, and the middles of the intervals if there are path rows."""
         count = len(s.intervals)
         left, right = np.eye(count + 1, count), np.eye(count + 1, count, k=-1)
         places = self.state_places(s.intervals)
-        if not midpoints:
+        if not s.ocp.path_rows:
             return StagePoints(
                 states=s.states,
                 controls=s.controls,
                 weights=(left + right) / 2.0,
                 places=places,
-                main=np.ones(count + 1, dtype=bool),
             )
         middle = s.intervals.places(np.array([0.5]))
         x_mid, u_mid = self.middle(s)
@@ -72,29 +64,19 @@ class PiecewiseLinear(Scheme):
             places=Places(
                 np.append(places.phase, middle.phase), np.append(places.fraction, middle.fraction)
             ),
-            main=np.arange(2 * count + 1) <= count,
         )
 
     def middle(self, s: Symbols) -> tuple[ca.MX, ca.MX]:
         """States and controls in the middles of the intervals."""
         q, v, a = s.second_order
-        first = s.first_order
-        x0, x1, u0, u1 = _interval_ends(s)
-        parts, order = [], []
-        if q:
-            h = s.step(len(q))
-            v0, a0, a1 = x0[v, :], u0[a, :], u1[a, :]
-            parts += [
-                x0[q, :] + h * v0 / 2.0 + h * h * (5.0 * a0 + a1) / 48.0,
-                v0 + h * (3.0 * a0 + a1) / 8.0,
-            ]
-            order += [*q, *v]
-        if first:
-            f = s.rates(s.states, s.controls)
-            hermite = s.step(len(first)) * (f[:, :-1] - f[:, 1:]) / 8.0
-            parts.append((x0[first, :] + x1[first, :]) / 2.0 + hermite)
-            order += first
-        return ca.vertcat(*parts)[np.argsort(order).tolist(), :], (u0 + u1) / 2.0
+        x0, _, u0, u1 = _interval_ends(s)
+        h = s.step(len(q))
+        v0, a0, a1 = x0[v, :], u0[a, :], u1[a, :]
+        states = ca.vertcat(
+            x0[q, :] + h * v0 / 2.0 + h * h * (5.0 * a0 + a1) / 48.0,
+            v0 + h * (3.0 * a0 + a1) / 8.0,
+        )
+        return states[np.argsort([*q, *v]).tolist(), :], (u0 + u1) / 2.0
 
 
 def _interval_ends(s: Symbols) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
@@ -114,7 +96,7 @@ class IntegratorChain(PiecewiseLinear):
         return ChainSplines(mesh, ocp.chains)
 
     def defects(self, s: Symbols) -> Iterator[Defect]:
-        """Yield nothing: splines obey the dynamics."""
+        """Yield nothing: splines obey the equations."""
         return iter(())
 
     def middle(self, s: Symbols) -> tuple[ca.MX, ca.MX]:

@@ -74,7 +74,6 @@ class StagePoints:
     # (P, K) quadrature weights of the points, as factors of the interval durations.
     weights: np.ndarray
     places: Places  # (P,)
-    main: np.ndarray  # (P,) False for points that only rows with `midpoints` use
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,12 +91,6 @@ class Symbols:
     spline_values: Callable[..., ca.MX] | None = None
 
     @cached_property
-    def first_order(self) -> list[int]:
-        """Indices of the states that the dynamics integrate."""
-        taken = {i for chain in self.ocp.chains for i in chain[:-1]}
-        return [i for i in range(len(self.ocp.states)) if i not in taken]
-
-    @cached_property
     def chain(self) -> list[list[int]]:
         """Indices of all chains by order of derivative: positions, velocities, .., controls."""
         return [list(order) for order in zip(*self.ocp.chains, strict=True)]
@@ -105,8 +98,6 @@ class Symbols:
     @cached_property
     def second_order(self) -> tuple[list[int], list[int], list[int]]:
         """Indices of positions, velocities and the controls that are their accelerations."""
-        if not self.chain:
-            return [], [], []
         if len(self.chain) != 3:
             raise ProblemError(
                 "motions smoother than piecewise-linear acceleration need the transcription "
@@ -123,12 +114,6 @@ class Symbols:
     def step(self, rows: int) -> ca.MX:
         """Interval durations repeated over rows (rows, K)."""
         return ca.repmat(self.steps, rows, 1)
-
-    def rates(self, states: ca.MX, controls: ca.MX) -> ca.MX:
-        """Time derivatives of the first-order states (len(first_order), P)."""
-        count = states.shape[1]
-        parameters = ca.repmat(self.parameters, 1, count)
-        return self.ocp.dynamics.map(count)(states, controls, parameters)[self.first_order, :]
 
 
 # A block of equations (zero inside): name, state indices, expression (m, k), places (k,).
@@ -172,24 +157,21 @@ class Scheme(abc.ABC):
     def motion_splines(self, ocp: OptimalControlProblem, mesh: Mesh) -> ChainSplines | None:
         """Return the splines that represent every motion that obeys the equations.
 
-        None where splines do not represent all, as with first-order states or control jumps, and
-        where their coefficients are the variables already.
+        None where splines do not represent all, as with control jumps, and where their coefficients
+        are the variables already.
         """
-        if not ocp.chains or self.splines(ocp, mesh) is not None:
-            return None
-        same = np.array_equal(self.state_nodes, self.control_nodes)
-        states = sum(len(chain) - 1 for chain in ocp.chains)
-        if not same or states != len(ocp.states) or len(ocp.chains) != len(ocp.controls):
+        jumps = not np.array_equal(self.state_nodes, self.control_nodes)
+        if jumps or self.splines(ocp, mesh) is not None:
             return None
         return ChainSplines(mesh, ocp.chains, len(self.control_nodes) - 1)
 
     @abc.abstractmethod
     def defects(self, s: Symbols) -> Iterator[Defect]:
-        """Equations between the states, all zero on a motion that obeys the dynamics."""
+        """Equations between the states, all zero where each is the integral of the next."""
 
     @abc.abstractmethod
-    def stage_points(self, s: Symbols, midpoints: bool) -> StagePoints:
-        """Points for path rows and integrals; `midpoints` when some row asks for them."""
+    def stage_points(self, s: Symbols) -> StagePoints:
+        """Points for path rows and integrals."""
 
     def extra_rows(self, s: Symbols) -> Iterator[tuple[Rows, ca.MX, Places]]:
         """Velocity and acceleration bounds within the intervals, by Bernstein coefficients.
@@ -203,14 +185,14 @@ class Scheme(abc.ABC):
         degree = len(nodes)
         first = self.state_columns(len(s.intervals))[:, 0].tolist()
         bounds = (ocp.state_lower[v], ocp.state_upper[v])
-        kept, rows = _bounded_rows("velocity", ocp.states, ocp.scales_of_states, v, bounds)
+        kept, rows = _bounded_rows("velocity", ocp.states, ocp.state_scale, v, bounds)
         if rows is not None:
             v, own = [v[i] for i in kept], [a[i] for i in kept]
             for j, weights in enumerate(grid.bernstein_of_integral(nodes)[1:-1], start=1):
                 change = s.step(len(v)) * self._weighted_controls(s, weights, own)
                 yield rows, s.states[v, first] + change, places(np.array([j / degree]))
         bounds = (ocp.control_lower[a], ocp.control_upper[a])
-        kept, rows = _bounded_rows("acceleration", ocp.controls, ocp.scales_of_controls, a, bounds)
+        kept, rows = _bounded_rows("acceleration", ocp.controls, ocp.control_scale, a, bounds)
         if rows is not None:
             own = [a[i] for i in kept]
             for j, weights in enumerate(grid.bernstein_from_values(nodes)):

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 import casadi as ca
 import numpy as np
 
-from stiffopt.errors import ProblemError, nearest
 from stiffopt.transcription import grid
 from stiffopt.transcription.nlp import Places
 from stiffopt.transcription.ocp import Rows
@@ -28,34 +27,22 @@ class HermiteSimpson(Scheme):
 
     def defects(self, s: Symbols) -> Iterator[Defect]:
         """Equations at the midpoint and the end of each interval."""
-        x0, xm, x1 = _split_thirds(s.states)
-        a0, am, a1 = _split_thirds(s.controls)
+        x0, *targets = _split_thirds(s.states)
         q, v, a = s.second_order
+        h, nodes = s.step(len(q)), [each[a, :] for each in _split_thirds(s.controls)]
         ends = _INTERVAL_NODES[1:]
-        if q:
-            h = s.step(len(q))
-            once = grid.integration_matrix(_INTERVAL_NODES, ends)
-            twice = grid.integration_matrix(_INTERVAL_NODES, ends, times=2)
-            nodes = (a0[a, :], am[a, :], a1[a, :])
-            for local, target, w1, w2 in zip(ends, (xm, x1), once, twice, strict=True):
-                places = s.intervals.places(np.array([local]))
-                gain = sum(float(w) * u for w, u in zip(w1, nodes, strict=True))
-                yield "velocity step", v, target[v, :] - x0[v, :] - h * gain, places
-                gain = sum(float(w) * u for w, u in zip(w2, nodes, strict=True))
-                moved = float(local) * h * x0[v, :] + h * h * gain
-                yield "position step", q, target[q, :] - x0[q, :] - moved, places
-        first = s.first_order
-        if first:
-            h = s.step(len(first))
-            f0, fm, f1 = _split_thirds(s.rates(s.states, s.controls))
-            y0, ym, y1 = x0[first, :], xm[first, :], x1[first, :]
-            middle = ym - (y0 + y1) / 2.0 - h * (f0 - f1) / 8.0
-            yield "dynamics", first, middle, s.intervals.places(np.array([0.5]))
-            step = y1 - y0 - h * (f0 + 4.0 * fm + f1) / 6.0
-            yield "dynamics", first, step, s.intervals.places(np.array([1.0]))
+        once = grid.integration_matrix(_INTERVAL_NODES, ends)
+        twice = grid.integration_matrix(_INTERVAL_NODES, ends, times=2)
+        for local, target, w1, w2 in zip(ends, targets, once, twice, strict=True):
+            places = s.intervals.places(np.array([local]))
+            gain = sum(float(w) * u for w, u in zip(w1, nodes, strict=True))
+            yield "velocity step", v, target[v, :] - x0[v, :] - h * gain, places
+            gain = sum(float(w) * u for w, u in zip(w2, nodes, strict=True))
+            moved = float(local) * h * x0[v, :] + h * h * gain
+            yield "position step", q, target[q, :] - x0[q, :] - moved, places
 
-    def stage_points(self, s: Symbols, midpoints: bool) -> StagePoints:
-        """Nodes and midpoints, whatever the rows ask for."""
+    def stage_points(self, s: Symbols) -> StagePoints:
+        """Nodes and midpoints."""
         count = len(s.intervals)
         weights = np.zeros((2 * count + 1, count))
         for j, w in enumerate(grid.quadrature_weights(_INTERVAL_NODES)):
@@ -65,7 +52,6 @@ class HermiteSimpson(Scheme):
             controls=s.controls,
             weights=weights,
             places=self.state_places(s.intervals),
-            main=np.ones(2 * count + 1, dtype=bool),
         )
 
 
@@ -74,21 +60,17 @@ def _split_thirds(columns: ca.MX) -> tuple[ca.MX, ca.MX, ca.MX]:
 
 
 class Radau(Scheme):
-    """Radau points of a degree from 1 to 9; the value at the ends has order 2 degree - 1.
+    """Three Radau points; the value at the ends has order 5.
 
     With bounded control rates the controls are also held continuous between intervals; the rate
-    is bounded at both ends of each interval, which covers the inside up to degree 3.
+    is bounded at both ends of each interval, which covers the inside.
     """
 
     name = "radau"
     rate_nodes = np.array([0.0, 1.0])
-
-    def __init__(self, degree: int = 3) -> None:
-        if not 1 <= degree <= 9:
-            raise ProblemError(f"radau degree {degree} is not possible; allowed: 1 to 9.")
-        self.degree = degree
-        self.control_nodes = grid.radau_nodes(degree)
-        self.state_nodes = np.append(0.0, self.control_nodes)
+    control_nodes = np.array(ca.collocation_points(3, "radau"))
+    state_nodes = np.append(0.0, control_nodes)
+    degree = len(control_nodes)
 
     def defects(self, s: Symbols) -> Iterator[Defect]:
         """Slopes of the state polynomials at the points, and double integrals."""
@@ -98,22 +80,16 @@ class Radau(Scheme):
         slopes = grid.differentiation_matrix(self.state_nodes)[1:]
         twice = grid.integration_matrix(self.control_nodes, self.control_nodes, times=2)
         q, v, a = s.second_order
-        first = s.first_order
-        rates = s.rates(s.states[:, 1:], s.controls) if first else ca.MX(0, d * count)
+        h = s.step(len(q))
         for i, local in enumerate(self.control_nodes):
             places = s.intervals.places(np.array([local]))
-            if q:
-                h = s.step(len(q))
-                slope = _weighted_sum(slopes[i], x, v)
-                yield "velocity step", v, slope - h * u[i][a, :], places
-                moved = float(local) * h * x[0][v, :] + h * h * _weighted_sum(twice[i], u, a)
-                yield "position step", q, x[i + 1][q, :] - x[0][q, :] - moved, places
-            if first:
-                slope = _weighted_sum(slopes[i], x, first)
-                yield "dynamics", first, slope - s.step(len(first)) * rates[:, i::d], places
+            slope = _weighted_sum(slopes[i], x, v)
+            yield "velocity step", v, slope - h * u[i][a, :], places
+            moved = float(local) * h * x[0][v, :] + h * h * _weighted_sum(twice[i], u, a)
+            yield "position step", q, x[i + 1][q, :] - x[0][q, :] - moved, places
 
-    def stage_points(self, s: Symbols, midpoints: bool) -> StagePoints:
-        """Return the Radau points, whatever the rows ask for."""
+    def stage_points(self, s: Symbols) -> StagePoints:
+        """Return the Radau points."""
         count = len(s.intervals)
         weights = np.kron(np.eye(count), grid.quadrature_weights(self.control_nodes)[:, None])
         return StagePoints(
@@ -121,7 +97,6 @@ class Radau(Scheme):
             controls=s.controls,
             weights=weights,
             places=self.control_places(s.intervals),
-            main=np.ones(self.degree * count, dtype=bool),
         )
 
     def extra_rows(self, s: Symbols) -> Iterator[tuple[Rows, ca.MX, Places]]:
@@ -132,9 +107,7 @@ class Radau(Scheme):
             return
         start = grid.interpolation_matrix(self.control_nodes, np.array([0.0]))[0]
         value = ca.mtimes(s.controls[:, : self.degree], ca.DM(start))
-        rows = Rows.make(
-            "control at the start", s.ocp.controls, lower, upper, s.ocp.scales_of_controls
-        )
+        rows = Rows.make("control at the start", s.ocp.controls, lower, upper, s.ocp.control_scale)
         yield rows, value, Places(np.array([0]), np.array([0.0]))
 
     def control_jumps(self, s: Symbols) -> ca.MX:
@@ -153,23 +126,13 @@ def _weighted_sum(weights: np.ndarray, parts: list[ca.MX], rows: list[int]) -> c
     return total
 
 
-METHODS = ("piecewise_linear", "hermite_simpson", "radau")
-_METHOD_ALIASES = {"piecewise_linear_acceleration": "piecewise_linear"}
+SCHEMES: dict[str, type[Scheme]] = {
+    each.name: each for each in (PiecewiseLinear, HermiteSimpson, Radau)
+}
 
 
-def scheme_of(method: str, degree: int = 3, integrators: int = 2) -> Scheme:
-    """Return the scheme of a name.
-
-    `degree` is the number of Radau points in an interval, `integrators` that of integrators between
-    a control and its position.
-    """
-    name = _METHOD_ALIASES.get(method, method)
-    if name == "piecewise_linear":
-        return PiecewiseLinear() if integrators == 2 else IntegratorChain()
-    if name == "hermite_simpson":
-        return HermiteSimpson()
-    if name == "radau":
-        return Radau(degree)
-    raise ProblemError(
-        f"transcription {method!r} is not known. {nearest(method, [*METHODS, *_METHOD_ALIASES])}"
-    )
+def scheme_of(method: str, integrators: int) -> Scheme:
+    """Return the scheme of a name, for so many integrators between a control and its position."""
+    if method == PiecewiseLinear.name and integrators > 2:
+        return IntegratorChain()
+    return SCHEMES[method]()

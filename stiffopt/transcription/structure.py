@@ -14,7 +14,7 @@ from stiffopt.transcription.scheme import Scheme
 
 # Fields that `structure_of` hashes, or that are compared block by block.
 _GRAPH_FIELDS = (
-    "name", "dynamics", "stage", "intermediate", "objective", "integral_function",
+    "name", "stage", "intermediate", "objective", "integral_function",
     "path_rows", "integral_rows", "start", "vias", "end",
 )  # fmt: skip
 
@@ -27,7 +27,7 @@ def structure_of(
     Excluded: bounds (only their existence counts), scales (those of the first programme stay), a
     fixed duration and the numbers of the stage, among them payload, tool, force and drivetrain.
     """
-    functions = [ocp.dynamics, ocp.objective]
+    functions = [ocp.objective]
     functions += [] if ocp.integral_function is None else [ocp.integral_function]
     points = [ocp.start, *ocp.vias, ocp.end]
     functions += [point.function for point in points if point is not None]
@@ -36,11 +36,11 @@ def structure_of(
         stage.formula,
         (scheme.name, scheme.state_nodes.tolist(), scheme.control_nodes.tolist()),
         [share.tolist() for share in mesh],
-        (ocp.states, ocp.controls, ocp.statics, ocp.chains, ocp.objective_scale),
+        (ocp.states, ocp.controls, ocp.statics, ocp.chains),
         [point is None for point in points],
         ocp.fixed_duration,
         len(ocp.parameters),
-        [(rows.name, rows.labels, rows.midpoints, rows.bounded.tolist()) for rows in blocks],
+        [(rows.name, rows.labels, rows.bounded.tolist()) for rows in blocks],
         [_are_finite(ocp.control_rate_lower), _are_finite(ocp.control_rate_upper)],
         [_are_finite(ocp.state_lower), _are_finite(ocp.state_upper)],
         [_are_finite(ocp.control_lower), _are_finite(ocp.control_upper)],

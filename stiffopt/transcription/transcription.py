@@ -27,9 +27,6 @@ class Unpacked:
 
     times: np.ndarray  # (NX,) times of the states [s]
     states: np.ndarray  # (NX, nx)
-    # (NU,) times of the controls [s]; those of `times` unless the scheme has no control at the
-    # start.
-    control_times: np.ndarray
     controls: np.ndarray  # (NU, nu)
     statics: np.ndarray  # (nz,)
     duration: float  # [s]
@@ -130,7 +127,6 @@ class Transcription:
         return Unpacked(
             times=_place_times(self.scheme.state_places(self.intervals), durations),
             states=self.node_states(x),
-            control_times=_place_times(self.scheme.control_places(self.intervals), durations),
             controls=self._node_controls(x),
             statics=self.statics.take(x)[0],
             duration=float(durations.sum()),
@@ -154,15 +150,11 @@ class Transcription:
     def acceleration_polynomials(
         self, x: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return the second-order states as piecewise-polynomial accelerations, from their start.
+        """Return the motion as piecewise-polynomial accelerations, from its start.
 
         Breaks (K + 1,) [s], coefficients (K, degree + 1, n) in the time since the interval's start,
         lowest power first, for n `ocp.chains`; position and velocity (n,) at the start.
         """
-        if not self.ocp.chains:
-            raise ProblemError(
-                f"{self.ocp.name}: no second-order states, so there is no acceleration to export."
-            )
         q, v, *higher, u = (list(index) for index in zip(*self.ocp.chains, strict=True))
         states, controls = self.node_states(x), self.control_polynomials(x)[:, :, u]
         starts = states[self.scheme.state_columns(len(controls))[:, 0]]
@@ -172,8 +164,8 @@ class Transcription:
     def guess_from(self, x: np.ndarray) -> Guess:
         """Return the motion as a guess for another mesh or scheme.
 
-        Second-order states follow the integrated acceleration, other states and the controls
-        their interpolating polynomial in each interval.
+        States are the integrals of the controls, which follow their interpolating polynomial in
+        each interval.
         """
         x = np.asarray(x, dtype=float).ravel()
         durations = self.phase_durations(x)
@@ -229,28 +221,21 @@ class Transcription:
         """Fit spline coefficients (k, n) to states and controls at the nodes."""
         assert self.splines is not None
         places = self.scheme.state_places(self.intervals)
-        scales = np.concatenate([self.ocp.scales_of_states, self.ocp.scales_of_controls])
+        scales = np.concatenate([self.ocp.state_scale, self.ocp.control_scale])
         found = self.splines.fit(places, values, scales, durations)
         return found.reshape(-1, len(self.ocp.chains))
 
     def _state_polynomials(
         self, x: np.ndarray, steps: np.ndarray, controls: np.ndarray
     ) -> np.ndarray:
-        nodes = self.scheme.state_nodes
-        values = self.node_states(x)[self.scheme.state_columns(len(steps))]
-        powers = steps[:, None] ** np.arange(len(nodes))
-        basis = grid.power_from_values(nodes)
-        fitted = np.einsum("ij,kjn->kin", basis, values) / powers[:, :, None]
-        longest = max((len(chain) - 1 for chain in self.ocp.chains), default=0)
-        degree = max(fitted.shape[1], controls.shape[1] + longest)
-        result = np.zeros((len(steps), degree, values.shape[2]))
-        result[:, : fitted.shape[1]] = fitted
-        for chain in self.ocp.chains:
-            own = list(chain[:-1])
-            result[:, :, own] = 0.0
+        starts = self.node_states(x)[self.scheme.state_columns(len(steps))[:, 0]]
+        degree = controls.shape[1] + len(self.ocp.chains[0]) - 1
+        result = np.zeros((len(steps), degree, starts.shape[1]))
+        for *own, control in self.ocp.chains:
             for k, state in enumerate(own):
-                starts = [values[:, 0, [i]] for i in own[k:]]
-                integrated = _integrate_polynomials(starts, controls[:, :, [chain[-1]]])
+                integrated = _integrate_polynomials(
+                    [starts[:, [i]] for i in own[k:]], controls[:, :, [control]]
+                )
                 result[:, : integrated.shape[1], state] = integrated[:, :, 0]
         return result
 

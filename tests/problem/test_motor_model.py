@@ -256,7 +256,7 @@ def test_default_objective(planar):
 def test_back_off_is_local_to_violations(planar):
     motion = resolve(planar)
     ocp = formulate(planar, motion, Scales())
-    transcription = transcribe(ocp, mesh=uniform_mesh(8))
+    transcription = transcribe(ocp, "piecewise_linear_acceleration", uniform_mesh(8))
     x = transcription.pack(initial_guess(planar, motion, baselines(planar, motion)))
     rows = PointFunction(exact_path_rows(planar, motion, Scales()))
     excess = path_row_excess(transcription, x, Smoothing(SMOOTHING).parameters, rows)
@@ -306,7 +306,9 @@ def test_back_off_from_both_sides_keeps_rows_feasible(monkeypatch):
 
 def test_exact_motor_rows_determine_the_back_off(planar):
     motion = resolve(planar)
-    transcription = transcribe(formulate(planar, motion, Scales()), mesh=uniform_mesh(8))
+    transcription = transcribe(
+        formulate(planar, motion, Scales()), "piecewise_linear_acceleration", uniform_mesh(8)
+    )
     x = transcription.pack(initial_guess(planar, motion, baselines(planar, motion)))
     rows = PointFunction(exact_path_rows(planar, motion, Scales()))
     duration = float(transcription.phase_durations(x).sum())

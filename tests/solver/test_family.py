@@ -192,7 +192,7 @@ def test_programme_is_reused_only_for_the_same_set_of_bounds(monkeypatch, change
         near = problem("payload.mass=0.3", *changes)
         return formulate(near, resolve(near), Scales())
 
-    made = build.transcribe(stated(), "piecewise_linear", uniform_mesh(8))
+    made = build.transcribe(stated(), "piecewise_linear_acceleration", uniform_mesh(8))
     ocp = stated(change)
     taken = build.adapt(made, ocp)
     assert same_bounds(scaled_like(ocp, made.ocp), made.ocp) is quick
@@ -207,9 +207,9 @@ def test_programme_is_reused_only_for_the_same_set_of_bounds(monkeypatch, change
 def test_a_programme_is_the_same_without_the_compiled_core(monkeypatch):
     stated = problem("payload.mass=0.3")
     ocp = formulate(stated, resolve(stated), Scales())
-    fast = build.transcribe(ocp, "piecewise_linear", uniform_mesh(8)).nlp
+    fast = build.transcribe(ocp, "piecewise_linear_acceleration", uniform_mesh(8)).nlp
     monkeypatch.setattr(native, "library", lambda: None)
-    slow = build.transcribe(ocp, "piecewise_linear", uniform_mesh(8)).nlp
+    slow = build.transcribe(ocp, "piecewise_linear_acceleration", uniform_mesh(8)).nlp
     for name in ("lower_x", "upper_x", "lower_g", "upper_g", "numbers"):
         np.testing.assert_array_equal(getattr(slow, name), getattr(fast, name), name)
     x = np.random.default_rng(7).normal(size=slow.variables.size)

@@ -138,7 +138,7 @@ def rows_on_a_pendulum(states, controls):
 @pytest.mark.parametrize("stage_row", [None, rows_on_a_pendulum])
 def test_ipopt_iterates_equal_those_with_mumps(stage_row):
     nlp, x0 = pendulum(stage_row)
-    slow = solver(nlp, linear_solver="mumps").solve(x0, GRAVITY)
+    slow = solver(nlp, extra={"linear_solver": "mumps"}).solve(x0, GRAVITY)
     assert IpoptOptions().for_ipopt()["linear_solver"] == "ma97"
     quick = solver(nlp).solve(x0, GRAVITY)
     assert quick.status == slow.status == "optimal"

@@ -19,7 +19,7 @@ from stiffopt.transcription.ocp import Rows
 def programme(tmp_path, **changes):
     problem = load(tmp_path, "planar", duration="0.9", **changes)
     ocp = formulate(problem, resolve(problem), Scales())
-    return transcribe(ocp, mesh=uniform_mesh(12))
+    return transcribe(ocp, "piecewise_linear_acceleration", uniform_mesh(12))
 
 
 def straight(made):

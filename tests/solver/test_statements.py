@@ -137,7 +137,9 @@ def test_programme_marks_fixed_end_values(tmp_path, acceleration):
     via = "via = [{ joints = [0.0, 0.3] }]"
     problem = load(tmp_path, motion=f'boundary_acceleration = "{acceleration}"\n{via}')
     stated = formulate(problem, resolve(problem), Scales())
-    variables = transcribe(stated, mesh=uniform_mesh(4, phases=2)).nlp.variables
+    variables = transcribe(
+        stated, "piecewise_linear_acceleration", uniform_mesh(4, phases=2)
+    ).nlp.variables
     entries = [variables.entry(k) for k in range(variables.size)]
     given = {(e.name, e.phase, e.fraction) for e in entries if e.given}
     ends = [(0, 0.0), (1, 1.0)]

@@ -37,7 +37,7 @@ def programme(tmp_path, monkeypatch):
     problem = load(tmp_path)
     motion = resolve(problem)
     ocp = formulate(problem, motion, Scales())
-    plain = transcribe(ocp, mesh=uniform_mesh(6, 1, (1.0,)))
+    plain = transcribe(ocp, "piecewise_linear_acceleration", uniform_mesh(6, 1, (1.0,)))
     x = plain.pack(initial_guess(problem, motion, baselines(problem, motion)))
     return plain, x
 

@@ -89,12 +89,12 @@ def check_numbers(path: Path, samples: int, columns: int) -> None:
         )
 
 
-def check_bytes(path: Path, size: int, where: str = "") -> None:
+def check_bytes(path: Path, size: int) -> None:
     """Raise `InputFileError` if the uncompressed size exceeds `MAX_BYTES`."""
     if size > MAX_BYTES:
         raise InputFileError(
             path,
-            where,
+            "",
             f"declares {size / 2**30:.3g} GiB, unpacked, and at most {MAX_BYTES / 2**30:.0f} GiB "
             "is read. Split it, or keep only the topics that are named.",
         )

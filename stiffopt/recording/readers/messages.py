@@ -19,7 +19,6 @@ from stiffopt.recording.signals import Signals
 Message = tuple[str, int, Any]
 
 _STEP_PATTERN = re.compile(r"\.?([^.\[\]]+)|\[([^\]]+)\]")
-_NANOSECONDS_PER_SECOND = 1_000_000_000
 # Stamps [s] and [ns] that 64 bits of nanoseconds can hold.
 _MAX_STAMP = 4e9
 
@@ -38,7 +37,7 @@ class Field:
         for step in self.steps:
             if isinstance(step, str) and step.startswith("["):
                 names = next(
-                    (n for key in ENTRY_NAME_FIELDS if (n := _get_field(holder, key)) is not None),
+                    (n for key in ENTRY_NAME_FIELDS if (n := get_field(holder, key)) is not None),
                     (),
                 )
                 if not isinstance(names, Sequence) or step[1:-1] not in names:
@@ -49,7 +48,7 @@ class Field:
                     return None
                 value = value[step]
                 continue
-            holder, value = value, _get_field(value, step)
+            holder, value = value, get_field(value, step)
             if value is None:
                 return None
         return _as_float(value)
@@ -136,7 +135,7 @@ def gather_columns(
     columns = _topic_columns(path, own, base)
     if not timed:
         clock = own[base].clock
-        columns[signals.time] = (clock - clock[0]) / _NANOSECONDS_PER_SECOND
+        columns[signals.time] = (clock - clock[0]) / 1e9
     return columns
 
 
@@ -171,19 +170,20 @@ def _resample_to_clock(clock: np.ndarray, other: np.ndarray, values: np.ndarray)
     return aligned
 
 
-def _get_field(value: Any, key: str) -> Any:
+def get_field(value: Any, key: str) -> Any:
+    """Field of a message of any library; None where it is missing."""
     return value.get(key) if isinstance(value, Mapping) else getattr(value, key, None)
 
 
 def _header_stamp(message: Any) -> int:
     """Stamp of the header [ns], 0 without one."""
-    stamp = _get_field(_get_field(message, "header"), "stamp")
-    seconds = _as_float(_get_field(stamp, "sec"))
-    rest = next((r for key in ("nanosec", "nsec") if (r := _get_field(stamp, key)) is not None), 0)
+    stamp = get_field(get_field(message, "header"), "stamp")
+    seconds = _as_float(get_field(stamp, "sec"))
+    rest = next((r for key in ("nanosec", "nsec") if (r := get_field(stamp, key)) is not None), 0)
     nanoseconds = _as_float(rest)
     if seconds is None or not abs(seconds) < _MAX_STAMP or not abs(nanoseconds or 0.0) < _MAX_STAMP:
         return 0
-    return int(seconds) * _NANOSECONDS_PER_SECOND + int(nanoseconds or 0.0)
+    return 10**9 * int(seconds) + int(nanoseconds or 0.0)
 
 
 def _as_float(value: Any) -> float | None:

@@ -100,8 +100,13 @@ def read_columns(path: str | os.PathLike[str], signals: Signals) -> Columns:
     """
     path = Path(path)
     reader, form = _import_reader(path)
-    read = reader.read if hasattr(reader, "read") else _reader_of_tables(reader)
-    columns: Columns = read_bounded(lambda: read(path, signals), path, form)
+
+    def read() -> Columns:
+        if hasattr(reader, "read"):
+            return dict(reader.read(path, signals))
+        return select_columns(path, _table_of_part(reader, path), signals)
+
+    columns = read_bounded(read, path, form)
     lengths = {name: len(column) for name, column in columns.items()}
     if len(set(lengths.values())) > 1:
         listed = ", ".join(f"{name}: {count}" for name, count in lengths.items())
@@ -141,11 +146,6 @@ def read_named_columns(path: Path, names: Sequence[str]) -> Columns:
         return {name: np.asarray(table[name], dtype=float) for name in names}
 
     return read_bounded(read, path, form)
-
-
-def _reader_of_tables(reader: Any) -> Callable[[Path, Signals], Columns]:
-    """Return the reading of named columns for a format of whole tables."""
-    return lambda path, signals: select_columns(path, _table_of_part(reader, path), signals)
 
 
 def _table_of_part(reader: Any, path: Path) -> Columns:

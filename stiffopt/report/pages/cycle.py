@@ -239,18 +239,17 @@ def print_simulated_cycle(cycle: Cycle, found: CycleSimulation) -> None:
     print_lines(list(found.notes))
 
 
-def _mark_legs(axes: object, solution: CycleSolution, labelled: bool = False) -> None:
+def _mark_legs(axes: object, solution: CycleSolution) -> None:
     """Shade the rests and mark the events."""
     for leg in solution.legs:
         if leg.dwell > 0.0:
             axes.axvspan(leg.arrival, leg.departure, color=svg.PALE, alpha=0.7, zorder=0)  # type: ignore[attr-defined]
         if leg.event:
             axes.axvline(leg.arrival, color=svg.VERMILLION, linewidth=0.9, linestyle="--")  # type: ignore[attr-defined]
-            if labelled:
-                axes.annotate(  # type: ignore[attr-defined]
-                    words(leg.event), (leg.arrival, 1.0), xycoords=("data", "axes fraction"),
-                    xytext=(2, -9), textcoords="offset points", fontsize=7.5, color=svg.VERMILLION,
-                )  # fmt: skip
+            axes.annotate(  # type: ignore[attr-defined]
+                words(leg.event), (leg.arrival, 1.0), xycoords=("data", "axes fraction"),
+                xytext=(2, -9), textcoords="offset points", fontsize=7.5, color=svg.VERMILLION,
+            )  # fmt: skip
 
 
 @svg.figure_style()
@@ -267,7 +266,7 @@ def motion_figure(cycle: Cycle, solution: CycleSolution) -> Figure:
             values.append(100.0 * motion.velocity[:, j] / limit[j])
         curve = svg.decimate_curve(np.concatenate(times), np.concatenate(values))
         axes.plot(*curve, label=name, **svg.line_style(j))
-    _mark_legs(axes, solution, labelled=True)
+    _mark_legs(axes, solution)
     axes.set_ylabel("velocity over limit [%]")
     axes.set_xlabel("time [s]")
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
@@ -286,7 +285,7 @@ def error_figure(solution: CycleSolution) -> Figure:
     axes.plot(*svg.decimate_curve(found.time[inside], factor * found.distance[inside]),
               color=svg.PALETTE[0])  # fmt: skip
     axes.axhline(factor * found.band, color=svg.GREY, linewidth=0.9)
-    _mark_legs(axes, solution, labelled=True)
+    _mark_legs(axes, solution)
     axes.set_ylabel(f"tool error [{unit}]")
     axes.set_xlabel("time [s]")
     axes.set_ylim(bottom=0.0)
