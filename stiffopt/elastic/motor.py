@@ -55,6 +55,14 @@ class MotorMotion:
             return np.asarray(value)
         return np.where((times > self._end)[..., None], 0.0, value)
 
+    def part(self, begin: float, end: float) -> MotorMotion:
+        """Return the motion from `begin` to about `end` [s], with time from `begin` on."""
+        first = max(int(np.searchsorted(self.time, begin, side="right")) - 1, 0)
+        last = int(np.searchsorted(self.time, end)) + 2
+        time = self.time[first:last]
+        time = np.concatenate([[begin], time[time > begin]]) if begin > time[0] else time
+        return MotorMotion(time - begin, self(time), self(time, 1))
+
     @cached_property
     def _pieces(self) -> np.ndarray:
         """Positions, then velocities, highest power first (k, 4, 2 n)."""
