@@ -56,11 +56,9 @@ class MotorMotion:
         return np.where((times > self._end)[..., None], 0.0, value)
 
     def part(self, begin: float, end: float) -> MotorMotion:
-        """Return the motion from `begin` to about `end` [s], with time from `begin` on."""
-        first = max(int(np.searchsorted(self.time, begin, side="right")) - 1, 0)
-        last = int(np.searchsorted(self.time, end)) + 2
-        time = self.time[first:last]
-        time = np.concatenate([[begin], time[time > begin]]) if begin > time[0] else time
+        """Return the motion from `begin` to `end` [s], at rest after its own end."""
+        first, last = np.searchsorted(self.time, [begin, end], side="right")
+        time = np.unique(np.concatenate([[begin], self.time[first:last], [end]]))
         return MotorMotion(time - begin, self(time), self(time, 1))
 
     @cached_property

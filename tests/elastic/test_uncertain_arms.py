@@ -22,7 +22,7 @@ from stiffopt.elastic.uncertainty import (
 )
 from stiffopt.elastic.worst_arms import worst_levels
 from stiffopt.errors import InputError, ProblemError, RobotError
-from stiffopt.result.trajectory import join_motions
+from stiffopt.result.trajectory import Trajectory, join_motions
 
 
 def planar(folder, payload=1.0):
@@ -275,3 +275,19 @@ def test_worst_arms_are_searched_where_corners_deviate_most(tmp_path, monkeypatc
         many.position_peaks(members, 1.01 * peaks.max(axis=1).sum()), peaks
     )
     assert sum(len(run) for run in many._searched) <= 6 < len(many._whole[0]) // 2
+
+
+def test_servo_responds_in_parts_as_in_one(tmp_path, monkeypatch):
+    elastic, servo = planar(tmp_path), Servo(kind="industrial")
+    rise = np.outer([0.0, 0.3, 0.0, -0.3, 0.0], [1.0, -1.0])
+    plan = Trajectory.piecewise_linear_acceleration(np.arange(5), rise, (0.3, 0.4), (0.0, 0.0))
+    command = MotorMotion.of(plan)
+    found = []
+    for blocks in (1000, 2):
+        monkeypatch.setattr(uncertain_arms, "_SERVO_BLOCKS", blocks)
+        monkeypatch.setattr(uncertain_arms, "_STEPS_AT_ONCE", 600)
+        many = UncertainArms(elastic, plan, servo, Uncertainty().worst_servo(servo))
+        many.position_peaks([Member(command=command, departure=Departure.none(2))])
+        found.append(many.motors(command))
+    assert len(many._whole[0]) > 6
+    np.testing.assert_allclose(found[1], found[0], atol=1e-6 * np.abs(found[0]).max())
