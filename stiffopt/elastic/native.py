@@ -139,9 +139,12 @@ def state_derivative(
     found = np.ctypeslib.as_array(own.slope)[:size]
     run, place = made.slope, ctypes.byref(own)
     run.argtypes = (ctypes.c_void_p, REAL)
+    force, along_path = np.ctypeslib.as_array(own.force), arm.path_force
 
     def at(t: float, values: np.ndarray) -> np.ndarray:
         state[:] = values
+        if along_path is not None:
+            force[:] = arm.process_force + along_path(np.array(t))
         run(place, t)
         return found
 
