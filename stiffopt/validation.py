@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import re
 import types
 import typing
@@ -147,7 +148,11 @@ def _describe_fault(model: type[BaseModel], where: str, error: Any) -> tuple[str
     if kind in ("model_type", "dataclass_type", "model_attributes_type"):
         inside = ", ".join(_allowed_keys(model, error["loc"]))
         keys = f" Its keys: {inside}." if inside else ""
-        return where, f"needs a section with keys of its own, got {shortened(given)}.{keys}"
+        example = _section_example(model, error["loc"], where, given)
+        return (
+            where,
+            f"needs a section with keys of its own, got {shortened(given)}.{keys}{example}",
+        )
     if kind == "value_error":
         cause = error["ctx"]["error"]
         if isinstance(cause, InputError):
@@ -166,6 +171,21 @@ def _allowed_keys(model: Any, location: Sequence[str | int]) -> list[str]:
         if keys:
             return list(keys)
     return []
+
+
+def _section_example(model: Any, location: Sequence[str | int], where: str, given: object) -> str:
+    """Return what to write for a value that stands in place of a section, "" where it is unclear.
+
+    The value belongs to the one key that the section requires.
+    """
+    for part in location:
+        model = _inner_annotation(model, part)
+    for candidate in _union_members(model):
+        fields = getattr(candidate, "model_fields", {}).items()
+        required = [(name, field.annotation) for name, field in fields if field.is_required()]
+        if len(required) == 1 and type(given) in _union_members(required[0][1]):
+            return f" Write {required[0][0]} = {json.dumps(given)} in a section [{where}]."
+    return ""
 
 
 def _describe_key(model: Any, location: Sequence[str | int]) -> str:

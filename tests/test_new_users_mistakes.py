@@ -194,3 +194,11 @@ def test_what_is_exceeded_many_times_is_told_as_a_factor():
         "jerk of joint 2 at 0.500 s by 999.00%",
     ]
     assert (percent(12.0), change(11.0)) == ("12 times", "11 times as much")
+
+
+def test_value_in_place_of_a_section_is_told_with_what_to_write(tmp_path, capsys):
+    file = tmp_path / "p.toml"
+    file.write_text(f'{PROBLEM}[path]\ntable = "poses.csv"\n')
+    said = told(capsys, "solve", file)
+    assert "path.table: needs a section" in said
+    assert 'Write file = "poses.csv" in a section [path.table].' in said

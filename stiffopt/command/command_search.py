@@ -111,12 +111,13 @@ class _Lead:
 
     def commands(self, share: float) -> Iterator[ExistingCommand]:
         """Commands with a share of the wind-up, and with less and less of the servo's lag."""
-        motors = self._motors_with_share(share)
+        motors = self._mixed(self.link, self.motors, share, self.link)
         made = functools.partial(ExistingCommand, spacing=self.spacing, share=share)
         if self.servo.leads_exactly:
             yield made(motors)
             return
-        whole = self.servo.lead(motors)
+        link, ahead = self._ahead_of_servo
+        whole = self._mixed(link, ahead, share, ahead.link or link)
         yield made(whole)
         times, end = whole.times, motors.duration
         held = motors.held_for(times[-1] - end)
@@ -126,20 +127,32 @@ class _Lead:
             yield made(mixed, servo_share=led)
         yield made(motors, servo_share=0.0)
 
-    def _motors_with_share(self, share: float) -> Trajectory:
+    @functools.cached_property
+    def _ahead_of_servo(self) -> tuple[Trajectory, Trajectory]:
+        """Links and motors ahead by the servo's lag, which is linear in them; of one duration."""
+        found = [self.servo.lead(each) for each in (self.link, self.motors)]
+        end = max(each.duration for each in found)
+        link, motors = (each.held_for(end - each.duration) for each in found)
+        held = self.link.held_for(end - self.link.duration)
+        return link, replace(motors, link=held)
+
+    @staticmethod
+    def _mixed(
+        link: Trajectory, motors: Trajectory, share: float, carried: Trajectory
+    ) -> Trajectory:
+        """Return motors that lead the link by a share, and carry a motion of the links."""
         if share == 1.0:
-            return self.motors
-        times = self.motors.times
-        derivatives = [
-            (1.0 - share) * self.link(times, k) + share * self.motors(times, k) for k in range(4)
-        ]
-        return Trajectory.through(times, np.stack(derivatives), self.link)
+            return motors
+        times = motors.times
+        derivatives = [(1.0 - share) * link(times, k) + share * motors(times, k) for k in range(4)]
+        return Trajectory.through(times, np.stack(derivatives), carried)
 
 
 class CommandSearch:
     """Search for the command of one planned motion on many arms; a known servo is that of all.
 
-    Commands lead the servo `led`, default that of the problem.
+    Commands lead the servo `led`, default that of the problem. `progress` is called with the name
+    of the motion for each command.
     """
 
     def __init__(
@@ -151,8 +164,9 @@ class CommandSearch:
         servo: Servo | None = None,
         choice: CommandChoice | None = None,
         led: Servo | None = None,
+        progress: Callable[[str], object] | None = None,
     ) -> None:
-        self._choice = choice
+        self._choice, self._progress = choice, progress or (lambda _: None)
         self._problem, self._arm, self._motion, self._law = problem, arm, motion, law
         self._follows, self._plan = motion.followed, motion.planned_path
         self._servo = self._worst = servo or problem.servo
@@ -168,6 +182,7 @@ class CommandSearch:
 
     def judge_existing(self, made: ExistingCommand) -> CommandOnArms:
         """Simulate a command on the arm as modelled, on the worst arms and as drawn."""
+        self._progress(self._motion.name)
         follows, command = self._follows, MotorMotion.of(made.motors)
         worst, drawn = self._worst_arms(command), self._box.drawn()
         arms = [self._nominal, *worst, *drawn]
@@ -189,7 +204,15 @@ class CommandSearch:
             share=made.share,
             servo_share=made.servo_share,
             excess=self.motor_violations(made.motors),
-            simulated=functools.partial(self._simulate_on, command),
+            # Without the batch simulation, which keeps motions of minutes.
+            simulated=functools.partial(
+                _simulate_on,
+                self._arm,
+                (self._servo, self._worst),
+                self._ahead,
+                self._plan,
+                command,
+            ),
             law=self._law,
         )
 
@@ -208,6 +231,7 @@ class CommandSearch:
         beyond: tuple[float, ExistingCommand | None] = (np.inf, None)
         for lead in map(self._lead_of, self._spacings):
             for made in self._candidates_within_limits(lead):
+                self._progress(self._motion.name)
                 command = MotorMotion.of(made.motors)
                 arms = arms or self._worst_arms(command)
                 members = [Member(command=command, departure=arm) for arm in arms]
@@ -318,17 +342,31 @@ class CommandSearch:
         found = find_drive_violations(self._problem, drives)
         return tuple(each for each in found if each.value > CERTIFICATE_TOLERANCE)
 
-    def _simulate_on(self, command: MotorMotion, departure: Departure) -> SimulatedMotion:
-        arm, until = self._arm.with_departure(departure), command.duration + REST
-        motor, worst = (
-            servo.follow(command, until, self._ahead) for servo in (self._servo, self._worst)
-        )
-        share, time = departure.servo, motor.time
-        mixed = [
-            (1.0 - share) * motor(time, order) + share * worst(time, order) for order in (0, 1)
-        ]
-        late = MotorMotion(time, mixed[0], mixed[1], command.duration)
-        return simulate(arm, late, plan=self._plan)
+
+def _simulate_on(
+    arm: ElasticArm,
+    servos: tuple[Servo, Servo],
+    ahead: float,
+    plan: MotorMotion,
+    command: MotorMotion,
+    departure: Departure,
+) -> SimulatedMotion:
+    """Simulate a command on a departure of an arm; `servos`: the nominal and the worst one."""
+    late = _behind_servos(servos, ahead, command, departure.servo)
+    return simulate(arm.with_departure(departure), late, plan=plan)
+
+
+def _behind_servos(
+    servos: tuple[Servo, Servo], ahead: float, command: MotorMotion, share: float
+) -> MotorMotion:
+    """Return the response to a command at a share of the way from one servo to another."""
+    until = command.duration + REST
+    motor = servos[0].follow(command, until, ahead)
+    if share == 0.0:
+        return motor
+    worst, time = servos[1].follow(command, until, ahead), motor.time
+    mixed = [(1.0 - share) * motor(time, order) + share * worst(time, order) for order in (0, 1)]
+    return MotorMotion(time, mixed[0], mixed[1], command.duration)
 
 
 def _summarise_spreads(

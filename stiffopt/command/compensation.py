@@ -218,8 +218,7 @@ def commands_on_arms(
     """
     law = law or MotorLaw(problem.robot, problem.process_force)
     searches = (
-        CommandSearch(problem, arm, each, law, choice=choice)
-        for each in _tell_each(motions, progress)
+        CommandSearch(problem, arm, each, law, choice=choice, progress=progress) for each in motions
     )
     return [search.judge_existing(search.chosen_command()) for search in searches]
 

@@ -14,10 +14,10 @@ import casadi as ca
 import numpy as np
 import scipy
 
+from stiffopt.elastic.linearization import TabulatedSprings
 from stiffopt.elastic.modes import modes
 from stiffopt.elastic.response import ElasticResponse
 from stiffopt.elastic.simulate import REST
-from stiffopt.elastic.uncertain_arms import TabulatedSprings
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.symbolic import array_of
 from stiffopt.transcription.constraint_back_off import largest_adjacent_excess

@@ -45,7 +45,7 @@ _COMMAND_NOT_REQUESTED = (
     "No command.csv: no objective or limit concerns the arm's elasticity. State [uncertainty] for "
     "a command with compensation of the wind-up, judged on uncertain arms."
 )
-_COMMAND_INTERRUPTED = (
+COMMAND_INTERRUPTED = (
     "The search for a command was interrupted: no command.csv was written; solve again for it."
 )
 _SIMULATION_INTERRUPTED = (
@@ -105,7 +105,7 @@ def with_simulation(
             return _add_note(solution, reason)
         if command is not None and command.motion.position is not own.position:
             command = None
-        tell = _progress_callback(progress, solution)
+        tell = progress_on_arms(progress, getattr(solution.objective, "value", np.nan))
         known = rivals[2] if rivals else None
         compensation = until_interrupted(
             lambda: compensate(
@@ -123,7 +123,7 @@ def with_simulation(
     except NotSimulatedError as error:
         return _add_note(solution, f"Not simulated on the elastic arm: {error}")
     if compensation is None:
-        return _add_note(solution, _COMMAND_INTERRUPTED)
+        return _add_note(solution, COMMAND_INTERRUPTED)
     judged = _judge_beside_rivals(problem, replace(solution, compensation=compensation))
     judged = with_path_notes(problem, judged)
     floor = error_floor_note(problem.robot, problem.tolerances, judged)
@@ -188,11 +188,11 @@ def _add_note(solution: Solution, note: str) -> Solution:
     return replace(solution, notes=(*solution.notes, note))
 
 
-def _progress_callback(
-    progress: ProgressCallback | None, solution: Solution
+def progress_on_arms(
+    progress: ProgressCallback | None, objective: float
 ) -> Callable[[str], object]:
-    """Return a callback that reports which motion is being compensated."""
-    start, value = time.perf_counter(), getattr(solution.objective, "value", np.nan)
+    """Return a callback that reports which motion is being compensated, by its objective."""
+    start = time.perf_counter()
     numbers = itertools.count(1)
 
     def tell(name: str) -> None:
@@ -201,7 +201,7 @@ def _progress_callback(
                 SolveProgress(
                     stage=f"{name} motion on uncertain arms",
                     iteration=next(numbers),
-                    objective=value,
+                    objective=objective,
                     violation=0.0,
                     row="",
                     elapsed=time.perf_counter() - start,

@@ -37,6 +37,7 @@ _SIGN_SPEED = 0.01
 _EQUILIBRIUM_TOLERANCE = 1e-12  # change of a joint in the last step [rad]
 _MAX_EQUILIBRIUM_STEPS = 50
 _DAMPING_ROUND_OFF = 1e-12  # relative; critical damping itself is allowed
+_SAMPLES_AT_ONCE = 8192  # of a tool error
 
 
 class ElasticArm:
@@ -286,20 +287,24 @@ class ElasticArm:
         """
         # After arrival the planned pose is constant.
         moving = min(int(np.searchsorted(time, duration)) + 1, len(time))
-        resting = self.static_equilibrium(planned[:moving])
-        places, axes = (
-            np.concatenate([at, np.repeat(at[-1:], len(time) - moving, axis=0)])
-            for at in (
-                self.tool(resting),
-                frame_rotations(self.robot.tree, self.robot.tool, resting),
-            )
-        )
-        turned = frame_rotations(self.robot.tree, self.robot.tool, q) @ axes.swapaxes(1, 2)
+        tree, tool = self.robot.tree, self.robot.tool
+        orientation, places = np.empty((len(time), 3)), np.empty((len(time), 3))
+        # Matrices of all samples of minutes would take a gigabyte.
+        for first in range(0, len(time), _SAMPLES_AT_ONCE):
+            own = slice(first, min(first + _SAMPLES_AT_ONCE, len(time)))
+            poses = planned[min(first, moving - 1) : min(own.stop, moving)]
+            resting = self.static_equilibrium(poses)
+            rest = own.stop - first - len(poses)
+            resting = np.concatenate([resting, np.repeat(resting[-1:], rest, axis=0)])
+            axes = frame_rotations(tree, tool, resting).swapaxes(1, 2)
+            turned = frame_rotations(tree, tool, q[own]) @ axes
+            orientation[own] = scipy.spatial.transform.Rotation.from_matrix(turned).as_rotvec()
+            places[own] = self.tool(resting)
         return ToolError(
             time=time,
             duration=duration,
             position=self.tool(q) - places,
-            orientation=scipy.spatial.transform.Rotation.from_matrix(turned).as_rotvec(),
+            orientation=orientation,
             direction=path_directions(places),
         )
 

@@ -17,7 +17,7 @@ from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.servo import Servo
 from stiffopt.elastic.uncertain_arms import Member, UncertainArms
 from stiffopt.elastic.uncertainty import ParameterBox, Uncertainty
-from stiffopt.elastic.worst_arms import peaks_on_levels, worst_levels
+from stiffopt.elastic.worst_arms import corner_peaks, worst_levels
 from stiffopt.result.tool_error import LedError
 from stiffopt.result.trajectory import JointMotion
 
@@ -44,7 +44,7 @@ def led_error(
     many = UncertainArms(arm, plan, _ServoChange(led, servo), _ServoChange(led, worst_servo))
     box = ParameterBox(uncertainty, arm.robot, servo=differs)
     command = _ideal_command(arm, plan, uncertainty)
-    peaks = peaks_on_levels(many, command, box, box.alike_corners())
+    peaks = corner_peaks(many, command, box)
     in_flight, after = peaks.max(axis=1).tolist()
     if not in_flight + after < below:
         return LedError(in_flight=in_flight, after_arrival=after, across=np.nan, shares={})

@@ -55,6 +55,12 @@ class MotorMotion:
             return np.asarray(value)
         return np.where((times > self._end)[..., None], 0.0, value)
 
+    def part(self, begin: float, end: float) -> MotorMotion:
+        """Return the motion from `begin` to `end` [s], at rest after its own end."""
+        first, last = np.searchsorted(self.time, [begin, end], side="right")
+        time = np.unique(np.concatenate([[begin], self.time[first:last], [end]]))
+        return MotorMotion(time - begin, self(time), self(time, 1))
+
     @cached_property
     def _pieces(self) -> np.ndarray:
         """Positions, then velocities, highest power first (k, 4, 2 n)."""

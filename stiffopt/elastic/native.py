@@ -19,9 +19,9 @@ from stiffopt.native import ARRAY, REAL, WHOLE, Struct
 
 if TYPE_CHECKING:
     from stiffopt.elastic.arm import ElasticArm
+    from stiffopt.elastic.linearization import TabulatedSprings
     from stiffopt.elastic.motor import MotorMotion
     from stiffopt.elastic.response import Load, Matrices, Response
-    from stiffopt.elastic.uncertain_arms import TabulatedSprings
 
 
 # Capacity of the arrays in swings.c.
@@ -36,16 +36,15 @@ class _Springs(Struct):
 
 class _Plan(Struct):
     _fields_ = (
-        *((name, WHOLE) for name in ("count", "flight", "stride", "spans")),
+        *((name, WHOLE) for name in ("first", "count", "flight", "spans")),
         *((name, WHOLE) for name in ("n", "arms", "commands")),
         ("step", REAL),
-        *(
-            (name, ARRAY)
-            for name in ("bodies", "torques", "commanded", "of", "stiffness", "damping")
-        ),
+        *((name, ARRAY) for name in ("bodies", "torques", "span_of", "commanded", "of")),
+        *((name, ARRAY) for name in ("stiffness", "damping")),
         *((name, ARRAY) for name in ("payload", "servo", "rigid")),
         ("springs", _Springs),
         ("links", ARRAY),
+        ("rates", ARRAY),
     )
 
 
@@ -75,12 +74,14 @@ def integrate_linearized(
     springs: TabulatedSprings,
     rigid: np.ndarray,
     begun: np.ndarray,
+    rates: np.ndarray,
     **given: object,
-) -> np.ndarray:
+) -> tuple[np.ndarray, np.ndarray]:
     """Integrate linearised arms: positions of their links (K, B, n) less those of the plan.
 
-    `made`: of `core`. `rigid`: joints that follow their motors. `begun` (B, n): initial positions
-    of the links less those of the plan. `given`: fields of the C code's `Plan`.
+    And their last velocities (B, n). `made`: of `core`. `rigid`: joints that follow their motors.
+    `begun`, `rates` (B, n): initial positions and velocities of the links less those of the plan.
+    `given`: fields of the C code's `Plan`.
     """
     arms, n = begun.shape
     plan = _Plan()
@@ -88,9 +89,10 @@ def integrate_linearized(
     plan.set(n=n, arms=arms, rigid=np.isin(np.arange(n), rigid), **given)
     links = np.empty((plan.count, arms, n))
     links[0] = begun
-    plan.links = links.ctypes.data
+    rates = np.array(rates)
+    plan.links, plan.rates = links.ctypes.data, rates.ctypes.data
     made.swing(ctypes.byref(plan))
-    return links
+    return links, rates
 
 
 def state_derivative(
@@ -137,9 +139,12 @@ def state_derivative(
     found = np.ctypeslib.as_array(own.slope)[:size]
     run, place = made.slope, ctypes.byref(own)
     run.argtypes = (ctypes.c_void_p, REAL)
+    force, along_path = np.ctypeslib.as_array(own.force), arm.path_force
 
     def at(t: float, values: np.ndarray) -> np.ndarray:
         state[:] = values
+        if along_path is not None:
+            force[:] = arm.process_force + along_path(np.array(t))
         run(place, t)
         return found
 

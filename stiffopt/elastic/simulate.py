@@ -258,7 +258,8 @@ class _Equations:
         """Function (t, state) -> time derivative, of the compiled core where available."""
         made = native.core(self.joints)
         arm = self._arm
-        if made is None or arm.path_force is not None or arm.robot.added_torques:
+        on_work = arm.path_force is not None and arm.robot.tool.seen_from is not None
+        if made is None or on_work or arm.robot.added_torques:
             return self.__call__
         return native.state_derivative(made, self._arm, self._motor, self._friction, self.loops)
 

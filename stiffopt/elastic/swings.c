@@ -1,4 +1,4 @@
-/* The loops of many_arms.py and simulate.py in C: the same formulas, one of them for a register of arms at
+/* The loops of uncertain_arms.py and simulate.py in C: the same formulas, one of them for a register of arms at
    once. All matrices lie by rows. */
 #include "../wide.h"
 
@@ -13,16 +13,18 @@ typedef struct {
 
 /* One plan (ManyArms) and its members. */
 typedef struct {
-  long long count, flight, stride, spans, n, arms, commands;
+  long long first, count, flight, spans, n, arms, commands; /* steps from the first on */
   double step;
-  const double *bodies;    /* (2, spans, n, 3 n) of `stride` steps each: all bodies, the payload */
+  const double *bodies;    /* (2, spans, n, 3 n): all bodies, the payload */
   const double *torques;   /* (2, flight, n) of the plan */
+  const long long *span_of; /* (flight - 1,) which of the bodies, the last one at rest */
   const double *commanded; /* (count, commands, 4, n) */
   const long long *of;     /* (arms,) which command */
   const double *stiffness, *damping, *payload, *servo; /* (arms, n), (arms, n), (arms,), (arms,) */
   const long long *rigid;  /* (n,) */
   Springs springs;
   double *links; /* (count, arms, n), the first row given */
+  double *rates; /* (arms, n), given at the first row, left at the last one */
 } Plan;
 
 static inline void spring(const Springs *s, int j, wide windup, wide *torque, wide *stiffness) {
@@ -52,14 +54,16 @@ static void swing_lanes(const Plan *p, long long first) {
       e[j][l] = p->links[arm[l] * n + j];
       stiffness[j][l] = p->stiffness[arm[l] * n + j];
       damping[j][l] = p->damping[arm[l] * n + j];
-      turn[j][l] = p->commanded[p->of[arm[l]] * 4 * n + j];
+      rate[j][l] = p->rates[arm[l] * n + j];
+      const double *now = p->commanded + p->of[arm[l]] * 4 * n + j;
+      turn[j][l] = now[0] + servo[l] * now[2 * n];
+      drive[j][l] = now[n] + servo[l] * now[3 * n];
     }
   }
-  for (int j = 0; j < n; j++) rate[j] = drive[j] = (wide){0};
   for (long long k = 1; k < p->count; k++) {
-    long long at = (k < p->flight ? k : p->flight) - 1;
-    /* The last span is the rest, beside those of the flight. */
-    long long span = k < p->flight ? at / p->stride : p->spans - 1;
+    int flies = p->first + k < p->flight;
+    long long at = (flies ? p->first + k : p->flight) - 1;
+    long long span = flies ? p->span_of[at] : p->spans - 1;
     const double *own = p->bodies + span * n * width, *more = own + p->spans * n * width;
     const double *planned = p->torques + at * n, *heavier = planned + p->flight * n;
     for (int i = 0; i < n; i++, own += width, more += width) {
@@ -110,6 +114,8 @@ static void swing_lanes(const Plan *p, long long first) {
       for (int l = 0; l < LANES; l++) p->links[(k * p->arms + arm[l]) * n + j] = e[j][l];
     }
   }
+  for (int j = 0; j < n; j++)
+    for (int l = 0; l < LANES; l++) p->rates[arm[l] * n + j] = rate[j][l];
 }
 
 HOT void swing(const Plan *p) {

@@ -24,10 +24,19 @@ _MIN_INCREASE = 1e-3
 def peaks_on_levels(
     many: UncertainArms, command: MotorMotion, box: ParameterBox, levels: np.ndarray
 ) -> np.ndarray:
-    """Peaks (2, ..) in flight and after arrival on arms of levels (.., 2 n + 3) [m]."""
+    """Peaks (2, ..) on arms of levels (.., 2 n + 3), where it is searched [m]."""
     flat = levels.reshape(-1, levels.shape[-1])
-    members = [Member(command=command, departure=box.departure(each)) for each in flat]
-    return many.position_peaks(members).reshape(2, *levels.shape[:-1])
+    peaks = many.position_peaks(_members(command, box, flat), searched=True)
+    return peaks.reshape(2, *levels.shape[:-1])
+
+
+def corner_peaks(many: UncertainArms, command: MotorMotion, box: ParameterBox) -> np.ndarray:
+    """Peaks (2, c) [m] on the corners with joints alike; from now on searched are theirs."""
+    return many.search_where_worst(_members(command, box, box.alike_corners()))
+
+
+def _members(command: MotorMotion, box: ParameterBox, levels: np.ndarray) -> list[Member]:
+    return [Member(command=command, departure=box.departure(each)) for each in levels]
 
 
 def worst_levels(
@@ -36,11 +45,11 @@ def worst_levels(
     """Search the levels of the worst arms of a command: the worst in flight, then after arrival.
 
     Levels (s, 2 n + 3) are those of s searches, of which each phase has one from soft and one from
-    stiff joints. `peaks` (2, c): on the corners with joints alike, where they are known.
+    stiff joints. `peaks` (2, c): as of `corner_peaks`, where they are known.
     """
     simulated = functools.partial(peaks_on_levels, many, command, box)
     corners = box.alike_corners()
-    peaks = simulated(corners) if peaks is None else peaks
+    peaks = corner_peaks(many, command, box) if peaks is None else peaks
     # The first half of the corners is soft, the second stiff.
     halves = np.array_split(np.arange(len(corners)), 2 if len(corners) > 1 else 1)
     chosen = [half[np.argmax(own[half])] for own in peaks for half in halves]

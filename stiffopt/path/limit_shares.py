@@ -34,6 +34,13 @@ class LimitShares:
         self._places: list[np.ndarray] = []
         self._shares: list[dict[str, np.ndarray]] = []
 
+    def copy(self) -> LimitShares:
+        """Return shares that are backed off further without these."""
+        other = LimitShares(self._window)
+        other._places = list(self._places)
+        other._shares = [dict(each) for each in self._shares]
+        return other
+
     def of_piece(self, number: int) -> Callable[[str, np.ndarray], np.ndarray] | None:
         """Return the shares (K,) of a limit by its name, at path parameters (K,) of a piece."""
         if not self._shares:
@@ -89,7 +96,7 @@ class LimitShares:
         over = np.where(about > 1.0, np.minimum(about, 1.0 + _MAX_BACK_OFF), 1.0 - _BACK_OFF_EXTRA)
         for (begin, law), places, shares in zip(laws, self._places, self._shares, strict=True):
             at = np.interp(places, law(np.clip(time - begin, 0.0, law.duration))[:, 0], over)
-            shares[name] *= (1.0 - _BACK_OFF_EXTRA) / at
+            shares[name] = shares[name] * (1.0 - _BACK_OFF_EXTRA) / at
 
 
 def _uses(history: DriveHistory, limits: Limits, name: str) -> np.ndarray:

@@ -100,26 +100,36 @@ def fastest_timing(
     robot: Robot, limits: Limits, path: JointPath, demands: PathDemands | None = None
 ) -> Trajectory:
     """Return the fastest time law s(t) of a path within limits, at rest at its ends and stops."""
-    return join_motions(fastest_parts(robot, limits, path, demands))
+    return join_motions(PathTiming(robot, limits, path, demands).laws())
 
 
-def fastest_parts(
-    robot: Robot, limits: Limits, path: JointPath, demands: PathDemands | None = None
-) -> list[tuple[Trajectory, float]]:
-    """Return the fastest time laws between the stops of a path, each with the rest after it [s].
+class PathTiming:
+    """Fastest timing of a path within limits, at rest at its ends and stops.
 
     Joint velocity (with its map over position), acceleration, jerk, drive torque and tool speed,
-    with that of each piece of the path. Raises `ProblemError`: a torque limit is exceeded at rest
-    on the path.
+    with that of each piece of the path.
     """
-    asked = demands or PathDemands()
-    laws = []
-    for (begin, end, part), dwell in zip(
-        path.between_stops(), [*path.dwells.tolist(), 0.0], strict=True
-    ):
-        law = _fastest_part(_PathTiming(robot, limits, part, asked.on(begin, end)), part)
-        laws.append((_scaled_law(law, begin, end), dwell))
-    return laws
+
+    def __init__(
+        self, robot: Robot, limits: Limits, path: JointPath, demands: PathDemands | None = None
+    ) -> None:
+        asked = demands or PathDemands()
+        self._dwells = [*path.dwells.tolist(), 0.0]
+        self._parts = [
+            (begin, end, _PartTiming(robot, limits, part, asked.on(begin, end)))
+            for begin, end, part in path.between_stops()
+        ]
+
+    def laws(self) -> list[tuple[Trajectory, float]]:
+        """Return the fastest law of each part between stops, with the rest after it [s].
+
+        Where shares of the demands have changed since the last call, they are sought from its laws.
+        Raises `ProblemError`: a torque limit is exceeded at rest on the path.
+        """
+        return [
+            (_scaled_law(part.fastest_law(), begin, end), dwell)
+            for (begin, end, part), dwell in zip(self._parts, self._dwells, strict=True)
+        ]
 
 
 def _scaled_law(law: Trajectory, begin: float, end: float) -> Trajectory:
@@ -128,50 +138,52 @@ def _scaled_law(law: Trajectory, begin: float, end: float) -> Trajectory:
     return Trajectory(law.times, span * law.acceleration, begin + span * law.q0, span * law.v0)
 
 
-def _fastest_part(found: _PathTiming, path: JointPath) -> Trajectory:
-    """Return the fastest law of a path without stops."""
-    law, settled, ended, best = found.first_law(), False, 0, None
-    for _ in range(_MAX_PROGRAMMES):
-        better = found.rescaled(law)
-        gain = abs(1.0 - better.duration / law.duration)
-        # New nodes would smear the jumps of the jerk: not near the optimum.
-        settled = settled or gain < _NODE_CHANGE_GAIN
-        law = better if settled else better.with_nodes_at(path.knots, found.least_steps)
-        if not settled:
-            continue
-        uses = found.uses(law)
-        slowed = law.duration * slowing_within_limits(uses)
-        if best is None or slowed < best[1]:
-            best = law, slowed
-        ended += gain < _MIN_GAIN or ended > 0
-        if ended > _MAX_POLISHINGS or (ended and slowed <= law.duration * _MAX_KEPT_SLOWING):
-            break
-        if ended:
-            found.tighten(uses)
-    law, slowed = best or (law, law.duration * slowing_within_limits(found.uses(law)))
-    return law.trajectory().scaled_to(slowed)
-
-
 def slowing_within_limits(uses: Mapping[str, np.ndarray]) -> float:
     """Return the factor on the duration at which limits are kept that are used so far."""
     factors = [float(used.max()) ** (1.0 / _DERIVATIVE_ORDERS[name]) for name, used in uses.items()]
     return float(max(1.0, *factors))
 
 
-class _PathTiming:
-    """Programmes of one path."""
+class _PartTiming:
+    """Programmes of a path without stops."""
 
     def __init__(self, robot: Robot, limits: Limits, path: JointPath, demands: PathDemands) -> None:
         self._robot, self._limits, self._path, self._demands = robot, limits, path, demands
         # Shares of the limits of acceleration and jerk that may be used in every step.
         self._allowances: dict[str, np.ndarray] = {}
+        self._known: TimeLaw | None = None
         # Steps on each piece of the path at least, by how far its direction turns.
         begin, end = (
             path.evaluate_piece(s, np.arange(len(s)), 1) for s in (path.knots[:-1], path.knots[1:])
         )
         across = np.linalg.norm(begin, axis=1) * np.linalg.norm(end, axis=1)
         turn = np.arccos(np.clip(np.sum(begin * end, axis=1) / np.maximum(across, 1e-300), -1, 1))
-        self.least_steps = np.maximum(np.ceil(turn / _LARGEST_TURN).astype(int), 1)
+        self._least_steps = np.maximum(np.ceil(turn / _LARGEST_TURN).astype(int), 1)
+
+    def fastest_law(self) -> Trajectory:
+        """Return the fastest law, sought from that of the last call."""
+        law, settled = self._known or self.first_law(), self._known is not None
+        ended, best = 0, None
+        for _ in range(_MAX_PROGRAMMES):
+            better = self.rescaled(law)
+            gain = abs(1.0 - better.duration / law.duration)
+            # New nodes would smear the jumps of the jerk: not near the optimum.
+            settled = settled or gain < _NODE_CHANGE_GAIN
+            law = better if settled else better.with_nodes_at(self._path.knots, self._least_steps)
+            if not settled:
+                continue
+            uses = self.uses(law)
+            slowed = law.duration * slowing_within_limits(uses)
+            if best is None or slowed < best[1]:
+                best = law, slowed
+            ended += gain < _MIN_GAIN or ended > 0
+            if ended > _MAX_POLISHINGS or (ended and slowed <= law.duration * _MAX_KEPT_SLOWING):
+                break
+            if ended:
+                self.tighten(uses)
+        law, slowed = best or (law, law.duration * slowing_within_limits(self.uses(law)))
+        self._known = law
+        return law.trajectory().scaled_to(slowed)
 
     def first_law(self) -> TimeLaw:
         """Return a timing that uses a share of the limits, with nodes at the path's knots."""
@@ -203,7 +215,7 @@ class _PathTiming:
             time, s = grid, s[own] + local * (rate[own] + 0.5 * local * bend)
         s[[0, -1]] = 0.0, 1.0
         law = TimeLaw(time, s, self._demands.eased)
-        return law.with_nodes_at(path.knots, self.least_steps)
+        return law.with_nodes_at(path.knots, self._least_steps)
 
     def _path_bounds(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Rate [1/s] and acceleration [1/s^2] of s that use a share of each limit, (K,) each."""

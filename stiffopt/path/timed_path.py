@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -14,9 +13,9 @@ from stiffopt.certificate.objective_value import objective_value
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.errors import ProblemError
 from stiffopt.path.averaged_law import averaged_law
-from stiffopt.path.limit_shares import LimitShares
+from stiffopt.path.limit_shares import BACKED_OFF, LimitShares
 from stiffopt.path.path_duty import slowing_within_duty
-from stiffopt.path.path_timing import PathDemands, fastest_parts
+from stiffopt.path.path_timing import PathDemands, PathTiming
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.duty import DutyLimits
@@ -24,11 +23,8 @@ from stiffopt.result.joint_path import JointPath
 from stiffopt.result.solution import Baseline
 from stiffopt.result.trajectory import ForceHistory, Trajectory, join_motions
 from stiffopt.robot.batched_kinematics import tool_jacobians
-from stiffopt.transcription.constraint_back_off import backed_off
 
-# Limits from which a timing can back off, where the certificate finds an excess between nodes.
-_TIMED_LIMITS = ("velocity", "acceleration", "jerk", "torque", "tool_speed")
-_MAX_BACK_OFFS = 4
+_MAX_BACK_OFFS = 6
 # Windows over which the law of a motion with a command is averaged [s], and the duration over that
 # of the fastest law and two windows up to which one is taken.
 AVERAGING_WINDOWS, _MAX_SLOWING = (0.04, 0.02, 0.01), 1.1
@@ -57,28 +53,53 @@ def timed_path(
     """
     path = problem.path
     assert path is not None
+    given = LimitShares(AVERAGING_WINDOWS[0]) if shares is None else shares
+    own = given
 
-    @functools.cache
-    def fastest_laws(margins: frozenset[tuple[str, float]]) -> list[tuple[Trajectory, float]]:
-        """Return the fastest laws with shares of the limits left, where each window starts."""
-        unused, along = dict(margins), None if shares is None else shares.of_piece(0)
-        demands = PathDemands(
-            process_force=_forces_along(problem, path),
-            shares=lambda name, s: (
-                (1.0 - unused.get(name, 0.0))
-                * (np.ones(len(s)) if along is None else along(name, s))
-            ),
-            eased=problem.boundary_acceleration == "zero",
-        )
-        return fastest_parts(problem.robot, problem.active_limits, path, demands)
+    def share(name: str, s: np.ndarray) -> np.ndarray:
+        along = own.of_piece(0)
+        return np.ones(len(s)) if along is None else along(name, s)
 
-    fastest = _timed_motion(problem, fastest_laws, 0.0)
+    demands = PathDemands(
+        process_force=_forces_along(problem, path),
+        shares=share,
+        eased=problem.boundary_acceleration == "zero",
+    )
+    timing = PathTiming(problem.robot, problem.active_limits, path, demands)
+    fastest_laws = timing.laws()
+
+    def timed(window: float) -> tuple[Baseline, Trajectory] | None:
+        """Return the certified motion with its law averaged twice over a window [s]."""
+        nonlocal own
+        own, laws = given.copy(), fastest_laws
+        for _ in range(_MAX_BACK_OFFS):
+            # Not across a stop, where the path may have a corner that the average would not rest
+            # at.
+            law = join_motions(
+                [(averaged_law(each, window) if window else each, rest) for each, rest in laws]
+            )
+            shortest = problem.duration[0]
+            law = law.scaled_to(shortest) if law.duration < shortest else law
+            motion, assessment = _follow(problem, path, law)
+            excess = [v for v in assessment.violations if v.value > CERTIFICATE_TOLERANCE]
+            if not excess:
+                return _certified(problem, path, law, motion, assessment)
+            if any(each.limit not in BACKED_OFF for each in excess):
+                return None
+            own.back_off([(0.0, law)], problem.active_limits, [assessment], excess)
+            try:
+                laws = timing.laws()
+            except ProblemError:  # the share of the torque that is left does not hold the arm
+                return None
+        return None
+
+    fastest = timed(0.0)
     if fastest is None or not problem.leads_on_path:
         return fastest
     assert fastest[0].objective is not None
     for window in AVERAGING_WINDOWS:
         try:
-            found = _timed_motion(problem, fastest_laws, window)
+            found = timed(window)
         except ProblemError:  # no time is left in which its duty, unlike the fastest's, is kept
             continue
         # Every part between stops ends two windows later.
@@ -88,37 +109,14 @@ def timed_path(
     return fastest
 
 
-def _timed_motion(
+def _certified(
     problem: TrajectoryProblem,
-    fastest_laws: Callable[[frozenset[tuple[str, float]]], list[tuple[Trajectory, float]]],
-    window: float,
+    path: JointPath,
+    law: Trajectory,
+    motion: Trajectory,
+    assessment: Assessment,
 ) -> tuple[Baseline, Trajectory] | None:
-    """Return the certified motion with its law averaged twice over a window [s], and the law."""
-    path = problem.path
-    margins: dict[str, float] = {}
-    assert path is not None
-    shortest = problem.duration[0]
-    for _ in range(_MAX_BACK_OFFS):
-        try:
-            parts = fastest_laws(frozenset(margins.items()))
-        except ProblemError:
-            if not margins:
-                raise
-            return None
-        # Not across a stop, where the path may have a corner that the average would not rest at.
-        law = join_motions(
-            [(averaged_law(each, window) if window else each, rest) for each, rest in parts]
-        )
-        law = law.scaled_to(shortest) if law.duration < shortest else law
-        motion, assessment = _follow(problem, path, law)
-        worst = assessment.worst_violation
-        if worst.value <= CERTIFICATE_TOLERANCE:
-            break
-        if worst.limit not in _TIMED_LIMITS:
-            return None
-        margins[worst.limit] = backed_off(margins.get(worst.limit, 0.0), worst.value)
-    else:
-        return None
+    """Return the motion of a law within the limits of duty and duration, and the law."""
     if law.duration > problem.duration[1] * (1.0 + 1e-9):
         return None
     if problem.duty is not None:

@@ -391,6 +391,12 @@ class _CycleReader:
         assert here.pose is not None
         assert last.pose is not None
         bodies = (load.body, load.part)
+        remarks = [remark for body in bodies for remark in payload_remarks(body)]
+        if numbers[-1] == len(self._moves) and after.part is not None:
+            remarks.append(
+                f"{after.place}: the part is still in the gripper after the last move. Put it down "
+                "by a move with event = 'release', unless the cycle is to end with it."
+            )
         with locate_errors(self._path, f"move[{numbers[0]}]"):
             problem = TrajectoryProblem(
                 **self._common
@@ -410,7 +416,7 @@ class _CycleReader:
                     if move.process_force is None
                     else np.array(move.process_force),
                     "boundary_acceleration": self._document.motion.boundary_acceleration,
-                    "remarks": tuple(dict.fromkeys(r for b in bodies for r in payload_remarks(b))),
+                    "remarks": tuple(dict.fromkeys(remarks)),
                     "title": f"{self._common['title']}: {', '.join(names)}",
                 }
             )

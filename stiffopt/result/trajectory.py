@@ -188,11 +188,14 @@ class Trajectory:
         interval = np.clip(
             np.searchsorted(self.times, time, side="right") - 1, 0, len(self.times) - 2
         )
+        local = (np.clip(time, 0.0, self.duration) - self.times[interval])[..., None]
+        # Blocks of times need the coefficients of few intervals.
+        first, last = (interval.min(), interval.max()) if interval.size else (0, 0)
+        interval = interval - first
         # Contiguous powers halve the evaluation time.
         powers = np.ascontiguousarray(
-            _differentiate_coefficients(self._position, order).swapaxes(0, 1)
+            _differentiate_coefficients(self._position[first : last + 1], order).swapaxes(0, 1)
         )
-        local = (np.clip(time, 0.0, self.duration) - self.times[interval])[..., None]
         value = np.take(powers[-1], interval, axis=0)
         for each in powers[-2::-1]:
             value *= local

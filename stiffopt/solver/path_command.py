@@ -6,13 +6,17 @@ off about the instants at which the command exceeds them, until it keeps them.
 
 from __future__ import annotations
 
+import numpy as np
+
 from stiffopt.certificate.assess import drive_history
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.command.command_search import CommandOnArms
 from stiffopt.command.compensation import commands_on_arms
+from stiffopt.command.simulated_solution import COMMAND_INTERRUPTED, progress_on_arms
 from stiffopt.command.simulation import PlannedMotion, elastic_arm
 from stiffopt.command.smoothing_width import KNOT_SPACINGS
 from stiffopt.errors import NotSimulatedError
+from stiffopt.interrupts import end_deferral
 from stiffopt.path.limit_shares import LimitShares
 from stiffopt.path.timed_path import AVERAGING_WINDOWS, timed_path
 from stiffopt.result.solution import Baseline
@@ -28,15 +32,23 @@ _BACK_OFF_REACH = AVERAGING_WINDOWS[0] + 2.0 * KNOT_SPACINGS[-1]
 def led_timing(run: SolveRun) -> Baseline | None:
     """Return the fastest motion on the path, or one that the motors can lead if asked for.
 
-    The fastest one where no back-off helps: its report says which limit the command exceeds.
+    The fastest one where no back-off helps: its report says which limit the command exceeds. After
+    Ctrl-C the last one so far, without a command.
     """
     problem, shares = run.problem, LimitShares(_BACK_OFF_REACH)
+    run.tell("timing of the path")
     fastest = found = timed_path(problem)
     for number in range(_MAX_BACK_OFFS + 1):
         if found is None or not problem.leads_on_path:
             break
         timed, law = found
-        command = _command(run, timed)
+        try:
+            end_deferral()
+            command = _command(run, timed)
+        except KeyboardInterrupt:
+            run.notes.append(COMMAND_INTERRUPTED)
+            run.interrupted = True
+            return timed
         if command is None:
             break
         if not command.excess:
@@ -52,6 +64,7 @@ def led_timing(run: SolveRun) -> Baseline | None:
         assert timed.assessment is not None
         histories = [timed.assessment, drive_history(problem, command.motors)[0]]
         shares.back_off([(0.0, law)], problem.active_limits, histories, command.excess)
+        run.tell("timing of the path with room for the lead")
         found = timed_path(problem, shares)
     return None if fastest is None else fastest[0]
 
@@ -67,4 +80,5 @@ def _command(run: SolveRun, timed: Baseline) -> CommandOnArms | None:
     except NotSimulatedError:
         return None
     planned = PlannedMotion.of_solution(assessment, motion, counted)
-    return commands_on_arms(run.problem, arm, [planned])[0]
+    tell = progress_on_arms(run.progress, timed.objective or np.nan)
+    return commands_on_arms(run.problem, arm, [planned], progress=tell)[0]

@@ -162,6 +162,7 @@ def solve_with_state(
         solution = baseline_as_optimum(run, compared, notes, pinned[0], explain_bound(pinned[1]))
     elif problem.is_timed_on_path and (timed := _timed_motion(run)) is not None:
         solution = baseline_as_optimum(run, compared, notes, timed, FASTEST_REASON)
+        solution = mark_solution_interrupted(solution) if run.interrupted else solution
     else:
         solution = until_interrupted(
             lambda: _optimise(run, compared, notes, guess, start=start, compare=compare),

@@ -23,7 +23,7 @@ from stiffopt.problem.formulation import formulate, law_smoothing
 from stiffopt.problem.motor_model import MotorLaw, round_lags
 from stiffopt.problem.objective import Scales
 from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
-from stiffopt.result.progress import ProgressCallback
+from stiffopt.result.progress import ProgressCallback, SolveProgress
 from stiffopt.result.solution import Baseline
 from stiffopt.solver.clearance_rows import ClearanceRows
 from stiffopt.solver.ipopt import RawSolution
@@ -85,6 +85,12 @@ class SolveRun:
     step: str = "the first optimum"
     left_out: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    interrupted: bool = False  # by Ctrl-C, with a motion to keep
+
+    def tell(self, stage: str) -> None:
+        """Report a stage without iterations."""
+        if self.progress is not None:
+            self.progress(SolveProgress(stage, 0, math.nan, 0.0, "", self.elapsed))
 
     @property
     def elapsed(self) -> float:

@@ -87,6 +87,15 @@ def test_impossible_cycles_are_named_with_their_place(tmp_path, moves, place, wo
     assert words in str(caught.value)
 
 
+def test_part_that_is_never_put_down_is_named_at_its_grip(tmp_path):
+    text = (ROOT / "problems" / "ur10_cycle.toml").read_text().replace('event = "release"\n', "")
+    (tmp_path / "cycle.toml").write_text(text)
+    *before, last = load_cycle(tmp_path / "cycle.toml").cycle.legs
+    (remark,) = [each for each in last.problem.remarks if "gripper" in each]
+    assert remark.startswith("move[2].payload: the part is still in the gripper")
+    assert not any("gripper" in each for leg in before for each in leg.problem.remarks)
+
+
 def test_part_too_heavy_for_the_drives_is_named_at_its_grip():
     path = ROOT / "problems" / "ur10_cycle.toml"
     with pytest.raises(InputFileError, match=r"move\[2\]\.payload: the drives cannot hold"):

@@ -17,6 +17,7 @@ from stiffopt.elastic.servo import Servo
 from stiffopt.elastic.simulate import _Equations, simulate
 from stiffopt.elastic.uncertain_arms import Member, UncertainArms
 from stiffopt.elastic.uncertainty import ParameterBox, Uncertainty
+from stiffopt.result.trajectory import ForceHistory
 from stiffopt.robot.files import load_robot
 
 pytestmark = pytest.mark.skipif(native.library() is None, reason="needs the compiled core")
@@ -70,6 +71,16 @@ def test_compiled_simulation_agrees_with_python(tmp_path, monkeypatch):
     slow = simulate(swinging, command)
     assert quick.peak == pytest.approx(slow.peak, rel=1e-6)
     np.testing.assert_allclose(quick.position, slow.position, atol=1e-9)
+
+
+def test_compiled_simulation_agrees_with_python_under_a_force_along_the_path(tmp_path, monkeypatch):
+    force = ForceHistory(np.array([0.0, 0.1, 0.3]), np.array([[0, 0, 0], [5, -3, 0], [-2, 4, 0.0]]))
+    swinging = arm(tmp_path, "planar", at=(0.3, 0.4)).under(force)
+    command = bang((3.0, -4.0), 0.2, (0.3, 0.4))
+    quick = simulate(swinging, command)
+    monkeypatch.setattr(native, "loaded", lambda: None)
+    # The integrator's steps differ at kinks of the force.
+    np.testing.assert_allclose(quick.position, simulate(swinging, command).position, atol=1e-7)
 
 
 @pytest.mark.parametrize("soft", [1, 2])

@@ -33,7 +33,7 @@ def test_path_is_timed_again_with_less_jerk_where_the_command_exceeds_it(monkeyp
     monkeypatch.setattr(path_command, "_command", command)
     monkeypatch.setattr(path_command, "drive_history", lambda *_: (history, None))
     problem = SimpleNamespace(leads_on_path=True, active_limits=limits)
-    run = SimpleNamespace(problem=problem, notes=[], command=None)
+    run = SimpleNamespace(problem=problem, notes=[], command=None, tell=lambda _: None)
     found = path_command.led_timing(run)
     if kept_from == 9:
         assert (found.number, run.command, run.notes) == (1, None, [])
@@ -43,3 +43,18 @@ def test_path_is_timed_again_with_less_jerk_where_the_command_exceeds_it(monkeyp
     assert len(run.notes) == kept_from
     if kept_from:
         np.testing.assert_allclose(asked[1], [0.99 / 1.2, 1.0], rtol=1e-3)
+
+
+def test_interrupted_search_of_a_command_keeps_the_timing(monkeypatch):
+    timed = SimpleNamespace(assessment=None)
+
+    def command(run, timed):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(path_command, "timed_path", lambda problem: (timed, None))
+    monkeypatch.setattr(path_command, "_command", command)
+    problem = SimpleNamespace(leads_on_path=True)
+    run = SimpleNamespace(problem=problem, notes=[], command=None, tell=lambda _: None)
+    assert path_command.led_timing(run) is timed
+    assert run.interrupted
+    assert "interrupted" in run.notes[0]
