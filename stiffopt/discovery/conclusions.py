@@ -57,8 +57,6 @@ if TYPE_CHECKING:
 _ONE_DEVIATION = float(2.0 * special.ndtr(-1.0))
 # The same of the least deviations of a finding.
 _INSIGNIFICANT_CHANCE = float(2.0 * special.ndtr(-FINDING_DEVIATIONS))
-# Odds that a joint has no friction or no rotor worth measuring, before the recordings.
-_ABSENCE_ODDS = 0.1
 # Folds by which probabilities are judged: of six, gains near the noise change by a factor of two
 # with the limits of the folds.
 _PROBABILITY_FOLDS = 24
@@ -117,7 +115,7 @@ def build_findings(
         # any effect of its family.
         alike = sum(each.family == effect.family for each in CATALOGUE)
         places = n * alike if effect.only_in and located.joint is not None else 1
-        zero = null_probability(chance, _ABSENCE_ODDS) if exists else _null_share(chance, places)
+        zero = _null_share(chance, places)
         sure = [
             gain.support * (1.0 - max(0.0 if exists else gain.open_share, zero)) for gain in own
         ]

@@ -25,7 +25,7 @@ from stiffopt.discovery.search.cross_validation import (
     stack_columns,
 )
 from stiffopt.discovery.search.joint_fit import prune_effects
-from stiffopt.discovery.search.rigid_model import BODY_WIDTHS, _as_real_body
+from stiffopt.discovery.search.rigid_model import HELD_WIDTH, _as_real_body
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.tournament import (
     CATALOGUE_MODEL,
@@ -187,8 +187,8 @@ def test_a_single_body_competes_without_an_effect_of_its_own(comparison: Compari
     single = next(each for each in found if each.name == SINGLE_BODY)
     assert single.effects == (calibrated,)
     bodies = single.comparison.bodies / body_units(comparison.robot)
-    assert np.all(bodies[:-1] == BODY_WIDTHS[0])
-    assert np.all(bodies[-1] > BODY_WIDTHS[1])
+    assert np.all(bodies[:-1] == HELD_WIDTH)
+    assert np.all(bodies[-1] > HELD_WIDTH)
 
 
 def test_kinds_of_perturbation_have_equal_weight() -> None:

@@ -8,7 +8,12 @@ import pytest
 
 from stiffopt.discovery.judging.explained_shares import ExtensionPart, MismatchShare
 from stiffopt.discovery.names import ValueName
-from stiffopt.discovery.search.rigid_model import BODY_WIDTHS, Counterweight, RigidStage
+from stiffopt.discovery.search.rigid_model import (
+    HELD_WIDTH,
+    PRIOR_WIDTHS,
+    Counterweight,
+    RigidStage,
+)
 from stiffopt.report.diagnosis.mismatch import (
     counterbalance_sentences,
     format_probability_range,
@@ -58,9 +63,9 @@ def test_channels_within_noise_have_no_mismatch():
     )
 
 
-@pytest.mark.parametrize(("width", "freed"), [(BODY_WIDTHS[1], False), (BODY_WIDTHS[2], True)])
+@pytest.mark.parametrize(("width", "freed"), [(HELD_WIDTH, False), (PRIOR_WIDTHS[0], True)])
 def test_fixed_bodies_are_not_reported_as_reidentified(width, freed):
-    rigid = RigidStage(widths=(BODY_WIDTHS[0], width), gain=20.0, single=None)
+    rigid = RigidStage(widths=(HELD_WIDTH, width), gain=20.0, single=None)
     assert ("re-identified" in told(0.9, 0.1, ExtensionPart(kind="nominal"), rigid=rigid)) == freed
 
 
@@ -90,7 +95,7 @@ def test_largest_moved_nominal_value_is_named(moved, share, words):
 )
 def test_counterbalance_is_reported_as_alternative_to_weight(gain, words):
     weight = Counterweight(joint=1, nominal=160.0, change=595.0, gain=gain)
-    rigid = RigidStage(widths=(BODY_WIDTHS[2],), gain=20.0, single=None, counterweights=(weight,))
+    rigid = RigidStage(widths=(PRIOR_WIDTHS[0],), gain=20.0, single=None, counterweights=(weight,))
     constants = SimpleNamespace(links=["a", "b"], joints=[SimpleNamespace(prismatic=False)] * 2)
     diagnosis = SimpleNamespace(
         search=SimpleNamespace(rigid=rigid), training=SimpleNamespace(constants=constants)

@@ -59,10 +59,10 @@ def recurrence(
     is named only as far as it is without each single run: one odd run is no drift.
     """
     signs = np.sign(comparison.fit([each.located for each in selected]).amplitudes())
-    own = _Member(comparison, selected, signs)
+    own = _Member(comparison, selected, signs, len(comparison.target))
     kinds = [[own.judge(kept) for kept in kind] for kind in _kept_rows(comparison)]
     for others in _other_members(comparison, half_band, free_bodies=free_bodies):
-        kinds.append([_Member(other, selected, signs).judge() for other in others])
+        kinds.append([_Member(other, selected, signs, own.count).judge() for other in others])
     share = _mean_by_kind([[(m.again, m.acts) for m in kind] for kind in kinds])
     ranked, odds = own.judge().leads, []
     for k, (each, before) in enumerate(zip(selected, ranked, strict=True)):
@@ -142,12 +142,14 @@ class _Judgement:
 class _Member:
     """Columns of the findings and of their rivals in one comparison.
 
-    `signs` (p,): of the amplitudes as found.
+    `signs` (p,): of the amplitudes as found. `count`: rows of the comparison that they were found
+    in.
     """
 
     def __init__(
-        self, comparison: Comparison, selected: Sequence[Selected], signs: np.ndarray
+        self, comparison: Comparison, selected: Sequence[Selected], signs: np.ndarray, count: int
     ) -> None:
+        self.count = count
         located = [each.located for each in selected]
         self._selected, self._signs, self._target = selected, signs, comparison.target
         self._columns, self._prior, self._owner = stack_columns(comparison, located)
@@ -164,7 +166,7 @@ class _Member:
             kept = np.ones(len(self._target), dtype=bool)
         columns, target = self._columns[kept], self._target[kept]
         found = _fit(columns, target, self._prior)
-        share = float(np.mean(kept))
+        share = len(target) / self.count
         first = int(np.sum(self._owner < 0))
         again = np.zeros(len(self._selected))
         acts = np.zeros(len(self._selected), dtype=bool)

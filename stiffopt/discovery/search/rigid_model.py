@@ -4,6 +4,8 @@ Masses and centres of robot descriptions are wrong for nearly every arm. Without
 all inertial parameters are fitted with the values that the set does not state, before any effect is
 searched. A single change (one body, a payload, a tilted base) is preferred if it explains as much
 in recordings left out. Bodies of guessed mass are free whatever else explains the recordings.
+All bodies are as free as one another: a freedom chosen for each by recordings left out changes with
+their limits, and consistent bodies predict as well however free they are.
 """
 
 from __future__ import annotations
@@ -11,7 +13,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 
@@ -31,16 +32,17 @@ from stiffopt.discovery.search.cross_validation import predict_folds
 from stiffopt.discovery.signals import PARAMETERS_PER_BODY
 from stiffopt.discovery.thresholds import ADDED_MASS_OFFSET, NAMED_EVIDENCE, SINGLE_CHANGE_SHARE
 
-# Prior standard deviations of inertial parameters that are tried, over their typical sizes.
+# Prior standard deviations of inertial parameters over their typical sizes, by which free bodies
+# gain in recordings left out; the last one is that of re-identified bodies.
 PRIOR_WIDTHS = (0.02, 0.06, 0.2, 0.6)
-# The same for a single body: the first two hold it at the nominal model.
-BODY_WIDTHS = (0.002, 0.006, *PRIOR_WIDTHS)
+# The same for a body that is held at the nominal model.
+HELD_WIDTH = 0.002
 # The same for a body of guessed mass, which is off by a factor of three at times.
 _GUESSED_WIDTH = 2.0
 # Fits with re-estimated noise until it converges.
 _NOISE_ROUNDS = 3
-# Passes over all bodies, and least gain of squares over noise in recordings left out.
-_MAX_PASSES, _MIN_SQUARES_GAIN = 5, 2.0
+# Least gain of squares over noise in recordings left out.
+_MIN_SQUARES_GAIN = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +84,7 @@ class RigidStage:
     @property
     def freed(self) -> bool:
         """True if any body is not held at the nominal model."""
-        return any(width > BODY_WIDTHS[1] for width in self.widths)
+        return any(width > HELD_WIDTH for width in self.widths)
 
     def adopting(self, comparison: Comparison) -> RigidStage:
         """Return the stage with the freedom of bodies that another model has."""
@@ -119,13 +121,14 @@ def reidentify_rigid_model(
         single = None
     if gain < NAMED_EVIDENCE and not comparison.robot.guessed_bodies:
         return RigidStage(widths=(), gain=0.0, single=single, nearest=nearest)
-    widths, free, least = _choose_widths(comparison, found, tell)
     tell("re-identify the rigid model: counterbalances in place of bodies")
+    widths = _common_widths(comparison.robot, PRIOR_WIDTHS[-1])
+    free = comparison.with_bodies(_parameter_deviations(comparison, widths))
     return RigidStage(
-        widths=widths,
+        widths=tuple(widths),
         gain=gain,
         single=single,
-        counterweights=_find_counterweights(free, found, widths, least, catalogue),
+        counterweights=_find_counterweights(with_own_noise(free, found), found, catalogue),
         nearest=nearest,
         nearest_share=share,
     )
@@ -151,38 +154,6 @@ def _gain_of_free_bodies(
     return float(gains[chosen].sum())
 
 
-def _choose_widths(
-    comparison: Comparison, effects: Sequence[LocatedEffect], tell: Say
-) -> tuple[tuple[float, ...], Comparison, float]:
-    """Choose the width of every body by cross-validation.
-
-    With one common width, a single body far off, such as one with an unknown counterbalance, would
-    free all others to overfit the training motion. Squares over the noise beside free bodies are
-    compared, not predictive densities, which tolerate errors where a fit is uncertain.
-
-    Also returns the comparison with the noise estimated beside free bodies, and the squares over
-    this noise with these widths.
-    """
-    n = comparison.robot.n
-    free = comparison.with_bodies(common_deviations(comparison, PRIOR_WIDTHS[-1]))
-    free = with_own_noise(free, effects)
-    left_out = predict_folds(free, effects)
-    guessed = comparison.robot.guessed_bodies
-    widths = _common_widths(comparison.robot, BODY_WIDTHS[0])
-    least = left_out.squares(_parameter_deviations(comparison, widths).ravel())
-    for number in range(1, _MAX_PASSES + 1):
-        before = least
-        for body, width in product((b for b in range(n) if b not in guessed), BODY_WIDTHS):
-            tell(f"re-identify the rigid model (body {body + 1} of {n}, pass {number})")
-            tried = [*widths[:body], width, *widths[body + 1 :]]
-            found = left_out.squares(_parameter_deviations(comparison, tried).ravel())
-            if found < least - _MIN_SQUARES_GAIN:
-                widths, least = tried, found
-        if least == before:
-            break
-    return tuple(widths), free, least
-
-
 def with_own_noise(comparison: Comparison, effects: Sequence[LocatedEffect]) -> Comparison:
     """Return a model with the noise beside its own fit, whatever noise it starts from."""
     for _ in range(_NOISE_ROUNDS):
@@ -191,34 +162,33 @@ def with_own_noise(comparison: Comparison, effects: Sequence[LocatedEffect]) -> 
 
 
 def _find_counterweights(
-    free: Comparison,
-    effects: Sequence[LocatedEffect],
-    widths: tuple[float, ...],
-    squares: float,
-    catalogue: Sequence[Effect],
+    free: Comparison, effects: Sequence[LocatedEffect], catalogue: Sequence[Effect]
 ) -> tuple[Counterweight, ...]:
     """Find bodies whose first moment changes by more than its nominal value.
 
     Errors of a description do not move a centre of mass to the other side of its joint; those of a
-    guess do.
+    guess do. `free`: comparison with free bodies, and the noise beside them.
     """
-    own = free.with_bodies(_parameter_deviations(free, widths))
+    assert free.bodies is not None
     moved = (
-        own.fit(effects)
+        free.fit(effects)
         .posterior.mean[: PARAMETERS_PER_BODY * free.robot.n]
         .reshape(-1, PARAMETERS_PER_BODY)
     )
-    bodies = nominal_bodies(free.robot)
+    bodies, units = nominal_bodies(free.robot), body_units(free.robot)
     nominal = np.linalg.norm(bodies[:, 1:4], axis=1)
     change = np.linalg.norm(moved[:, 1:4], axis=1)
-    found = []
+    left_out, found = predict_folds(free, effects), []
+    squares = left_out.squares(free.bodies.ravel())
     far = np.flatnonzero(change > np.maximum(nominal, ADDED_MASS_OFFSET * bodies[:, 0])).tolist()
     for body in sorted({*far} - {*free.robot.guessed_bodies}):
-        held = _parameter_deviations(
-            free, (*widths[:body], BODY_WIDTHS[0], *widths[body + 1 :])
-        ).ravel()
+        held = free.bodies.copy()
+        held[body] = HELD_WIDTH * units[body]
+        # One that moves for nothing is neither.
+        if left_out.squares(held.ravel()) < squares + _MIN_SQUARES_GAIN:
+            continue
         instead = [
-            predict_folds(free, [*effects, located]).squares(held)
+            predict_folds(free, [*effects, located]).squares(held.ravel())
             for entry in catalogue
             if entry.twin
             for located in effect_places(entry, free.constants, ())
@@ -291,6 +261,6 @@ def _as_real_body(comparison: Comparison, found: Candidate) -> Candidate:
 
 def with_single_body(comparison: Comparison, body: int, sizes: np.ndarray) -> Comparison:
     """Return the comparison with one body free, by deviations (10,), all others held."""
-    deviations = BODY_WIDTHS[0] * body_units(comparison.robot)
+    deviations = HELD_WIDTH * body_units(comparison.robot)
     deviations[body] = sizes
     return comparison.with_bodies(deviations)
