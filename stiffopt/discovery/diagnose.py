@@ -265,6 +265,11 @@ def _run_diagnosis(
     tables = Extension(effects=tuple(t for each in laws.refused for t in located_tables(each)))
     left_open = _assess_left_open(training, whole.plus(tables), lasting, base, steps)
 
+    listed = [each.located for each in findings]
+    doubted = [f for f in judged.dropped if not any(map(f.located.same_place, listed))]
+    findings = (*findings, *doubted)
+    listed += [each.located for each in doubted]
+
     def concluded() -> Diagnosis:
         proofs, taken = tuple(held_out.proofs), held_out.shares.found()
         channels = judge_channels(result, tuple(f.located for f in findings), unexplained)
@@ -294,7 +299,7 @@ def _run_diagnosis(
             catalogue=opened.catalogue,
             detection_limits=limits or (),
             unexplained=unexplained,
-            laws=tuple(e for e in laws.laws if any(map(e.located.same_place, located))),
+            laws=tuple(e for e in laws.laws if any(map(e.located.same_place, listed))),
             lawless=laws.refused,
             next_experiment=describe_next_experiment(findings, plan, unexplained, taken),
             assumptions=(
@@ -332,7 +337,7 @@ def _fit_simulation(
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Judged:
+class _FindingsWithModel:
     """Findings of a search with what they rest on."""
 
     result: SearchResult  # with the effects that are claimed alone
@@ -340,9 +345,12 @@ class _Judged:
     unexplained: Unexplained | None
     parameters: Estimate
     findings: tuple[Finding, ...]
+    dropped: tuple[Finding, ...] = ()  # likelier nothing: told, but in no prediction
 
 
-def _judge_findings(training: Training, result: SearchResult, steps: OptionalSteps) -> _Judged:
+def _judge_findings(
+    training: Training, result: SearchResult, steps: OptionalSteps
+) -> _FindingsWithModel:
     """Judge the findings of a search, and drop those that are likelier to be nothing.
 
     What is not claimed predicts nothing either: the others are fitted again without it.
@@ -374,8 +382,9 @@ def _judge_findings(training: Training, result: SearchResult, steps: OptionalSte
     if doubted and not steps.stopped:
         least = min(doubted, key=lambda each: each.group_probability)
         kept = [each for each in selected if each.located != least.located]
-        return _judge_findings(training, result.with_only(kept), steps)
-    return _Judged(
+        rest = _judge_findings(training, result.with_only(kept), steps)
+        return replace(rest, dropped=(*rest.dropped, least))
+    return _FindingsWithModel(
         result=result,
         selected=selected,
         unexplained=unexplained,
