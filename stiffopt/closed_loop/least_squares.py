@@ -23,6 +23,8 @@ _MAX_ITERATIONS, _LEAST_DECREASE = 24, 0.1
 # Levenberg-Marquardt damping over the curvature: at first, and least after a step that failed; and
 # at most. It vanishes with steps that succeed: what stated values alone tell, as the scale of all
 # torques, has a curvature far below that of the motion, and any damping by the latter holds it.
+# Where no stated value tells that scale, it is held so: what a simulation does not follow exactly
+# would drag it.
 _FIRST_DAMPING, _LARGEST_DAMPING = 1e-3, 1e6
 # Duration of all runs that the leading parameters are fitted to, and that scores read, times joints
 # [s].
@@ -106,7 +108,10 @@ class SimulatedPoint:
 
 
 class LoopFit:
-    """Normal equations of a fit in units of the prior's deviations."""
+    """Normal equations of a fit in units of the prior's deviations.
+
+    `scaled`: a stated value tells the scale of all torques; otherwise it stays where a fit begins.
+    """
 
     def __init__(
         self,
@@ -114,8 +119,11 @@ class LoopFit:
         runs: Sequence[CommandedRun],
         prior: Parameters,
         deviations: np.ndarray,
+        *,
+        scaled: bool = True,
     ) -> None:
         self._loop, self._runs, self._prior = loop, runs, prior
+        self._least_damping = 0.0 if scaled else _FIRST_DAMPING
         # The delay is last and always derived by.
         self._free = np.flatnonzero(deviations[:-1] > 0.0)
         self.places = np.append(self._free, len(deviations) - 1)
@@ -279,7 +287,7 @@ class LoopFit:
             say(f"simulate from commands: step {number + 1}, residual {largest:.2f} mrad")
             noise = self.noise(point)
             hessian, gradient = self._normal_equations(parameters, point, noise)
-            best = self._moved(parameters, hessian, gradient, 0.0)
+            best = self._moved(parameters, hessian, gradient, self._least_damping)
             step = (best.values - parameters.values)[self.places] / self._size
             if -step @ (2.0 * gradient + hessian @ step) < _LEAST_DECREASE:
                 break
@@ -289,7 +297,7 @@ class LoopFit:
                 ahead = self.evaluate(moved)
                 decrease = self._decrease(parameters, moved, point, ahead, noise)
                 if decrease > 0.0:
-                    damping *= 0.1
+                    damping = max(0.1 * damping, self._least_damping)
                 else:
                     damping = max(10.0 * damping, _FIRST_DAMPING)
             if decrease <= 0.0:

@@ -23,6 +23,8 @@ def polish(
     prior: Parameters,
     deviations: np.ndarray,
     say: Callable[[str], object] = lambda _: None,
+    *,
+    scaled: bool = True,
 ) -> Polished:
     """Fit the parameters that have a deviation to the positions of some runs.
 
@@ -32,7 +34,8 @@ def polish(
     The leading parameters are fitted first, to fewer runs and without the others' derivatives.
 
     `prior`: expected values, with which the fit begins; `deviations` (p,): one standard deviation
-    of each, 0 fixes a parameter; `say`: called with a sentence at every iteration.
+    of each, 0 fixes a parameter; `say`: called with a sentence at every iteration; `scaled`: see
+    `LoopFit`.
 
     Raises
     ------
@@ -40,8 +43,9 @@ def polish(
         The simulation diverges with the prior.
     """
     prior = _begin_limits(loop, runs, prior, deviations)
-    begun = polish_leading(loop, runs, prior, deviations, say)
-    return LoopFit(loop, runs, prior, deviations).polish(begun.parameters, say)
+    begun = polish_leading(loop, runs, prior, deviations, say, scaled=scaled)
+    fit = LoopFit(loop, runs, prior, deviations, scaled=scaled)
+    return fit.polish(begun.parameters, say)
 
 
 def _begin_limits(
@@ -67,10 +71,12 @@ def polish_leading(
     prior: Parameters,
     deviations: np.ndarray,
     say: Callable[[str], object] = lambda _: None,
+    *,
+    scaled: bool = True,
 ) -> Polished:
     """Fit the leading parameters alone, to the beginnings of some runs."""
     leading = np.where(prior.leading, deviations, 0.0)
-    return LoopFit(loop, _begin_runs(runs), prior, leading).polish(prior, say)
+    return LoopFit(loop, _begin_runs(runs), prior, leading, scaled=scaled).polish(prior, say)
 
 
 def score_amplitudes(

@@ -216,26 +216,25 @@ def fit_loop(
     loop = build_loop(recordings, commanded, tree or recordings.robot.tree, physics)
     prior, deviations = expect_parameters(recordings, commanded, loop, prior)
     limited = limit_motion(commanded)
+    # Masses that nobody vouches for do not tell the scale of torques better than an estimated gain.
+    scaled = recordings.tolerance.mass is not None or loop.law.estimated is None
+    fit = polish_leading if leading else polish
     try:
-        if leading:
-            found = polish_leading(loop, limited, prior, deviations, say)
-        else:
-            found = polish(loop, limited, prior, deviations, say)
+        found = fit(loop, limited, prior, deviations, say, scaled=scaled)
     except FloatingPointError:
         return None
-    if recordings.tolerance.mass is None and not leading:
+    if not (scaled or leading):
+        assert loop.law.estimated is not None
         found = _add_mass_scale(found, loop.law.estimated)
     return loop, found
 
 
-def _add_mass_scale(found: Polished, estimated: np.ndarray | None) -> Polished:
+def _add_mass_scale(found: Polished, estimated: np.ndarray) -> Polished:
     """Add the deviation of a mass scale that nobody states, where it gives torque its own.
 
     Ratios to the gain, and how the arm follows, do not depend on it.
     """
     own, spread = found.parameters, found.deviations.copy()
-    if estimated is None:
-        return found
     for name in ("gain", *_SCALED_PARAMETERS):
         scaled = own.of(name) + (1.0 if name == "gain" else 0.0)
         more = np.where(estimated, _UNVOUCHED_MASS_SCALE * scaled, 0.0)
