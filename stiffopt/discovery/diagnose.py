@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from stiffopt.discovery.conclusions import (
     describe_next_experiment,
     describe_taken,
 )
-from stiffopt.discovery.diagnosis import Diagnosis, Finding
+from stiffopt.discovery.diagnosis import Diagnosis
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.experiment.design import leading_pair, plan_experiment
 from stiffopt.discovery.extended.left_open import rescale_to_rate
@@ -214,6 +214,8 @@ def _run_diagnosis(
     )
     training, result, touched = searches.run(training)
     steps = OptionalSteps(result, say)
+    if settings.cutoff is None:  # bands that were asked for hold
+        training = _with_prediction_bands(training, result, steps)
     simulation = LoopSearch(
         recordings=recordings,
         training=training,
@@ -225,16 +227,36 @@ def _run_diagnosis(
     fitted = _fit_simulation(simulation, result, base, steps)
     explained = explained_joints(recordings, None if fitted is None else fitted.model, result)
     laws = steps.run(LAWS, lambda: find_laws(result, say, explained)) or LawSearch(result=result)
-    judged = _judge_findings(training, laws.result, steps)
-    result, findings, unexplained = judged.result, judged.findings, judged.unexplained
-    selected, parameters = judged.selected, judged.parameters
+    result = laws.result
+
+    def assessed() -> tuple[tuple[Selected, ...], Unexplained | None]:
+        say("estimate parameters")
+        kept, left = assess_findings(result)
+        return kept, explain_by_tool_force(result, left)
+
+    selected, unexplained = steps.finish(assessed)
+    fitted_model = result.comparison.extension_of(result.fit)
+    half_band = cache(partial(half_band_comparison, training, result.comparison, fitted_model))
+    selected, parameters = _estimate_parameters(
+        training, result.comparison, selected, half_band, steps
+    )
+    parameters = add_scale_deviation(parameters, selected)
     located = tuple(s.located for s in selected)
+    again = np.ones(len(selected))
+
+    def perturbed() -> tuple[np.ndarray, tuple[Selected, ...]]:
+        other = None if training.runs[0].vibration is not None else half_band()
+        return recurrence(result.comparison, selected, other, free_bodies=training.free_bodies)
+
+    if selected:
+        again, selected = steps.run(ENSEMBLE, perturbed) or (again, selected)
+    findings = steps.finish(
+        lambda: build_findings(result.comparison, selected, parameters, training, again)
+    )
     limits = steps.run(
         LIMITS, lambda: detection_limits(Scorer(result.comparison, located), sought, result.effects)
     )
     found, whole = _with_found(parameters, base)
-    if settings.cutoff is None:  # bands that were asked for hold
-        training = _with_prediction_bands(training, found, steps)
     if unexplained is None and not findings and not opened.at_rest:
         unexplained = steps.run(BURSTS, lambda: find_bursts(training, found))
     new = [s for s in selected if not s.located.calibrated]
@@ -265,11 +287,6 @@ def _run_diagnosis(
     tables = Extension(effects=tuple(t for each in laws.refused for t in located_tables(each)))
     left_open = _assess_left_open(training, whole.plus(tables), lasting, base, steps)
 
-    listed = [each.located for each in findings]
-    doubted = [f for f in judged.dropped if not any(map(f.located.same_place, listed))]
-    findings = (*findings, *doubted)
-    listed += [each.located for each in doubted]
-
     def concluded() -> Diagnosis:
         proofs, taken = tuple(held_out.proofs), held_out.shares.found()
         channels = judge_channels(result, tuple(f.located for f in findings), unexplained)
@@ -299,7 +316,7 @@ def _run_diagnosis(
             catalogue=opened.catalogue,
             detection_limits=limits or (),
             unexplained=unexplained,
-            laws=tuple(e for e in laws.laws if any(map(e.located.same_place, listed))),
+            laws=laws.laws,
             lawless=laws.refused,
             next_experiment=describe_next_experiment(findings, plan, unexplained, taken),
             assumptions=(
@@ -336,63 +353,6 @@ def _fit_simulation(
     return steps.run(SIMULATION, lambda: simulation.fit(_with_found(estimate, base)[1]))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _FindingsWithModel:
-    """Findings of a search with what they rest on."""
-
-    result: SearchResult  # with the effects that are claimed alone
-    selected: tuple[Selected, ...]
-    unexplained: Unexplained | None
-    parameters: Estimate
-    findings: tuple[Finding, ...]
-    dropped: tuple[Finding, ...] = ()  # likelier nothing: told, but in no prediction
-
-
-def _judge_findings(
-    training: Training, result: SearchResult, steps: OptionalSteps
-) -> _FindingsWithModel:
-    """Judge the findings of a search, and drop those that are likelier to be nothing.
-
-    What is not claimed predicts nothing either: the others are fitted again without it.
-    """
-
-    def assessed() -> tuple[tuple[Selected, ...], Unexplained | None]:
-        steps.say("estimate parameters")
-        kept, left = assess_findings(result)
-        return kept, explain_by_tool_force(result, left)
-
-    comparison = result.comparison
-    selected, unexplained = steps.finish(assessed)
-    about = comparison.extension_of(result.fit)
-    half_band = cache(partial(half_band_comparison, training, comparison, about))
-    selected, parameters = _estimate_parameters(training, comparison, selected, half_band, steps)
-    parameters = add_scale_deviation(parameters, selected)
-    again = np.ones(len(selected))
-
-    def perturbed() -> tuple[np.ndarray, tuple[Selected, ...]]:
-        other = None if training.runs[0].vibration is not None else half_band()
-        return recurrence(comparison, selected, other, free_bodies=training.free_bodies)
-
-    if selected:
-        again, selected = steps.run(ENSEMBLE, perturbed) or (again, selected)
-    findings = steps.finish(
-        lambda: build_findings(comparison, selected, parameters, training, again)
-    )
-    doubted = [f for f in findings if f.certainty == "possible" and not f.located.calibrated]
-    if doubted and not steps.stopped:
-        least = min(doubted, key=lambda each: each.group_probability)
-        kept = [each for each in selected if each.located != least.located]
-        rest = _judge_findings(training, result.with_only(kept), steps)
-        return replace(rest, dropped=(*rest.dropped, least))
-    return _FindingsWithModel(
-        result=result,
-        selected=selected,
-        unexplained=unexplained,
-        parameters=parameters,
-        findings=findings,
-    )
-
-
 def _estimate_parameters(
     training: Training,
     comparison: Comparison,
@@ -417,14 +377,17 @@ def _estimate_parameters(
     return drop_insignificant(selected, fitted if plain else refined)
 
 
-def _with_prediction_bands(training: Training, found: Extension, steps: OptionalSteps) -> Training:
-    """Return the training runs with the bands of predictions by what was found, unless fixed.
+def _with_prediction_bands(
+    training: Training, result: SearchResult, steps: OptionalSteps
+) -> Training:
+    """Return the training runs with the bands of predictions, unless these are fixed.
 
     Those of a model hold, poses at rest have none, and vibration follows the band of the fit.
     """
     fixed = training.settings.predict is not None or training.robot.vibrates
     if fixed or training.recorded[0].at_rest:
         return training
+    found = result.comparison.extension_of(result.fit)
     bands = steps.run(BANDS, lambda: choose_prediction_bands(training, found))
     if bands is None:
         return training

@@ -71,19 +71,6 @@ class SearchResult:
         """Effects found."""
         return tuple(s.located for s in self.selected)
 
-    def with_only(self, kept: Sequence[Selected]) -> SearchResult:
-        """Return the result with some of its effects alone, fitted again."""
-        located = [each.located for each in kept]
-        comparison = self.comparison.linearised_at(self.comparison.fit(located))
-        fit = comparison.fit(located)
-        return replace(
-            self,
-            selected=tuple(kept),
-            comparison=comparison,
-            fit=fit,
-            after=comparison.channel_ratio(fit.residual),
-        )
-
 
 def search(
     comparison: Comparison,
