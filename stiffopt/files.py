@@ -228,6 +228,11 @@ def check_header(data: Mapping[str, Any], path: object, kind: str) -> None:
         got = f"got {shortened(data['kind'])}" if "kind" in data else "the key is missing"
         step = _CONVERSION_ADVICE.get((str(data.get("kind")), kind), "")
         raise InputFileError(path, "kind", f'this place needs kind = "{kind}", {got}.{step}')
+    check_schema(data, path)
+
+
+def check_schema(data: Mapping[str, Any], path: object) -> None:
+    """Check `schema`, the version of a file's format."""
     if data.get("schema") != SCHEMA or isinstance(data.get("schema"), bool):
         got = f"got {shortened(data['schema'])}" if "schema" in data else "the key is missing"
         raise InputFileError(path, "schema", f"this version reads schema = {SCHEMA}, {got}.")

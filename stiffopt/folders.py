@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from stiffopt.errors import InputFileError
-from stiffopt.files import atomic_write, load_json
+from stiffopt.files import SCHEMA, atomic_write, load_json
 from stiffopt.interrupts import ignore_interrupts
 
 MANIFEST = "manifest.json"
@@ -263,7 +263,7 @@ def _finish_stage(path: Path, stage: Path, command: str, of: str, maybe: Sequenc
         files[name] = {"by": command, "sha256": _hash_file(stage, name)} | (
             {"of": of} if of else {}
         )
-    document = {"schema": 1, "files": dict(sorted(files.items()))}
+    document = {"schema": SCHEMA, "files": dict(sorted(files.items()))}
     atomic_write(stage / MANIFEST, json.dumps(document, indent=1) + "\n")
     atomic_write(stage / _READY_FILE, _hash_file(path, MANIFEST))
     for name in sorted({*maybe} - {*coming, *listed}):

@@ -14,7 +14,7 @@ from stiffopt.budget.budget import ORIENTATION, POSITION, ErrorBudget
 from stiffopt.budget.ellipsoids import CONFIDENCE, semi_axes
 from stiffopt.budget.measurements import Measurement
 from stiffopt.budget.volume import VolumeBudget
-from stiffopt.files import atomic_write, write_csv
+from stiffopt.files import SCHEMA, atomic_write, write_csv
 
 JSON_FILE, CSV_FILE = "budget.json", "budget.csv"
 _BUDGET_PARTS = (("position", "m", POSITION), ("orientation", "rad", ORIENTATION))
@@ -29,7 +29,7 @@ def write_budget(
 ) -> None:
     """Write budget.json (SI) and budget.csv, the bounds over time, into `folder`."""
     document = {
-        "schema": 1,
+        "schema": SCHEMA,
         "kind": "budget",
         "confidence": CONFIDENCE,
         "motion": budget_entry(budget),

@@ -14,7 +14,7 @@ from stiffopt.discovery.position_fit import PositionRun, read_model, simulate_ru
 from stiffopt.discovery.sanity.command_doubts import take_errors_as_commands
 from stiffopt.discovery.store import position_entry
 from stiffopt.errors import InputError, InputFileError
-from stiffopt.files import atomic_write, to_json_types, write_csv
+from stiffopt.files import SCHEMA, atomic_write, to_json_types, write_csv
 from stiffopt.recording.recording_set import RecordingSet
 
 
@@ -51,6 +51,6 @@ def write_rollout(runs: Sequence[PositionRun], joints: Sequence[str], folder: Pa
     for run in runs:
         rows = np.column_stack([run.time, *(getattr(run, kind) for kind in kinds)])
         write_csv(folder / f"{run.name}.csv", head, rows)
-    document = {"schema": 1, "runs": [position_entry(run) for run in runs]}
+    document = {"schema": SCHEMA, "runs": [position_entry(run) for run in runs]}
     text = json.dumps(to_json_types(document), indent=1, allow_nan=False)
     atomic_write(folder / "rollout.json", text + "\n")

@@ -30,10 +30,9 @@ from stiffopt.discovery.laws.law_file import WrittenLaw, law_file_text
 from stiffopt.discovery.position_fit import PositionRun, loop_values
 from stiffopt.discovery.prediction import Prediction
 from stiffopt.discovery.signals import RobotConstants
-from stiffopt.files import atomic_write, to_json_types
+from stiffopt.files import SCHEMA, atomic_write, to_json_types
 from stiffopt.recording.signals import Signals
 
-SCHEMA_VERSION = 1
 ANSWER_FILE = "diagnosis.json"
 MODEL_FILE = "extended.toml"
 LAW_FILE = "law.py"
@@ -70,7 +69,7 @@ def answer_document(diagnosis: Diagnosis) -> dict[str, Any]:
     """Return the content of diagnosis.json: numbers, strings, lists and dicts."""
     constants = diagnosis.training.constants
     document = {
-        "schema": SCHEMA_VERSION,
+        "schema": SCHEMA,
         "verdict": diagnosis.verdict,
         "verdict_by_channel": {
             each.channel: {

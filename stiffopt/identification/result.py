@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from stiffopt.files import atomic_write, write_csv
+from stiffopt.files import SCHEMA, atomic_write, write_csv
 from stiffopt.identification.bearing_tilt import BearingTilt
 from stiffopt.identification.static_rows import StaticRows
 from stiffopt.identification.torque_dependence import TorqueDependence
@@ -129,7 +129,7 @@ def stiffness_document(result: StaticStiffness) -> dict[str, Any]:
     """Content of stiffness.json: SI numbers, null where there is none."""
     error = np.linalg.norm(result.rows.displacement - result.predicted, axis=1)
     return {
-        "schema": 1,
+        "schema": SCHEMA,
         "kind": "stiffness",
         "name": result.source.name,
         "citation": result.source.citation,

@@ -13,7 +13,7 @@ import numpy as np
 from stiffopt.actuator.law import ActuatorLaw
 from stiffopt.actuator.position_servo import PositionServo
 from stiffopt.errors import InputFileError
-from stiffopt.files import apply_changes, load_toml
+from stiffopt.files import apply_changes, check_schema, load_toml
 from stiffopt.recording import recorded_arm
 from stiffopt.recording.clean import clean_run
 from stiffopt.recording.nominal import Noise, Nominal, Tolerance
@@ -152,9 +152,7 @@ def load_recordings(path: str | os.PathLike[str], changes: Sequence[str] = ()) -
     """
     path = find_set_file(Path(path))
     data = apply_changes(load_toml(path), changes, path)
-    if data.get("schema") != 1 or isinstance(data.get("schema"), bool):
-        got = f"got {data['schema']!r}" if "schema" in data else "the key is missing"
-        raise InputFileError(path, "schema", f"this version reads schema = 1, {got}.")
+    check_schema(data, path)
     document = validate(RecordingsFile, data, path)
     n = len(document.joints)
     described, locked = recorded_arm.load_arm(

@@ -14,6 +14,7 @@ from stiffopt.discovery.extended.schema import ClosedLoopSection, LeftOpenSectio
 from stiffopt.discovery.laws.law import Factor, Law, law_of
 from stiffopt.discovery.laws.table import ResidualTable, table_of
 from stiffopt.discovery.signals import JOINT_SCALES, RobotConstants
+from stiffopt.files import SCHEMA
 from stiffopt.recording.schema import NominalSection
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ def extended_text(diagnosis: Diagnosis) -> str:
         _format_table(
             "",
             {
-                "schema": 1,
+                "schema": SCHEMA,
                 "kind": "extended",
                 "name": recordings.name,
                 "joints": list(recordings.joints),
