@@ -16,10 +16,11 @@ from stiffopt.command.simulated_solution import COMMAND_INTERRUPTED, progress_on
 from stiffopt.command.simulation import PlannedMotion, elastic_arm
 from stiffopt.command.smoothing_width import KNOT_SPACINGS
 from stiffopt.errors import NotSimulatedError
-from stiffopt.interrupts import end_deferral
+from stiffopt.interrupts import end_deferral, until_interrupted
 from stiffopt.path.limit_shares import LimitShares
 from stiffopt.path.timed_path import AVERAGING_WINDOWS, timed_path
 from stiffopt.result.solution import Baseline
+from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.solve_run import SolveRun
 
 # Back-offs: each costs a timing and a search of a command.
@@ -35,20 +36,27 @@ def led_timing(run: SolveRun) -> Baseline | None:
     The fastest one where no back-off helps: its report says which limit the command exceeds. After
     Ctrl-C the last one so far, without a command.
     """
-    problem, shares = run.problem, LimitShares(_BACK_OFF_REACH)
     run.tell("timing of the path")
-    fastest = found = timed_path(problem)
+    fastest = timed_path(run.problem)
+    if fastest is None or not run.problem.leads_on_path:
+        return None if fastest is None else fastest[0]
+    timings = [fastest]
+
+    def last_timing() -> Baseline:
+        run.notes.append(COMMAND_INTERRUPTED)
+        run.interrupted = True
+        return timings[-1][0]
+
+    return until_interrupted(lambda: _timing_with_command(run, timings), last_timing)
+
+
+def _timing_with_command(run: SolveRun, timings: list[tuple[Baseline, Trajectory]]) -> Baseline:
+    """Return a timing whose command keeps all limits, else the fastest; `timings` are tried."""
+    end_deferral()
+    problem, shares = run.problem, LimitShares(_BACK_OFF_REACH)
     for number in range(_MAX_BACK_OFFS + 1):
-        if found is None or not problem.leads_on_path:
-            break
-        timed, law = found
-        try:
-            end_deferral()
-            command = _command(run, timed)
-        except KeyboardInterrupt:
-            run.notes.append(COMMAND_INTERRUPTED)
-            run.interrupted = True
-            return timed
+        timed, law = timings[-1]
+        command = _command(run, timed)
         if command is None:
             break
         if not command.excess:
@@ -66,7 +74,10 @@ def led_timing(run: SolveRun) -> Baseline | None:
         shares.back_off([(0.0, law)], problem.active_limits, histories, command.excess)
         run.tell("timing of the path with room for the lead")
         found = timed_path(problem, shares)
-    return None if fastest is None else fastest[0]
+        if found is None:
+            break
+        timings.append(found)
+    return timings[0][0]
 
 
 def _command(run: SolveRun, timed: Baseline) -> CommandOnArms | None:
