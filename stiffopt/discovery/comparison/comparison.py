@@ -20,6 +20,7 @@ from stiffopt.discovery.comparison.evidence import (
     posterior,
     savage_dickey,
 )
+from stiffopt.discovery.comparison.extension_change import select_calibration
 from stiffopt.discovery.comparison.inertial_parameters import (
     body_units,
     is_consistent,
@@ -135,12 +136,8 @@ class Comparison:
         return self._derive_comparison(inflation, self.columns.linearised_at(found, noise, near))
 
     def about_bodies(self, fit: Fit) -> Comparison:
-        """Return the comparison linearised about the bodies of a fit, if these are free."""
-        found = self.extension_of(fit)
-        bodies = {n: v for n, v in found.calibration.items() if n.kind in BODY_VALUES}
-        if self.bodies is None or not bodies:
-            return self
-        return self.with_extension(Extension(calibration=bodies))
+        """Return the comparison linearised about the free bodies of a fit."""
+        return self.with_extension(select_calibration(self.extension_of(fit), BODY_VALUES))
 
     def with_runs(self, runs: Sequence[PreparedRun]) -> Comparison:
         """Return the comparison of other runs with the same model."""

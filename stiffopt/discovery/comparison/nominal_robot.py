@@ -196,23 +196,25 @@ class RobotModel:
             bodies = bodies.with_gravity(np.asarray(self.arm.tree.gravity + added_gravity))
         return bodies.changed_torque(by_body, *self._ordered(q, v, a))[:, self.order]
 
-    def weight(self, q: np.ndarray, change: np.ndarray) -> np.ndarray:
+    def weight(self, q: np.ndarray, change: np.ndarray | None = None) -> np.ndarray:
         """Return the gravity torque per gravity along the axes of the base (K, n, 3).
 
         `change` (n, 10): of the inertial parameters.
         """
         rest, stated = np.zeros_like(q), self.arm.tree.gravity
-        return np.stack(
-            [
-                self.gravity_torque(q, axis)
-                + self.changed_torque(change, q, rest, rest, added_gravity=axis - stated)
-                for axis in np.eye(3)
-            ],
-            axis=2,
-        )
+        found = np.stack([self.gravity_torque(q, axis) for axis in np.eye(3)], axis=2)
+        if change is not None:
+            for k, axis in enumerate(np.eye(3)):
+                found[..., k] += self.changed_torque(change, q, rest, rest, axis - stated)
+        return found
 
     def zero_harmonics(
-        self, joint: int, q: np.ndarray, v: np.ndarray, a: np.ndarray, change: np.ndarray
+        self,
+        joint: int,
+        q: np.ndarray,
+        v: np.ndarray,
+        a: np.ndarray,
+        change: np.ndarray | None = None,
     ) -> np.ndarray:
         """Return the harmonics of the body torques over the angle of one joint (K, n, 4).
 
@@ -227,7 +229,8 @@ class RobotModel:
             moved = q.copy()
             moved[:, joint] += angle
             torque = self._bodies.torque(*self._ordered(moved, v, a))[:, self.order]
-            torque = torque + self.changed_torque(change, moved, v, a)
+            if change is not None:
+                torque = torque + self.changed_torque(change, moved, v, a)
             for k, order in enumerate((1, 1, 2, 2)):
                 wave = np.cos(order * angle) if k % 2 else np.sin(order * angle)
                 found[k] += 2.0 / count * wave * torque.T
@@ -372,9 +375,9 @@ class LazyArmSignals:
     def __init__(self, robot: RobotModel, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> None:
         self._robot, self._motion = robot, (q, v, a)
         self.body_regressor = BodyRegressor(robot, self._motion)
-        self._take_bodies(np.zeros((robot.n, PARAMETERS_PER_BODY)))
+        self._take_bodies(None)
 
-    def _take_bodies(self, change: np.ndarray) -> None:
+    def _take_bodies(self, change: np.ndarray | None) -> None:
         evaluate = partial(self._robot.zero_harmonics, change=change)
         self._change = change
         self.zero_harmonics = _TorqueParts(self._robot, self._motion, HARMONICS_PER_JOINT, evaluate)

@@ -165,9 +165,10 @@ class _Search:
             # Fit again: wrong masses may have hidden unstated values.
             single = () if self.rigid.single is None else (self.rigid.single.located,)
             self._fit_unstated([*unstated, *single], prune=True)
-            # Tilt and joint zeros act on the weight of these bodies, not of the nominal ones.
-            self.start = self.start.about_bodies(self.current.fit(self.effects))
-            self._fit(self.effects)
+            if self.start.bodies is not None:
+                # Tilt and joint zeros act on the weight of these bodies, not of the nominal ones.
+                self.start = self.start.about_bodies(self.current.fit(self.effects))
+                self._fit(self.effects)
         if about is not None:
             # A linearisation about the nominal motion would lead away from it.
             self.start = self.start.with_extension(about)
