@@ -9,7 +9,7 @@ import numpy as np
 # Relative deviations of links and drives from one drawn arm to the next.
 _LENGTH_SPREAD, _DRIVE_SPREAD = 0.15, 0.25
 _TOOL_CLEARANCE = 0.01  # from the tip of the last rod to the tool frame [m]
-_RADIUS = 0.028  # of links [m]
+_LINK_RADIUS = 0.028  # of links [m]
 _ROTOR_MASS = 1e-6  # of rotors as bodies of their own, whose inertia is an armature [kg]
 
 
@@ -115,7 +115,7 @@ ARMS = {
 
 def _inertia(length: float, mass: float) -> tuple[float, float]:
     """Return the inertia of a solid cylinder across and along its axis [kg m^2]."""
-    return mass * (length**2 / 12.0 + _RADIUS**2 / 4.0), mass * _RADIUS**2 / 2.0
+    return mass * (length**2 / 12.0 + _LINK_RADIUS**2 / 4.0), mass * _LINK_RADIUS**2 / 2.0
 
 
 def _axis(letter: str) -> str:
