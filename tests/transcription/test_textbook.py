@@ -19,40 +19,30 @@ def optimum(name: str, method: str, intervals: int) -> float:
 
 
 @pytest.mark.parametrize(
-    ("name", "intervals", "tolerance"),
+    ("method", "name", "intervals", "tolerance"),
     [
-        ("block_move", 20, 1e-8),
-        ("minimum_time", 20, 1e-7),
-        ("bryson_denham", 20, 5e-4),
-        ("bryson_denham", 80, 1e-5),
-        ("robot_arm", 20, 3e-4),
-        ("robot_arm", 80, 3e-4),
-        ("cart_pole", 40, 1e-3),
-        ("cart_pole", 80, 1e-5),
-        ("two_link_arm", 20, 1e-3),
-        ("two_link_arm", 80, 1e-4),
+        ("radau", "block_move", 20, 1e-8),
+        ("radau", "minimum_time", 20, 1e-7),
+        ("radau", "bryson_denham", 20, 5e-4),
+        ("radau", "bryson_denham", 80, 1e-5),
+        ("radau", "robot_arm", 20, 3e-4),
+        ("radau", "robot_arm", 80, 3e-4),
+        ("radau", "cart_pole", 40, 1e-3),
+        ("radau", "cart_pole", 80, 1e-5),
+        ("radau", "two_link_arm", 20, 1e-3),
+        ("radau", "two_link_arm", 80, 1e-4),
+        # A continuous control needs an interval to switch: bang-bang optima have order 2.
+        ("hermite_simpson", "block_move", 20, 1e-8),
+        ("hermite_simpson", "minimum_time", 80, 2e-4),
+        ("hermite_simpson", "bryson_denham", 40, 1e-4),
+        ("hermite_simpson", "robot_arm", 40, 3e-4),
+        ("hermite_simpson", "cart_pole", 80, 1e-3),
+        ("hermite_simpson", "two_link_arm", 80, 2e-4),
     ],
 )
-def test_radau(name, intervals, tolerance):
+def test_schemes_reach_the_reference(method, name, intervals, tolerance):
     expected = CASES[name].reference
-    assert optimum(name, "radau", intervals) == pytest.approx(expected, abs=tolerance)
-
-
-# A continuous control needs an interval to switch: bang-bang optima have order 2.
-@pytest.mark.parametrize(
-    ("name", "intervals", "tolerance"),
-    [
-        ("block_move", 20, 1e-8),
-        ("minimum_time", 80, 2e-4),
-        ("bryson_denham", 40, 1e-4),
-        ("robot_arm", 40, 3e-4),
-        ("cart_pole", 80, 1e-3),
-        ("two_link_arm", 80, 2e-4),
-    ],
-)
-def test_hermite_simpson(name, intervals, tolerance):
-    expected = CASES[name].reference
-    assert optimum(name, "hermite_simpson", intervals) == pytest.approx(expected, abs=tolerance)
+    assert optimum(name, method, intervals) == pytest.approx(expected, abs=tolerance)
 
 
 @pytest.mark.parametrize(
