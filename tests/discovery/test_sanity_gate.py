@@ -617,7 +617,7 @@ def test_zero_of_a_joint_torque_sensor_exceeds_the_load_of_a_wrist(side, tmp_pat
     [
         ({3: 0.586}, False),  # a poor sensor: two other joints agree
         ({3: -1.0}, True),  # a sign: the position may be the wrong one
-        ({3: 0.10472}, True),  # rpm
+        ({3: 9.549}, True),  # rpm
         ({2: 0.586, 3: 0.6}, True),  # more than agree
     ],
 )
