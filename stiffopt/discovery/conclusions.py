@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -28,6 +28,7 @@ from stiffopt.discovery.diagnosis import (
 from stiffopt.discovery.experiment.design import ExperimentPlan
 from stiffopt.discovery.judging.ensemble import START_CUTS
 from stiffopt.discovery.judging.explained_shares import MismatchShare
+from stiffopt.discovery.judging.refutation import HeldOutEvidence
 from stiffopt.discovery.judging.unexplained import ChannelVerdict, Unexplained
 from stiffopt.discovery.laws.law import LAW_FAMILY
 from stiffopt.discovery.loop_effects import inseparable_parameters, loop_parameter, stated_value
@@ -134,6 +135,20 @@ def build_findings(
             )
         )
     return tuple(findings)
+
+
+def judge_by_held_out(
+    findings: Sequence[Finding], evidence: Mapping[tuple[object, ...], HeldOutEvidence]
+) -> tuple[Finding, ...]:
+    """Return findings with what held-out runs say of them, less likely where these refute them."""
+    judged = []
+    for finding in findings:
+        own = evidence.get(finding.located.key)
+        if own is not None:
+            told = replace(finding, held_out_ratio=own.ratio)
+            finding = refuted(told, 1.0 - own.likelihood * (1.0 - finding.misfit))
+        judged.append(finding)
+    return tuple(judged)
 
 
 def describe_taken(findings: Sequence[Finding]) -> list[str]:

@@ -19,6 +19,7 @@ from stiffopt.discovery.conclusions import (
     decide_verdict,
     describe_next_experiment,
     describe_taken,
+    judge_by_held_out,
 )
 from stiffopt.discovery.diagnosis import Diagnosis
 from stiffopt.discovery.effect import Effect
@@ -42,6 +43,7 @@ from stiffopt.discovery.judging.friction_refit import refit_friction
 from stiffopt.discovery.judging.held_out import HeldOutRuns
 from stiffopt.discovery.judging.left_open import add_left_open_deviation, build_left_open
 from stiffopt.discovery.judging.modes import mode_shifts
+from stiffopt.discovery.judging.refutation import Refutation
 from stiffopt.discovery.judging.run_deviations import find_friction_drift, find_run_deviations
 from stiffopt.discovery.judging.unexplained import (
     Unexplained,
@@ -57,6 +59,7 @@ from stiffopt.discovery.loop_search import (
     explained_joints,
     with_findings,
 )
+from stiffopt.discovery.names import Channel
 from stiffopt.discovery.opening import open_set
 from stiffopt.discovery.position_fit import model_section, simulate_held_out
 from stiffopt.discovery.prediction import choose_prediction_bands
@@ -275,7 +278,14 @@ def _run_diagnosis(
     # The findings are fixed: held-out runs are read only from here on.
     tracks = steps.finish(lambda: training_tracks(result.comparison, result.fit))
     parts = split_extension(found, recordings.unstated)
-    held_out = HeldOutRuns(training, found, parts, opened.every, tracks)
+    # Of a set of commands positions are the proof, not torques that a law derives from these.
+    tested = {
+        f.located.key: Channel.read(f.channel)
+        for f in findings
+        if not (f.located.calibrated or recordings.signals.commanded)
+    }
+    refutation = Refutation(result.comparison, located, tested)
+    held_out = HeldOutRuns(training, found, parts, refutation, opened.every, tracks)
     if training.free_bodies and not training.robot.vibrates:
         steps.run(NOISE_CEILING, lambda: held_out.fit_noise_ceiling(say))
     try:
@@ -289,6 +299,7 @@ def _run_diagnosis(
 
     def concluded() -> Diagnosis:
         proofs, taken = tuple(held_out.proofs), held_out.shares.found()
+        judged = judge_by_held_out(findings, refutation.evidence())
         channels = judge_channels(result, tuple(f.located for f in findings), unexplained)
         drift = find_friction_drift(whole, training.constants, proofs)
         unusable = [run for run in opened.runs if not run.usable]
@@ -297,9 +308,9 @@ def _run_diagnosis(
             recordings=recordings,
             settings=training.settings,
             model=None if base is None else base.source,
-            verdict=decide_verdict(findings, unexplained, channels),
+            verdict=decide_verdict(judged, unexplained, channels),
             channel_verdicts=channels,
-            findings=findings,
+            findings=judged,
             extension=whole,
             left_open=rescale_to_rate(left_open, opened.clock),
             training=training,
@@ -318,7 +329,7 @@ def _run_diagnosis(
             unexplained=unexplained,
             laws=laws.laws,
             lawless=laws.refused,
-            next_experiment=describe_next_experiment(findings, plan, unexplained, taken),
+            next_experiment=describe_next_experiment(judged, plan, unexplained, taken),
             assumptions=(
                 *steps.stopped,
                 *held_out.describe_unusable(),

@@ -80,7 +80,8 @@ class Finding:
     probability: float  # against its rivals and an unknown cause (`misfit`)
     # Probability of an unknown cause: by what laws leave open in its channel over what it removes
     # there, by the spread of its gain in stretches left out, by the members of the perturbation
-    # ensemble that lack it, and by its values where these do not exclude zero.
+    # ensemble that lack it, by its values where these do not exclude zero, and by held-out runs
+    # that are predicted better without it.
     misfit: float
     rivals: tuple[Rival, ...]
     parameters: tuple[Parameter, ...]
@@ -89,6 +90,9 @@ class Finding:
     # Share, 0 to 1, of that channel's squared residual above noise that it removes in training runs
     # (or stretches) left out of the fit.
     variance_explained: float
+    # Root mean square residual of that channel in held-out runs over that of a model fitted without
+    # the finding; None where they do not tell.
+    held_out_ratio: float | None = None
 
     @property
     def located(self) -> LocatedEffect:
@@ -151,7 +155,8 @@ class Diagnosis(DisplayedResult):
         "outside_catalogue"; the last also where the residual beside the findings is many times the
         noise.
     findings : tuple of Finding
-        The strongest first; fixed before any held-out run was read.
+        The strongest first; fixed before any held-out run was read. These may refute some: their
+        probability falls.
     extension : Extension
         Difference of the extended from the nominal model.
     left_open : LeftOpenSection

@@ -135,6 +135,10 @@ def _finite_range(values: np.ndarray) -> float:
     return float(np.ptp(known)) if known.size else 0.0
 
 
+# Levels of a channel below which it rests on its largest value by rounding alone.
+_MIN_LIMITED_LEVELS = 8
+
+
 def find_saturated_samples(values: np.ndarray, step: float) -> np.ndarray:
     """Mark samples saturated at the largest or the smallest value of a channel.
 
@@ -147,7 +151,7 @@ def find_saturated_samples(values: np.ndarray, step: float) -> np.ndarray:
     if len(finite) == 0:
         return bad
     span = float(finite.max() - finite.min())
-    if span == 0.0:
+    if len(np.unique(finite)) < _MIN_LIMITED_LEVELS:
         return bad
     near = max(step, 0.01 * span)
     for sign in (1.0, -1.0):

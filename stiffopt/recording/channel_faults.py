@@ -26,7 +26,7 @@ from stiffopt.recording.signals import Kind
 MIN_TRAVEL = (1e-3, 1e-4)
 # Slope and correlation between two sensors of one motion that do not contradict each other.
 _SLOPE_RANGE = (0.8, 1.25)
-_MIN_CORRELATION = 0.8
+MIN_CORRELATION = 0.8
 _ANGLE_SIGNALS: tuple[Kind, ...] = ("position", "link_position")
 _SECOND_SENSORS: tuple[Kind, ...] = ("velocity", "link_position")
 # Jumps below this share of a channel's range are harmless; clock jitter causes such too.
@@ -39,6 +39,11 @@ _MIN_FINE_LEVELS = 500
 _MAX_BAD_SHARE = 0.5
 # Counts of motion that an encoder misses where it is stuck.
 _MIN_STUCK_COUNTS = 20.0
+# Window over which changes of two sensors are compared [s].
+_CHANGE_WINDOW = 0.2
+# Range of a random walk over the standard deviation of its end, sqrt(8 / pi), and the multiple of
+# that of its noise from which an integrated velocity is a travel.
+_RANDOM_WALK_RANGE, _MIN_TRAVEL_RATIO = 1.6, 3.0
 
 
 @dataclass
@@ -152,9 +157,7 @@ def _check_wrapping(joint: JointChannels, signal: Kind) -> None:
 def _check_constant(joint: JointChannels) -> None:
     position, link = joint.usable("position"), joint.usable("link_position")
     velocity, torque = joint.usable("velocity"), joint.usable("torque")
-    by_velocity = (
-        0.0 if velocity is None else covered_range(integrate_velocity(velocity, joint.time))
-    )
+    by_velocity = 0.0 if velocity is None else _integrated_travel(velocity, joint.time)
     by_other = max(covered_range(link), by_velocity)
     if position is not None and covered_range(position) == 0.0 and by_other > 10.0 * joint.still:
         joint.report(
@@ -193,14 +196,16 @@ def _check_agreement(joint: JointChannels, signal: Kind) -> None:
     position, values = joint.usable("position"), joint.usable(signal)
     if position is None or values is None or covered_range(position) < 10.0 * joint.still:
         return
-    path = integrate_velocity(values, joint.time) if signal == "velocity" else values
-    slope, correlation = regress_changes(position, path, joint.time)
-    if _SLOPE_RANGE[0] <= slope <= _SLOPE_RANGE[1] and correlation > _MIN_CORRELATION:
+    if signal == "velocity":
+        slope, correlation = compare_velocity(values, position, joint.time)
+    else:
+        slope, correlation = regress_changes(position, values, joint.time)
+    if _SLOPE_RANGE[0] <= slope <= _SLOPE_RANGE[1] and correlation > MIN_CORRELATION:
         return
-    if not correlation > _MIN_CORRELATION:
+    if not correlation > MIN_CORRELATION:
         hint = (
             "the other way round"
-            if correlation < -_MIN_CORRELATION
+            if correlation < -MIN_CORRELATION
             else "or belongs to another joint"
         )
         text = f"does not follow the motor encoder (correlation {correlation:.2f}), {hint}."
@@ -209,7 +214,7 @@ def _check_agreement(joint: JointChannels, signal: Kind) -> None:
         hint = ", as degrees would" if degrees else ""
         text = f"changes {slope:.3g} times as much as the motor encoder{hint}."
     # Runs too short to compare have a ratio of NaN.
-    known = np.isnan(correlation) or abs(correlation) > _MIN_CORRELATION
+    known = np.isnan(correlation) or abs(correlation) > MIN_CORRELATION
     joint.report(signal, "contradicts position", text, ratio=slope if known else None)
 
 
@@ -291,17 +296,49 @@ def _check_quantisation(joint: JointChannels, signal: Kind) -> None:
         )
 
 
-def regress_changes(
-    reference: np.ndarray, channel: np.ndarray, time: np.ndarray, window: float = 0.2
+def _integrated_travel(velocity: np.ndarray, time: np.ndarray) -> float:
+    """Return the range that a velocity integrates to beyond its offset and noise; 0 for none."""
+    known = velocity[np.isfinite(velocity)]
+    travel = covered_range(integrate_velocity(velocity - known.mean(), time))
+    # Neighbouring samples of a motion are alike, those of noise are not.
+    noise = float(np.std(np.diff(known))) / np.sqrt(2.0) * float(np.linalg.norm(np.diff(time)))
+    return travel if travel > _MIN_TRAVEL_RATIO * _RANDOM_WALK_RANGE * noise else 0.0
+
+
+def compare_velocity(
+    velocity: np.ndarray, position: np.ndarray, time: np.ndarray
 ) -> tuple[float, float]:
-    """Return slope and correlation of changes over a window [s] with those of a reference.
+    """Return slope and correlation of an integrated velocity with a position, as of changes.
+
+    Its offset, which it has where the position rests, is no contradiction.
+    """
+    # Changes up to each sample: none within a window is rest.
+    changes, lag = (
+        np.cumsum(np.diff(position, prepend=position[:1]) != 0.0),
+        _samples_per_window(time),
+    )
+    rests = np.isfinite(velocity)
+    rests[:lag] = False
+    rests[lag:] &= changes[lag:] == changes[:-lag]
+    offset = float(velocity[rests].mean()) if rests.any() else 0.0
+    return regress_changes(position, integrate_velocity(velocity - offset, time), time)
+
+
+def _samples_per_window(time: np.ndarray) -> int:
+    return max(1, round(_CHANGE_WINDOW / float(np.median(np.diff(time)))))
+
+
+def regress_changes(
+    reference: np.ndarray, channel: np.ndarray, time: np.ndarray
+) -> tuple[float, float]:
+    """Return slope and correlation of changes over a window with those of a reference.
 
     Through the origin; NaN where nothing changes.
     """
-    lag = max(1, round(window / float(np.median(np.diff(time)))))
+    lag = _samples_per_window(time)
     if len(time) <= 2 * lag:
         return float("nan"), float("nan")
-    within = time[lag:] - time[:-lag] < 1.5 * window
+    within = time[lag:] - time[:-lag] < 1.5 * _CHANGE_WINDOW
     one = (reference[lag:] - reference[:-lag])[within]
     two = (channel[lag:] - channel[:-lag])[within]
     good = np.isfinite(one) & np.isfinite(two)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from stiffopt.errors import InputError
+from stiffopt.recording.channel_faults import MIN_CORRELATION, compare_velocity
 from stiffopt.recording.clock import are_unordered
 from stiffopt.recording.signals import may_be_set_point
 from stiffopt.recording.stated_units import stated_unit
@@ -390,10 +391,10 @@ def _speed_ratios(values: np.ndarray, position: np.ndarray, seconds: np.ndarray)
     new = np.flatnonzero(np.diff(seconds, prepend=-np.inf) > 0.0)
     if len(new) < MIN_ROWS or values.shape != position.shape:
         return np.full(position.shape[1], np.nan)
-    turning = _standard_deviations(np.gradient(position[new], seconds[new], axis=0))
-    ratio = _standard_deviations(values[new]) / np.where(turning > 0.0, turning, np.nan)
-    # Zero speed determines no unit.
-    return np.where(ratio > 0.0, ratio, np.nan)
+    pairs = zip(values[new].T, position[new].T, strict=True)
+    found = np.abs([compare_velocity(*own, seconds[new]) for own in pairs])
+    # The noise of a joint at rest determines no unit.
+    return np.where(found[:, 1] > MIN_CORRELATION, found[:, 0], np.nan)
 
 
 def _guess_mixed_units(

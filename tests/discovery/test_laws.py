@@ -243,6 +243,40 @@ def test_a_law_that_the_deflection_shows_may_be_a_torque_on_the_link(
     assert sizes == pytest.approx(places)
 
 
+@pytest.mark.parametrize("better", ["step", "hinge_above"])
+def test_of_formulas_that_are_one_function_the_one_of_more_evidence_is_told(
+    monkeypatch: pytest.MonkeyPatch, better: str
+) -> None:
+    """Formulas are nearly true: odds call the briefer one likelier, and leave both near."""
+    evidence = {"step": 9020.0, "hinge_above": 8990.0} if better == "step" else {}
+    comparison = SimpleNamespace(
+        robot=SimpleNamespace(elastic=False, n=1),
+        bodies=None,
+        effect_columns=lambda located: np.eye(2)[:, [0]],
+    )
+
+    def score(located):
+        (form,) = (n for n in ("step", "hinge_above") if n in located.effect.name)
+        return SimpleNamespace(evidence=evidence.get(form, 9000.0), amplitudes=np.ones(1))
+
+    monkeypatch.setattr(find, "Scorer", lambda *_: SimpleNamespace(score=score))
+    shapes = {"step": (0.3, 0.02), "hinge_above": (0.3,)}
+    bounds = ((-1.0, 1.0), (0.01, 1.0))
+    fitted = [
+        SimpleNamespace(
+            law=Law(
+                0,
+                "drive_torque",
+                (Factor(LawSource("position", 0), form, own, bounds[: len(own)]),),
+            ),
+            fit=SimpleNamespace(amplitudes=np.array([5.0])),
+        )
+        for form, own in shapes.items()
+    ]
+    (ranked,) = find._State(comparison, (), ())._rank_places(comparison, fitted)
+    assert [factor.form for factor in ranked.law.factors] == [better]
+
+
 def test_findings_are_searched_before_channels_near_the_noise() -> None:
     """A law may stand behind them; two refusals near the noise end the search."""
     rows = SimpleNamespace(counts=np.full(6, 400))
@@ -299,6 +333,28 @@ def test_friction_by_the_angle_of_another_joint_is_found() -> None:
     sources = {factor.source for factor in found.best.law.factors}
     assert sources == {LawSource("direction", 4), LawSource("position", 1)}
     assert found.explained > 0.95
+
+
+@pytest.mark.parametrize("share", [0.03, 0.12, 0.41, 0.93, 0.97])
+def test_a_step_is_found_wherever_it_is_in_the_stroke(share: float) -> None:
+    """Near an end a hinge resembles it, and continues otherwise."""
+    every = [
+        run.signals.motor_position[:, 1]
+        for run in KnownChannel(lambda s: 0.0 * s.time).comparison.runs
+    ]
+    low, high = (end(np.concatenate(every)) for end in (np.min, np.max))
+    place, width = low + share * (high - low), 0.02 * (high - low)
+
+    def content(signals):
+        return 20.0 * (1.0 + np.tanh((signals.motor_position[:, 1] - place) / width))
+
+    found = search_channel(KnownChannel(content))
+    assert found.best is not None
+    (factor,) = found.best.law.factors
+    assert (factor.source, factor.form) in {
+        (LawSource("position", 1), n) for n in ("step", "step_down")
+    }
+    assert factor.shapes[0] == pytest.approx(place, abs=0.3 * width)
 
 
 def test_the_briefest_law_is_found_and_not_a_product_that_contains_it() -> None:

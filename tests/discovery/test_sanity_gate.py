@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,8 +26,10 @@ from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings
 from stiffopt.discovery.sanity.explanations import Explanations
 from stiffopt.discovery.sanity.gate import SanityGate, _is_effect_of_all_runs
 from stiffopt.discovery.sanity.interpretations import Reading, sample_runs
+from stiffopt.discovery.sanity.sensor_doubts import doubt_second_sensors
 from stiffopt.discovery.training import open_training_runs
 from stiffopt.recording.recording_set import load_recordings
+from stiffopt.recording.run import Fault
 from stiffopt.recording.signals import is_set_point
 
 PUBLISHED = ROOT.parent / "shared" / "recordings"
@@ -607,3 +610,40 @@ def test_zero_of_a_joint_torque_sensor_exceeds_the_load_of_a_wrist(side, tmp_pat
     samples = sample_runs(open_training_runs(recordings))
     share = Explanations(RobotModel(recordings), samples).strict[1]
     assert (share < 0.05) == (side == "link")
+
+
+@pytest.mark.parametrize(
+    ("ratios", "refused"),
+    [
+        ({3: 0.586}, False),  # a poor sensor: two other joints agree
+        ({3: -1.0}, True),  # a sign: the position may be the wrong one
+        ({3: 9.549}, True),  # rpm
+        ({2: 0.586, 3: 0.6}, True),  # more than agree
+    ],
+)
+def test_a_poor_velocity_beside_those_that_agree_refuses_nothing(
+    ratios: dict[int, float], refused: bool
+) -> None:
+    faults = [
+        Fault(
+            signal="velocity",
+            joint=joint,
+            kind="contradicts position",
+            detail=f"changes {ratio:g} times as much as the motor encoder. Left out.",
+            left_out=True,
+            share=1.0,
+            ratio=ratio,
+        )
+        for joint, ratio in ratios.items()
+    ]
+    velocity = np.where([j + 1 in ratios for j in range(3)], np.nan, 1.0) * np.ones((10, 3))
+    run: Any = SimpleNamespace(
+        name="one",
+        n=3,
+        faults=faults,
+        velocity=velocity,
+        position=np.linspace(0.0, 1.0, 10)[:, None] * np.ones(3),
+    )
+    signals = SimpleNamespace(scale_of=lambda signal, n: np.ones(n), velocity=("a", "b", "c"))
+    recordings: Any = SimpleNamespace(n=3, prismatic=np.zeros(3, dtype=bool), signals=signals)
+    assert bool(list(doubt_second_sensors(recordings, [run, run]))) == refused

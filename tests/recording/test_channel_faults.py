@@ -429,3 +429,38 @@ def test_stamps_that_jitter_are_told_from_samples_that_do(evenly: bool) -> None:
         np.testing.assert_array_equal(run.time, run.stamps)
     else:
         np.testing.assert_array_equal(run.time, stamps[kept])
+
+
+@pytest.mark.parametrize("prismatic", [False, True])
+def test_offset_and_noise_of_a_velocity_are_no_motion(columns: Columns, prismatic: bool) -> None:
+    """A servo that reports half a count at rest: its resting encoder is not dead."""
+    draw = np.random.default_rng(5)
+    name = "2" if prismatic else "1"
+    columns[f"q{name}"] = np.full_like(columns["t"], 0.0109)
+    columns[f"qd{name}"] = -0.0073 + 0.0146 * draw.integers(0, 2, len(columns["t"]))
+    columns["ql1"] = columns["q1"]
+    run = cleaned(columns)
+    assert run.usable
+    assert not [fault for fault in run.faults if fault.signal == "position"]
+
+
+def test_a_velocity_with_an_offset_follows_its_position() -> None:
+    """The offset shows where the joint rests; a velocity of another unit still contradicts."""
+    columns = motion()
+    rest = np.repeat([0.0, 1.0], [1000, len(columns["t"])])
+    for name in ("q1", "qd1", "ql1", "tau1", "q2", "qd2", "tau2"):
+        first = 0.0 if name.startswith("qd") else columns[name][0]
+        columns[name] = np.concatenate([np.full(1000, first), columns[name]])
+    columns["t"] = np.arange(len(rest)) * (columns["t"][1] - columns["t"][0])
+    columns["qd1"] = columns["qd1"] + 0.5
+    kinds = {(f.signal, f.kind) for f in cleaned(columns).faults}
+    assert ("velocity", "contradicts position") not in kinds
+    columns["qd1"] = 57.3 * columns["qd1"]
+    kinds = {(f.signal, f.kind) for f in cleaned(columns).faults}
+    assert ("velocity", "contradicts position") in kinds
+
+
+def test_noise_of_two_counts_is_no_saturation(columns: Columns) -> None:
+    draw = np.random.default_rng(6)
+    columns["tau1"] = -0.0396 + 0.0264 * draw.integers(0, 2, len(columns["t"]))
+    assert not [fault for fault in cleaned(columns).faults if fault.kind == "saturated"]

@@ -21,6 +21,7 @@ from stiffopt.discovery.judging.episodes import (
 )
 from stiffopt.discovery.judging.explained_shares import ExtensionPart, MismatchShares
 from stiffopt.discovery.judging.noise_ceiling import BlackBox, NoiseCeiling
+from stiffopt.discovery.judging.refutation import Refutation
 from stiffopt.discovery.prediction import (
     Predictor,
     RunProof,
@@ -47,8 +48,9 @@ class _PredictedRun:
 class HeldOutRuns:
     """Proof of an extended model on held-out runs, as far as these were read.
 
-    `parts`: parts of the findings whose explained shares are calculated. `every`: number of
-    averaged samples, as of the training runs. `known`: residual tracks of the training runs.
+    `parts`: parts of the findings whose explained shares are calculated. `refutation`: of the
+    findings one by one. `every`: number of averaged samples, as of the training runs. `known`:
+    residual tracks of the training runs.
 
     `proofs`: without the contact intervals. `episodes`: contact intervals. `left`, `unusable`:
     files of runs that were not predicted: not yet read, and without a joint's position.
@@ -59,6 +61,7 @@ class HeldOutRuns:
         training: Training,
         found: Extension,
         parts: Sequence[ExtensionPart],
+        refutation: Refutation,
         every: int = 1,
         known: Sequence[ResidualTrack] = (),
     ) -> None:
@@ -68,6 +71,7 @@ class HeldOutRuns:
         self._files: list[str] = []
         self._opened: list[_PredictedRun] = []
         self.shares = MismatchShares(parts)
+        self.refutation = refutation
         self.unusable: list[str] = []
 
     @property
@@ -131,6 +135,7 @@ class HeldOutRuns:
             self._opened.append(_PredictedRun(file=entry.file, proof=proof, episodes=touched))
             say(f"calculate explained shares of {entry.file}")
             self.shares.add(predictor, training.before, self._found, proof)
+            self.refutation.add(predictor, training.before)
             if self._box is not None:
                 self._box.add(predictor, before, after)
 

@@ -390,14 +390,19 @@ class _State:
                     rows = comparison.effect_columns(located) @ candidate.amplitudes
                     price = 0.5 * len(law.shapes) * np.log(len(rows))
                     found.append(_Ranked(candidate.evidence - float(price), law, located, rows))
-        odds = dict(zip(map(id, found), self._log_odds(found), strict=True))
-        width = _evidence_width(found)
+        odds, width = self._log_odds(found), _evidence_width(found)
         kept: list[_Ranked] = []
-        for own in sorted(found, key=lambda each: -odds[id(each)]):
-            if kept and odds[id(kept[0])] - odds[id(own)] >= RIVAL_LOG_ODDS:
+        for number in np.argsort(-odds):
+            own = found[number]
+            if odds.max() - odds[number] >= RIVAL_LOG_ODDS:
                 break
-            if not any(own.is_same_as(other, width) for other in kept):
+            same = [k for k, other in enumerate(kept) if own.is_same_as(other, width)]
+            if not same:
                 kept.append(own)
+            elif own.evidence > kept[same[0]].evidence:
+                # One function within the accuracy of formulas, so that odds do not tell its words
+                # apart; those that fit better continue better beyond the range that was met.
+                kept[same[0]] = own
         return kept
 
     def _log_odds(self, ranked: Sequence[_Ranked]) -> np.ndarray:

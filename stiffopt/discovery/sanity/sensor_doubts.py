@@ -14,6 +14,7 @@ from stiffopt.discovery.sanity.interpretations import DEGREE, MILLIMETRE, Sample
 from stiffopt.discovery.sanity.torque_fit import Motion, fit_gain
 from stiffopt.discovery.settings import MIN_MOVING_SPEED
 from stiffopt.recording.channel import true_intervals
+from stiffopt.recording.channel_faults import MIN_TRAVEL, covered_range
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
 from stiffopt.units import to_si
@@ -78,6 +79,8 @@ def doubt_second_sensors(recordings: RecordingSet, runs: Sequence[RecordedRun]) 
                 seen.setdefault(fault.signal, {}).setdefault(fault.joint, (detail, fault.ratio))
                 where.setdefault(fault.signal, []).append(run.name)
     for signal, joints in seen.items():
+        if signal == "velocity" and _is_poor_velocity(recordings, joints, runs):
+            continue
         names = list(dict.fromkeys(where[signal]))
         alone = len(names) < len(runs)
         noun = "velocity" if signal == "velocity" else "link position"
@@ -94,6 +97,30 @@ def doubt_second_sensors(recordings: RecordingSet, runs: Sequence[RecordedRun]) 
             evidence=limit_to_runs(names, evidence) if alone else evidence,
             line="" if alone else line,
         )
+
+
+def _is_poor_velocity(
+    recordings: RecordingSet,
+    joints: Mapping[int, tuple[str, float | None]],
+    runs: Sequence[RecordedRun],
+) -> bool:
+    """Return True for velocities that are left out alone: no unit or sign corrects any of them.
+
+    Velocities of as many other joints agree, so that units and clock are right; positions are
+    enough where a velocity is poor.
+    """
+    agreeing = {
+        j + 1
+        for run in runs
+        if run.velocity is not None
+        for j in range(run.n)
+        if np.isfinite(run.velocity[:, j]).any()
+        and covered_range(run.position[:, j]) >= 10.0 * MIN_TRAVEL[bool(recordings.prismatic[j])]
+    }
+    explained = [
+        _ratio_line(recordings, "velocity", {joint: ratio}) for joint, (_, ratio) in joints.items()
+    ]
+    return len(agreeing - set(joints)) >= len(joints) and not any(explained)
 
 
 def _ratio_line(recordings: RecordingSet, signal: str, ratios: Mapping[int, float | None]) -> str:

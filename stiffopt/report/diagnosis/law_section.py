@@ -15,7 +15,7 @@ from stiffopt.discovery.diagnosis import Diagnosis, Finding
 from stiffopt.discovery.laws.law import Factor, Law, describe_test, law_of, resembled
 from stiffopt.discovery.laws.sources import LawSource
 from stiffopt.report.common.svg import PALE, WIDTH, figure_style, panels
-from stiffopt.report.common.text import scale
+from stiffopt.report.common.text import listed, scale
 from stiffopt.report.diagnosis import regimes
 from stiffopt.report.diagnosis.values_to_enter import change_words
 from stiffopt.report.diagnosis.words import channel_words
@@ -84,6 +84,7 @@ def _describe_law(diagnosis: Diagnosis, finding: Finding, law: Law) -> LawOnPage
     values = (*finding.estimated.amplitudes, *finding.located.shapes)
     lines = [
         _TARGET_SENTENCES[law.place].format(law.joint + 1),
+        _describe_range(diagnosis, law),
         _describe_share(diagnosis, finding),
         _describe_values(diagnosis, finding),
         f"In words: {law.words}{resembled(law)}.",
@@ -116,6 +117,23 @@ def law_definitions(law: Law) -> tuple[str, ...]:
     past = (f.source.kind for f in law.factors if f.own.has_memory)
     begins = (_HISTORY_DEFINITIONS[kind] for kind in past if kind in _HISTORY_DEFINITIONS)
     return (*signals, *used, *dict.fromkeys(begins))
+
+
+def _describe_range(diagnosis: Diagnosis, law: Law) -> str:
+    """Return the range of each signal of the training runs, in which the law was seen."""
+    runs = diagnosis.search.comparison.runs
+    ranges = []
+    for source in dict.fromkeys(factor.source.origin for factor in law.factors):
+        own = np.concatenate([_signal_of(source, run) for run in runs])
+        ranges.append(
+            f"{source.symbol} from {own.min():.3g} to {own.max():.3g} {source.own.unit}".rstrip()
+        )
+    if not ranges:
+        return ""
+    return (
+        f"The training runs show it for {listed(ranges)}; beyond that range the equation"
+        " extrapolates."
+    )
 
 
 def _describe_share(diagnosis: Diagnosis, finding: Finding) -> str:

@@ -185,6 +185,20 @@ def transfer_sentences(diagnosis: Diagnosis) -> list[str]:
     return found
 
 
+def refutation_sentences(diagnosis: Diagnosis) -> list[str]:
+    """Return a sentence on every finding that held-out runs refute."""
+    found = []
+    for each in diagnosis.findings:
+        ratio = each.held_out_ratio or 0.0
+        if each.certainty == "possible" and ratio > 1.0:
+            found.append(
+                f"Held-out runs refute {each.effect.title} ({place(diagnosis, each.located)}): a"
+                f" model fitted without it leaves {100 * (1.0 - 1.0 / ratio):.0f} % less of their"
+                f" {channel_words(each.channel)}."
+            )
+    return found
+
+
 def _drift_sentence(diagnosis: Diagnosis, each: Drift) -> str:
     unit = joint_unit("N m", diagnosis.training.constants.joints[each.joint].prismatic)
     by_run = listed(

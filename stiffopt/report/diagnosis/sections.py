@@ -93,6 +93,7 @@ def mismatch_lines(diagnosis: Diagnosis) -> list[str]:
         *mismatch.episode_sentences(diagnosis),
         mismatch.noise_ceiling_sentence(diagnosis),
         *mismatch.transfer_sentences(diagnosis),
+        *mismatch.refutation_sentences(diagnosis),
     ]
     return [line for line in lines if line]
 
@@ -103,9 +104,19 @@ def _state_row(each: Statement) -> tuple[str, ...]:
         f"{each.place}: {finding.effect.title}",
         f"{each.probability}, {each.certainty}",
         "\n".join(each.values),
-        f"{100 * finding.variance_explained:.0f} % of {words.channel_words(finding.channel)}",
+        _describe_explained(finding),
         "\n".join(each.rivals) or DASH,
     )
+
+
+def _describe_explained(finding: Finding) -> str:
+    """Return what a finding explains in training runs left out, and in held-out runs."""
+    channel = words.channel_words(finding.channel)
+    text = f"{100 * finding.variance_explained:.0f} % of {channel}"
+    if finding.held_out_ratio is None:
+        return text
+    change = 100.0 * (finding.held_out_ratio - 1.0)
+    return f"{text}\nheld-out residual {change:+.0f} %"
 
 
 def _unstated_row(diagnosis: Diagnosis, own: Sequence[Finding]) -> tuple[str, ...]:

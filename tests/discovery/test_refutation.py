@@ -1,0 +1,57 @@
+"""Findings that held-out runs refute."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from shipped_set import LACKS, SHIPPED
+
+from stiffopt.discovery.diagnose import diagnose
+from stiffopt.discovery.diagnosis import Diagnosis
+from stiffopt.discovery.judging.refutation import _likelihood_of_gain
+from stiffopt.report.diagnosis.mismatch import refutation_sentences
+
+
+def _with_held_out_friction(to: Path, factor: float) -> Path:
+    """Copy the shipped set; held-out runs have a multiple of the friction that its model lacks."""
+    copy = Path(shutil.copytree(SHIPPED, to))
+    (lack,) = LACKS.effects
+    with np.load(copy / "test_1.npz") as stored:
+        signals = dict(stored)
+    signals["tau2"] = signals["tau2"] + (factor - 1.0) * lack.amplitudes[0] * np.sign(
+        signals["qd2"]
+    )
+    np.savez(copy / "test_1.npz", **signals)
+    return copy
+
+
+def _friction_of(diagnosis: Diagnosis) -> float:
+    (found,) = [f for f in diagnosis.findings if f.effect.name == "coulomb" and f.joint == 2]
+    assert found.held_out_ratio is not None
+    return found.probability
+
+
+@pytest.mark.parametrize(("factor", "refutes"), [(1.0, False), (-1.0, True)])
+def test_held_out_runs_refute_friction_that_they_have_the_other_way(
+    tmp_path: Path, factor: float, refutes: bool
+) -> None:
+    """The same training runs give the same finding; with its opposite held out it is not named."""
+    answer = diagnose(_with_held_out_friction(tmp_path / "set", factor), experiment=False)
+    (ratio,) = [f.held_out_ratio for f in answer.findings]
+    assert ratio is not None
+    assert (ratio > 1.0) == refutes
+    assert (_friction_of(answer) < 0.5) == refutes
+    assert (answer.verdict == "named") != refutes
+    assert bool(refutation_sentences(answer)) == refutes
+
+
+def test_likelihood_of_a_loss_falls_with_its_agreement_between_stretches() -> None:
+    assert _likelihood_of_gain(np.array([3.0, -1.0, 2.0])) == 1.0
+    agreed, single = np.array([-3.0, -2.0, -4.0] * 3), np.array([-30.0] + [0.0] * 8)
+    assert _likelihood_of_gain(agreed) < 1e-5
+    assert 0.3 < _likelihood_of_gain(single) < 0.8
+    # The scale says nothing: another channel has another unit.
+    assert _likelihood_of_gain(1e6 * agreed) == pytest.approx(_likelihood_of_gain(agreed))
