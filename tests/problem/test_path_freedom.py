@@ -38,7 +38,7 @@ duration = {{ lower = "0.1 s" }}
 
 [path]
 start = {{ position = ["{x} mm", "-50 mm", "180 mm"], rpy = ["180 deg", 0, 0] }}
-speed = "{speed}"
+speed = "50 mm/s"
 
 [path.freedom]
 {freedom}
@@ -50,7 +50,6 @@ value = ["-15 N", "25 N", "8 N"]
 [[path.segment]]
 type = "lin"
 to = {{ position = ["{x} mm", "50 mm", "180 mm"] }}
-{more}
 
 [[minimise]]
 objective = "duration"
@@ -65,8 +64,9 @@ def choose(tmp_path, monkeypatch):
     def load(freedom, robot="er3a_c60", frame="path", more="", speed="50 mm/s"):
         link, x = ARMS[robot]
         file = tmp_path / "problem.toml"
-        named = {"robot": robot, "link": link, "x": x, "frame": frame, "speed": speed}
-        file.write_text(PROBLEM.format(freedom=freedom, more=more, **named))
+        text = PROBLEM.format(robot=robot, link=link, x=x, freedom=freedom, frame=frame)
+        end = text.index("[[minimise]]")
+        file.write_text(text[:end].replace("50 mm/s", speed).rstrip() + f"\n{more}\n" + text[end:])
         kept = []
 
         def watched(task, near):
