@@ -8,12 +8,19 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from stiffopt.problem.freedom_task import EXCESS_WEIGHT, USED_SHARE, FreedomTask
+from stiffopt.problem.freedom_task import (
+    EXCESS_WEIGHT,
+    USED_SHARE,
+    FreedomTask,
+    path_derivatives,
+)
 
-# Stand-ins for limits that do not exist [rad/s], [rad/s^2].
-_NO_VELOCITY, _NO_ACCELERATION = 1e3, 1e6
+# Stand-ins for limits that do not exist [rad/s], [rad/s^2], [rad/s^3].
+_NO_VELOCITY, _NO_ACCELERATION, _NO_JERK = 1e3, 1e6, 1e9
 # Least scale of a deflection [m] or a time [s].
 _SMALLEST_SCALE = 1e-9
+# Use of a limit below which a programme leaves its row out: rows far below would only slow it.
+_NEAR_USE = 0.3
 # Largest relative change of the squared speed in one programme.
 _SPEED_CHANGE = 0.5
 
@@ -149,8 +156,7 @@ class DeflectionGoal(FreedomGoal):
         high = [-detail]
         for value, slope in zip(self._rates(joints), self._rates(slopes), strict=True):
             flat = slope.reshape(-1, size)
-            # Rows far from their bound would only slow the programme.
-            near = np.abs(value.ravel()) > 0.3
+            near = np.abs(value.ravel()) > _NEAR_USE
             for sign in (1.0, -1.0):
                 tail = np.tile([0.0, -1.0], (int(near.sum()), 1))
                 matrix.append(np.hstack([sign * flat[near], tail]))
@@ -167,23 +173,38 @@ class DeflectionGoal(FreedomGoal):
 
 
 class TimeGoal(FreedomGoal):
-    """Least time on the path by its squared rate at the nodes, at rest at both ends.
+    """Least time on the path by its squared speed b at the nodes, at rest at ends and stops.
 
-    With the number of the node as path parameter s and b its squared rate: the joints' velocity is
-    q' sqrt(b), their acceleration q'' b + q' b' / 2.
+    With the distance s: the joints' velocity is q' sqrt(b), their acceleration q'' b + q' b' / 2;
+    of their jerk, q''' b^(3/2) counts, which blends and turns ask for.
     """
+
+    def __init__(self, task: FreedomTask, scale: float) -> None:
+        super().__init__(task, scale)
+        self._lengths = np.diff(task.along)
+        jerk = task.limits.jerk
+        self._jerk = USED_SHARE * np.where(np.isfinite(jerk), jerk, _NO_JERK)
+        self._cap = _at_both_nodes((self._lengths / np.maximum(task.least_steps, 1e-9)) ** 2)
+        rests = [0, len(task.along) - 1]
+        rests += [int(np.argmin(np.abs(task.along - stop))) for stop in task.path.stops]
+        self._cap[rests] = 0.0
 
     def _evaluate(
         self, joints: np.ndarray, placement: np.ndarray, turns: np.ndarray, data: np.ndarray
     ) -> tuple[float, np.ndarray]:
-        """Return the relative time, and the squared rates (K,)."""
-        ceiling, rows = self._rate_rows(joints)
-        count = len(joints)
+        """Return the relative time, and the squared speeds (K,)."""
+        slope, bend, twist = path_derivatives(self._task.along, joints)
+        with np.errstate(divide="ignore"):
+            own = np.min((self._velocity / np.abs(slope)) ** 2, axis=1)
+            jerky = np.min(np.cbrt((self._jerk / twist) ** 2), axis=1)
+        ceiling = np.minimum(self._cap, _at_both_nodes(np.minimum(own, jerky)))
+        rows = self._acceleration_rows(slope, bend)
+        weights = np.append(self._lengths, 0.0) + np.append(0.0, self._lengths)
         found = scipy.optimize.linprog(
-            -np.ones(count) / np.maximum(ceiling.max(), 1e-12),
-            A_ub=np.vstack([rows, -rows]),
-            b_ub=np.ones(2 * len(rows)),
-            bounds=np.stack([np.zeros(count), ceiling], axis=1),
+            -weights / np.maximum(ceiling.max(), 1e-12),
+            A_ub=scipy.sparse.vstack([rows, -rows]),
+            b_ub=np.ones(2 * rows.shape[0]),
+            bounds=np.stack([np.zeros(len(joints)), ceiling], axis=1),
             method="highs",
         )
         rates = np.clip(found.x, 0.0, None)
@@ -191,74 +212,72 @@ class TimeGoal(FreedomGoal):
 
     def _time(self, rates: np.ndarray) -> float:
         root = np.sqrt(rates)
-        return float(np.sum(2.0 / np.maximum(root[1:] + root[:-1], 1e-9)))
+        return float(np.sum(2.0 * self._lengths / np.maximum(root[1:] + root[:-1], 1e-9)))
 
-    def _rate_rows(self, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return ceilings (K,) of the squared rate, and rows |A b| <= 1 of the accelerations."""
-        count = len(joints)
-        step, bend = np.diff(joints, axis=0), np.diff(joints, 2, axis=0)
-        with np.errstate(divide="ignore"):
-            own = np.minimum(
-                np.min((self._velocity / np.abs(step)) ** 2, axis=1),
-                1.0 / np.maximum(self._task.least_steps, 1e-9) ** 2,
-            )
-        ceiling = np.minimum(np.append(own, np.inf), np.append(np.inf, own))
-        ceiling[[0, -1]] = 0.0
-        rows = np.zeros((count - 1, joints.shape[1], count))
-        k = np.arange(count - 1)
-        middle = step / self._acceleration
-        rows[k, :, k] -= 0.5 * middle
-        rows[k, :, k + 1] += 0.5 * middle
-        curved = np.vstack([bend[:1], 0.5 * (bend[1:] + bend[:-1]), bend[-1:]]) / self._acceleration
-        for end in (0, 1):
-            rows[k, :, k + end] += 0.5 * curved
-        return ceiling, rows.reshape(-1, count)
+    def _acceleration_rows(self, slope: np.ndarray, bend: np.ndarray) -> scipy.sparse.csr_matrix:
+        """Rows |A b| <= 1 of the accelerations, joint by joint, of derivatives (K - 1, n)."""
+        count = len(slope)
+        blocks = []
+        for j, limit in enumerate(self._acceleration):
+            ramp, steady = 0.5 * slope[:, j] / self._lengths, 0.5 * bend[:, j]
+            bands = [(steady - ramp) / limit, (steady + ramp) / limit]
+            blocks.append(scipy.sparse.diags(bands, [0, 1], shape=(count, count + 1)))
+        return scipy.sparse.vstack(blocks, format="csr")
 
     def rows(
         self, joints: np.ndarray, slopes: np.ndarray, detail: np.ndarray, squares: np.ndarray
     ) -> GoalRows:
-        """Linearised limits of step and squared rate."""
-        count, n, size = slopes.shape
-        _, rows = self._rate_rows(joints)
-        rates, unit = detail, float(detail.max())
-        # Change of the accelerations with the joints, at the present rates.
-        turned = np.zeros((len(rows), size))
-        for y in range(size):
-            _, moved = self._rate_rows(slopes[:, :, y])
-            turned[:, y] = moved @ rates
-        value = rows @ rates
+        """Linearised limits of step and squared speed."""
+        along, size = self._task.along, slopes.shape[2]
+        rates, unit, count = detail, float(detail.max()), len(joints) - 1
+        slope, bend, twist = path_derivatives(along, joints)
+        moved = path_derivatives(along, slopes)
         own = 0.5 * (rates[1:] + rates[:-1])
-        step, slope = np.diff(joints, axis=0), np.diff(slopes, axis=0)
-        # |q'| sqrt(b) <= v as q'^2 b <= v^2, relative.
-        square = 2.0 * step[:, :, None] * slope * own[:, None, None]
-        square /= self._velocity[None, :, None] ** 2
-        by_rate = step**2 / self._velocity**2
-        fast = np.zeros((count - 1, n, count))
-        k = np.arange(count - 1)
-        fast[k, :, k] = fast[k, :, k + 1] = 0.5 * by_rate
-        used = (by_rate * own[:, None]).ravel()
-        matrix = np.vstack(
-            [
-                np.hstack([turned, rows * unit]),
-                np.hstack([square.reshape(-1, size), fast.reshape(-1, count) * unit]),
-            ]
+        ramp = 0.5 * np.diff(rates) / self._lengths
+        turned = moved[0] * ramp[:, None, None] + moved[1] * own[:, None, None]
+        turned = (turned / self._acceleration[:, None]).swapaxes(0, 1).reshape(-1, size)
+        by_rate = self._acceleration_rows(slope, bend)
+        parts = [(sign * turned, sign * by_rate, sign * (by_rate @ rates)) for sign in (1.0, -1.0)]
+        # |q'| sqrt(b) <= v as q'^2 b <= v^2, and |q'''| b^(3/2) <= J as its power of 2/3.
+        mean = scipy.sparse.diags([0.5, 0.5], [0, 1], shape=(count, count + 1)).tocsr()
+        for values, changes, limit, power in (
+            (slope, moved[0], self._velocity, 2.0),
+            (twist, moved[2], self._jerk, 2.0 / 3.0),
+        ):
+            share = (np.abs(values) / limit) ** power
+            used = (share * own[:, None]).T.ravel()
+            with np.errstate(divide="ignore", invalid="ignore"):
+                factor = power * used / values.T.ravel()
+            turned = factor[:, None] * changes.swapaxes(0, 1).reshape(-1, size)
+            by_rate = scipy.sparse.vstack([mean.multiply(each[:, None]) for each in share.T])
+            parts.append((turned, by_rate.tocsr(), used))
+        near = [value > _NEAR_USE for _, _, value in parts]
+        bound = np.concatenate(
+            [1.0 - value[rows] for (_, _, value), rows in zip(parts, near, strict=True)]
         )
-        feed = np.append(self._task.least_steps, np.inf), np.append(np.inf, self._task.least_steps)
-        cap = 1.0 / np.maximum(np.minimum(*feed), 1e-9) ** 2
-        cap[[0, -1]] = 0.0
         root = np.sqrt(np.maximum(rates, 1e-12 * unit))
-        pairs = (root[1:] + root[:-1]) ** 2
-        slow = -(np.append(1.0 / pairs, 0.0) + np.append(0.0, 1.0 / pairs)) / root
-        slow[[0, -1]] = 0.0
+        pairs = self._lengths / (root[1:] + root[:-1]) ** 2
+        slow = -(np.append(pairs, 0.0) + np.append(0.0, pairs)) / root
+        slow[self._cap == 0.0] = 0.0
         return GoalRows(
-            matrix,
-            np.concatenate([-1.0 - value, np.full(len(used), -np.inf)]),
-            np.concatenate([1.0 - value, 1.0 - used]),
+            np.concatenate(
+                [
+                    np.hstack([turned[rows], unit * by_rate[rows].toarray()])
+                    for (turned, by_rate, _), rows in zip(parts, near, strict=True)
+                ]
+            ),
+            np.full(len(bound), -np.inf),
+            bound,
             slow * unit / self._scale,
             -_SPEED_CHANGE * rates / unit,
-            np.minimum(_SPEED_CHANGE * rates, np.maximum(cap - rates, 0.0)) / unit,
+            np.minimum(_SPEED_CHANGE * rates, np.maximum(self._cap - rates, 0.0)) / unit,
         )
 
     def value(self, detail: np.ndarray) -> float:
         """Return the time [s]."""
         return self._time(detail)
+
+
+def _at_both_nodes(values: np.ndarray) -> np.ndarray:
+    """Return at nodes (K,) the smaller of the values (K - 1,) of the steps beside them."""
+    return np.asarray(np.minimum(np.append(values, np.inf), np.append(np.inf, values)))

@@ -18,7 +18,7 @@ import scipy
 from stiffopt.errors import ProblemError
 from stiffopt.problem.freedom_goals import DeflectionGoal, FreedomGoal, TimeGoal
 from stiffopt.problem.freedom_scan import PathCandidate, refine_candidate, scan_candidates
-from stiffopt.problem.freedom_task import FreedomTask
+from stiffopt.problem.freedom_task import POSE_JOINTS, FreedomTask
 from stiffopt.problem.path_freedom import FreedomChoice, TurnBasis
 from stiffopt.problem.pose_following import MIN_CONDITION
 
@@ -33,8 +33,6 @@ _CONE_SIDES = 32
 _LEAST_CONDITION = 5.0 * MIN_CONDITION
 # Excess of a holding torque from which it bounds a step: rows far below would only slow it.
 _NEAR_EXCESS = -0.3
-# Joints that a pose fixes.
-_POSE_JOINTS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,16 +209,13 @@ class _Search:
         cone, allowed = self._cone_rows(y)
         matrix = np.vstack([matrix, np.hstack([cone, np.zeros((len(cone), extra))])])
         low, high = np.append(low, np.full(len(cone), -np.inf)), np.append(high, allowed)
-        solver = ca.conic(
-            "step",
-            "daqp",
-            {"h": ca.Sparsity.dense(*curvature.shape), "a": ca.Sparsity.dense(*matrix.shape)},
-            {"error_on_fail": False},
-        )
+        quadratic, linear = (ca.DM(scipy.sparse.csc_matrix(each)) for each in (curvature, matrix))
+        shapes = {"h": quadratic.sparsity(), "a": linear.sparsity()}
+        solver = ca.conic("step", "piqp", shapes, {"error_on_fail": False})
         found = solver(
-            h=ca.DM(curvature),
+            h=quadratic,
             g=gradient,
-            a=matrix,
+            a=linear,
             lba=low,
             uba=high,
             lbx=np.concatenate([lower, rows.lower]),
@@ -319,7 +314,7 @@ class _Search:
 def _free_joints(task: FreedomTask, candidate: PathCandidate) -> np.ndarray:
     """Return the joints beyond six whose motion is free, so that the others fix the pose best."""
     n = task.robot.n
-    if n <= _POSE_JOINTS:
+    if n <= POSE_JOINTS:
         return np.zeros(0, dtype=int)
     count = len(candidate.joints)
     placement, turns = (
@@ -334,4 +329,4 @@ def _free_joints(task: FreedomTask, candidate: PathCandidate) -> np.ndarray:
         kept = np.delete(whole, free, axis=2)
         return float(np.linalg.svd(kept, compute_uv=False)[:, -1].min())
 
-    return np.array(max(combinations(range(n), n - _POSE_JOINTS), key=worst))
+    return np.array(max(combinations(range(n), n - POSE_JOINTS), key=worst))

@@ -27,8 +27,12 @@ from stiffopt.symbolic import Quantity
 USED_SHARE = 0.9
 # Relative cost of a holding torque above that share, over the excess: more than any excess gains.
 EXCESS_WEIGHT = 100.0
+# Joints that a pose fixes.
+POSE_JOINTS = 6
 # A scan takes each fourth node.
 SCAN_STRIDE = 4
+# Nodes per turn of the feed [1/rad], four in a right angle, and how many at most.
+_NODES_PER_TURN, _MOST_TURN_NODES = 16.0 / np.pi, 240
 # Residual at which a pose counts as found [m].
 _SOLVED_RESIDUAL = 1e-8
 # Entries of a node's data: position, rotation, force, rows of the error's directions.
@@ -89,7 +93,16 @@ class FreedomTask:
         length = self.path.length
         # Nodes of a scan are 20 mm apart, within bounds of their number.
         scanned = int(np.clip(np.ceil(length / 0.02), 6, 30))
-        return np.linspace(0.0, length, SCAN_STRIDE * scanned + 1)
+        even = np.linspace(0.0, length, SCAN_STRIDE * scanned + 1)
+        if self.minimises_error:
+            return even
+        # The least time is decided where the path turns: further nodes in proportion to the turn.
+        place, turned = self.path.turn_of_feed()
+        more = min(_NODES_PER_TURN * turned[-1], _MOST_TURN_NODES)
+        share = np.interp(place, even, np.arange(len(even)))
+        share += more * turned / max(turned[-1], 1e-12)
+        count = SCAN_STRIDE * int(np.ceil(share[-1] / SCAN_STRIDE))
+        return np.asarray(np.interp(np.linspace(0.0, share[-1], count + 1), share, place))
 
     @cached_property
     def basis(self) -> TurnBasis:
@@ -286,8 +299,13 @@ class FreedomTask:
         least = np.diff(np.interp(nodes, self.along, elapsed))
         needed = np.max(np.abs(np.diff(joints, axis=1)) / self.limits.velocity, axis=2)
         if not self.minimises_error:
-            bent = np.abs(np.diff(joints, n=2, axis=1)) / self.limits.acceleration
-            needed[:, 1:] = np.maximum(needed[:, 1:], np.sqrt(bent.max(axis=2)))
+            _, bend, twist = path_derivatives(nodes, joints.swapaxes(0, 1))
+            for values, limit, power in (
+                (bend, self.limits.acceleration, 1.0 / 2.0),
+                (twist, self.limits.jerk, 1.0 / 3.0),
+            ):
+                slowest = np.max(np.abs(values) / limit, axis=2).T ** power
+                needed = np.maximum(needed, np.diff(nodes) * slowest)
             return np.maximum(needed, least).sum(axis=1), excess
         error = self.errors(flat, placement, turns, data)
         slowing = np.maximum(1.0, np.max(needed / least, axis=1))
@@ -345,3 +363,18 @@ def _rotation_of_vector(vector: Quantity) -> Quantity:
         + ca.sin(angle) / angle * cross
         + (1.0 - ca.cos(angle)) / square * ca.mtimes(cross, cross)
     )
+
+
+# First, second and third derivative (K - 1, ...) by the distance.
+Derivatives = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def path_derivatives(along: np.ndarray, joints: np.ndarray) -> Derivatives:
+    """Return three derivatives (K - 1, ...) by the distance (K,) [m] in each step, of (K, ...)."""
+    step = np.diff(along).reshape((-1,) + (1,) * (joints.ndim - 1))
+    slope = np.diff(joints, axis=0) / step
+    inner = np.diff(slope, axis=0) / (0.5 * (step[1:] + step[:-1]))
+    bend = np.concatenate([inner[:1], 0.5 * (inner[1:] + inner[:-1]), inner[-1:]])
+    twist = np.zeros_like(slope)
+    twist[1:-1] = np.diff(inner, axis=0) / step[1:-1]
+    return slope, bend, twist

@@ -15,7 +15,7 @@ from stiffopt.errors import InputFileError, ProblemError
 from stiffopt.files import read_table
 from stiffopt.problem.branches import middle_of_ranges, within_limits
 from stiffopt.problem.freedom_choice import choose_freedom
-from stiffopt.problem.freedom_task import FreedomTask
+from stiffopt.problem.freedom_task import POSE_JOINTS, FreedomTask
 from stiffopt.problem.joint_lists import JointLists
 from stiffopt.problem.limit import Limits
 from stiffopt.problem.path_force import (
@@ -115,6 +115,12 @@ def read_tool_path(
         if section.freedom is None:
             fitted = fit_tool_path(within_limits(robot, limits), path, near, section.tolerance)
             chosen = (fitted.remark,) if fitted.remark else ()
+            if robot.n > POSE_JOINTS:
+                chosen += (
+                    f"The arm has {robot.n} joints, and a pose fixes {POSE_JOINTS}: from pose to "
+                    "pose they turn as little as possible. [path.freedom] chooses them for the "
+                    "least error or time.",
+                )
         else:
             stated = _force_along(path, section.force, forces, at)
             axes = "path" if section.force is None else section.force.frame

@@ -21,6 +21,7 @@ from stiffopt.problem.tool_path import ToolPath
 from stiffopt.result.joint_path import JointPath
 from stiffopt.robot.batched_kinematics import tool_jacobians
 from stiffopt.robot.robot import Robot
+from stiffopt.units import joint_unit
 
 ForceFrame = Literal["base", "tool", "path"]
 
@@ -120,11 +121,13 @@ def check_path_force(
     """
     forces = force(force.place, np.full(len(force.place), feed))
     size = np.linalg.norm(forces, axis=1)
-    # Force [N] over which an entry is taken for one in another unit: N for kN gives a thousandth.
-    if size.max() < 0.05 and size.max() > 0.0:
+    # Force [N] below which an entry is taken for one in another unit: a thousandth of 500 N, by N
+    # for kN. As a force it would deflect an arm of 0.1 N/µm by 5 µm.
+    if size.max() < 0.5 and size.max() > 0.0:
         raise ProblemError(
             f"path.force: the largest force on the path is {size.max():.3g} N, which moves no "
-            "tool. Bare numbers are in N: was kN meant? Then write texts such as '0.1 kN'."
+            "tool measurably. Bare numbers are in N: was kN meant? Then write texts such as "
+            "'0.1 kN'."
         )
     _, jacobians = tool_jacobians(robot.tree, robot.tool, joints(force.place))
     torque = np.abs(np.einsum("kij,ki->kj", jacobians, forces)) / robot.torque_max
@@ -132,11 +135,18 @@ def check_path_force(
     # Torque of a force over a joint's limit from which the force is wrong by its unit or frame.
     if torque[k, j] > 1.0:
         along = float(force.place[k]) * length
+        unit = joint_unit("N m", bool(robot.prismatic[j]))
+        estimated = {(each.joint, each.key) for each in robot.estimated()}
+        guessed = (
+            ", which the robot file marks as estimated: state the arm's own torque_max there"
+            if (robot.joint_names[j], "torque_max") in estimated
+            else ""
+        )
         raise ProblemError(
             f"path.force: {size[k]:.4g} N in {name(along)}, {1e3 * along:.4g} mm from the start of "
             f"the path, alone take {torque[k, j]:.3g} times the torque limit of "
-            f"{robot.joint_names[j]}. Check its unit (bare numbers are in N) and its frame (base, "
-            "tool or path)."
+            f"{robot.joint_names[j]}, {robot.torque_max[j]:.4g} {unit}{guessed}. Check the force's "
+            "unit (bare numbers are in N) and its frame (base, tool or path)."
         )
 
 

@@ -54,7 +54,8 @@ def follow_path(
         f"path: no posture follows it to its end at {breaks[-1]:.3f} m; of {len(ends)} tried from "
         f"its start, {describe_posture(robot, far.start)} comes farthest. It ends after "
         f"{far.place:.3f} m: {far.cause} Move or turn the path, leave freedom to it by "
-        "[path.freedom], or state another posture by path.near."
+        "[path.freedom], or state another posture by path.near. A posture is kept at stops too: "
+        "parts that need different ones are problems of their own, with a move between."
     ) from far
 
 

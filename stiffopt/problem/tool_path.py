@@ -24,6 +24,8 @@ from stiffopt.robot.robot import Robot
 
 # Shorter segments have no direction [m].
 _MIN_LENGTH = 1e-6
+# Samples of each piece of a path, by which the turn of its feed is known.
+_TURN_SAMPLES = 16
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -143,6 +145,19 @@ class ToolPath:
             places[own] = self._pieces[k].at(inside[own] - self.breaks[k])
         return places, self._turns(inside)
 
+    def turn_of_feed(self) -> tuple[np.ndarray, np.ndarray]:
+        """Distances (K,) [m], and how far the direction of the feed has turned there (K,) [rad]."""
+        # Blends, however short, are sampled like whole segments.
+        shares = np.arange(_TURN_SAMPLES) / _TURN_SAMPLES
+        inside = self.breaks[:-1, None] + shares * np.diff(self.breaks)[:, None]
+        along = np.append(inside.ravel(), self.length)
+        steps = np.diff(self.stated_poses(along)[0], axis=0)
+        ways = steps / np.maximum(np.linalg.norm(steps, axis=1), 1e-300)[:, None]
+        turn = np.arccos(np.clip(np.sum(ways[1:] * ways[:-1], axis=1), -1.0, 1.0))
+        # A corner turns half before its place and half after it.
+        shared = 0.5 * (np.append(turn, 0.0) + np.append(0.0, turn))
+        return along, np.concatenate([[0.0], np.cumsum(shared)])
+
     def parts(self) -> list[tuple[float, float]]:
         """Ranges between stops [m]."""
         return list(pairwise([0.0, *self.stops.tolist(), self.length]))
@@ -238,8 +253,7 @@ def spline_segments(
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     for k in np.flatnonzero(~(steps > _MIN_LENGTH)):
         raise ProblemError(
-            f"{names[int(k) + 1]} repeats the point before,"
-            f" [{', '.join(f'{x:.6g}' for x in points[k])}] m. Delete it."
+            f"{names[int(k) + 1]} repeats the point before, {_coordinates(points[k])}. Delete it."
         )
     found = []
     ends = [0, *np.flatnonzero(stops[1:-1]) + 1, len(points) - 1]
@@ -327,12 +341,19 @@ def fit_tool_path(
     return FittedPath(joints, worst, remark)
 
 
+def _coordinates(point: np.ndarray) -> str:
+    return f"[{', '.join(f'{x:.6g}' for x in point)}] m"
+
+
 def _segment_curve(start: np.ndarray, segment: ToolSegment, where: str) -> ToolCurve:
     """Return the curve of a segment from its start."""
     if segment.curve is not None:
         return segment.curve
     if not np.linalg.norm(segment.end - start) > _MIN_LENGTH:
-        raise ProblemError(f"{where} ends where it begins. Give another end.")
+        raise ProblemError(
+            f"{where} ends where it begins, at {_coordinates(start)}. Give another end, or delete "
+            "it."
+        )
     if segment.through is None:
         return Line(start, np.asarray(segment.end, dtype=float))
     return Arc.through(start, segment.through, segment.end, where)

@@ -171,5 +171,7 @@ def test_page_of_a_cycle_without_a_motion_says_why(tmp_path):
     found = CycleSolution(status=SolveStatus.ITERATION_LIMIT, message="stalled in leg 1",
                           title="a cycle", legs=(leg,), objective=None)  # fmt: skip
     page = write_cycle_report(None, found, tmp_path).read_text()
-    assert "stalled in leg 1" in page
+    assert page.count("stalled in leg 1") == 1
+    assert "No usable motion of the whole cycle: iteration limit in leg to pick" in page
+    assert "cycle time" not in page
     assert "<figure" not in page

@@ -1,13 +1,19 @@
 """Process force along a path: frames, segments, feed, tables, and implausible forces."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from stiffopt.command.force_compensation import force_lead
-from stiffopt.errors import InputError
+from stiffopt.errors import InputError, ProblemError
 from stiffopt.path.timed_path import timed_motion
 from stiffopt.problem.files import load_problem
-from stiffopt.problem.path_force import ProcessDeflection
+from stiffopt.problem.path_force import PathForce, ProcessDeflection, check_path_force
+from stiffopt.result.joint_path import JointPath
+from stiffopt.robot.robot import Source
+
+FRAMES = np.repeat(np.eye(3)[None], 2, axis=0)
 
 PROBLEM = """schema = 1
 kind = "trajectory"
@@ -133,12 +139,28 @@ def test_table_has_forces_at_its_rows(tmp_path):
     [
         ('value = [0.0, 0.0, "40 kN"]', r"in path\.segment\[\d\], .* mm .* torque limit of joint_"),
         ("value = [0.0, 0.0, 0.04]", "was kN meant"),
+        ("value = [0.0, 0.0, 0.4]", "was kN meant"),
         ('value = [0.0, 0.0, 40.0]\nframe = "world"', "frame"),
     ],
 )
 def test_implausible_forces_are_told_with_their_place(tmp_path, force, words):
     with pytest.raises(InputError, match=words):
         load(tmp_path, force)
+
+
+def test_estimated_torque_limits_are_told_beside_the_force(tmp_path):
+    robot = load(tmp_path, "value = [0.0, 0.0, 10.0]").robot
+    ends = np.array([robot.position_lower, robot.position_upper]) / 4.0
+    force = PathForce(np.array([0.0, 1.0]), np.full((2, 3), 5e3), np.zeros((2, 3)), FRAMES)
+    estimated = replace(
+        robot,
+        sources=[Source(name, "", "torque_max", "estimated", "") for name in robot.joint_names],
+    )
+    stated = replace(robot, sources=[])
+    for arm, told in ((stated, False), (estimated, True)):
+        with pytest.raises(ProblemError, match="N m") as caught:
+            check_path_force(arm, JointPath.through(ends), force, 0.0, 1.0, lambda _: "row 1")
+        assert ("marks as estimated" in str(caught.value)) is told
 
 
 SIDEWAYS = """value = [0.0, 10.0, 5.0]

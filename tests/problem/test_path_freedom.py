@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from stiffopt.certificate.assess import joint_windup
 from stiffopt.certificate.rigid_body import rigid_body_history
 from stiffopt.errors import InputError
+from stiffopt.path.path_timing import fastest_timing
 from stiffopt.problem import freedom_choice, freedom_programme
 from stiffopt.problem.branches import solutions_of_pose
 from stiffopt.problem.files import load_problem
@@ -60,10 +61,12 @@ ARMS = {"er3a_c60": ("link_6", 330), "ur10": ("flange", 600)}
 def choose(tmp_path, monkeypatch):
     """Load a problem with a freedom; return it, its task and the optima, best first."""
 
-    def load(freedom, robot="er3a_c60", frame="path"):
+    def load(freedom, robot="er3a_c60", frame="path", more="", speed="50 mm/s"):
         link, x = ARMS[robot]
         file = tmp_path / "problem.toml"
-        file.write_text(PROBLEM.format(robot=robot, link=link, x=x, freedom=freedom, frame=frame))
+        text = PROBLEM.format(robot=robot, link=link, x=x, freedom=freedom, frame=frame)
+        end = text.index("[[minimise]]")
+        file.write_text(text[:end].replace("50 mm/s", speed).rstrip() + f"\n{more}\n" + text[end:])
         kept = []
 
         def watched(task, near):
@@ -194,6 +197,29 @@ def test_deflection_normal_to_the_face_alone_is_minimised(choose):
     still = np.zeros((6, len(joints)))
     other = task.errors(joints, still, angles, task.node_data(task.along)).max()
     assert axial[0].value < 0.98 * other
+
+
+def test_time_goal_sees_blends_and_the_jerk_that_they_ask_for(choose):
+    corner = """blend = "3 mm"
+
+[[path.segment]]
+type = "lin"
+to = { position = ["350 mm", "50 mm", "180 mm"] }
+blend = "3 mm"
+
+[[path.segment]]
+type = "lin"
+to = { position = ["350 mm", "-50 mm", "180 mm"] }
+"""
+    freedom = 'tool_axis_rotation = "20 deg"\nposture = "near"\nminimise = "duration"'
+    problem, task, _ = choose(freedom, more=corner, speed="1 m/s")
+    goal = TimeGoal(task, 1.0)
+    joints = problem.path(task.along / task.path.length)
+    unmoved = np.zeros((6, len(joints)))
+    time, _ = goal.evaluate(joints, unmoved, unmoved[:3], task.node_data(task.along))
+    timed = fastest_timing(problem.robot, problem.active_limits, problem.path)
+    # Steps of the jerk at ends and between the nodes are not seen.
+    assert time == pytest.approx(timed.duration, rel=0.15)
 
 
 def test_time_goal_is_that_of_one_joint_with_limited_acceleration(choose):

@@ -116,5 +116,6 @@ position_upper = [0.1, 1.5, 1.5, 3.1, 1.9, 6.2]
 [[minimise]]
 objective = "duration"
 """)
-    with pytest.raises(InputError, match=r"comes farthest.*joint_1 at its upper limit 0\.1"):
+    words = r"comes farthest.*joint_1 at its upper limit 0\.1.*kept at stops"
+    with pytest.raises(InputError, match=words):
         load_problem(path)

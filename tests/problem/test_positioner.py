@@ -64,6 +64,7 @@ def test_tool_follows_the_path_on_the_table(load):
     np.testing.assert_allclose(places[:, 2], 0.2, atol=5e-5)
     table = problem.robot.joint_names.index("turn")
     assert np.ptp(q[:, table]) > 0.1
+    assert any("7 joints, and a pose fixes 6" in note for note in problem.remarks)
 
 
 def test_tool_speed_is_relative_to_the_work(load):

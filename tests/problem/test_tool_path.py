@@ -107,7 +107,7 @@ def test_tangential_segments_need_no_blend():
 @pytest.mark.parametrize(
     ("segment", "words"),
     [
-        (ToolSegment(end=ORIGIN), "ends where it begins"),
+        (ToolSegment(end=ORIGIN), r"ends where it begins, at \[.*\] m.*delete it"),
         (ToolSegment(end=X, through=0.5 * X), "lie on a line"),
     ],
 )

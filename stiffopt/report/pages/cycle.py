@@ -27,7 +27,9 @@ DUTY_HEAD = ("joint", "rms torque", "peak torque", "peak speed", "mean speed", "
 def headline(solution: CycleSolution) -> str:
     """Return time and objective of the cycle in words."""
     if solution.objective is None:
-        return f"{words(solution.status)}: {solution.message}"
+        failed = [leg for leg in solution.legs if not leg.solution.status.usable]
+        where = f": {words(failed[0].solution.status)} in leg {failed[0].name}" if failed else ""
+        return f"no usable motion of the whole cycle{where}"
     value = solution.objective
     text = f"cycle of {si(solution.duration, 's', 4)}"
     if value.name != "duration":
