@@ -17,15 +17,14 @@ from stiffopt.closed_loop.simulation import (
     simulate_stretches,
 )
 
-# Iterations at most, and the decrease of the squared deviations that ends them: expected of a step
-# of the least damping, or reached.
+# Iterations at most, and the decrease of the squared deviations that ends them: expected of a step,
+# or reached.
 _MAX_ITERATIONS, _LEAST_DECREASE = 24, 0.1
-# Levenberg-Marquardt damping over the curvature: at first, and least after a step that failed; and
-# at most. It vanishes with steps that succeed: what stated values alone tell, as the scale of all
-# torques, has a curvature far below that of the motion, and any damping by the latter holds it.
-# Where no stated value tells that scale, it is held so: what a simulation does not follow exactly
-# would drag it.
-_FIRST_DAMPING, _LARGEST_DAMPING = 1e-3, 1e6
+# Levenberg-Marquardt damping over the curvature: at first, and least after a step that failed. It
+# vanishes with steps that succeed: what stated values alone tell, as the scale of all torques, has
+# a curvature far below that of the motion, and any damping by the latter holds it. Where no stated
+# value tells that scale, it is held so: what a simulation does not follow exactly would drag it.
+_FIRST_DAMPING = 1e-3
 # Duration of all runs that the leading parameters are fitted to, and that scores read, times joints
 # [s].
 LEADING_SECONDS = 40.0
@@ -46,6 +45,8 @@ class Polished:
 
     parameters: Parameters
     deviations: np.ndarray  # (p,) one standard deviation of each; 0 of those that were not fitted
+    # (p,) the same if nothing but the encoders' noise were left.
+    attainable: np.ndarray
     # (n,) root mean square of the positions' residual in the training runs [rad].
     residual: np.ndarray
     # (n,) standard deviation of the encoders' noise [rad]; nan of readings that never change.
@@ -134,12 +135,15 @@ class LoopFit:
     def polish(self, start: Parameters, say: Callable[[str], object]) -> Polished:
         """Return the fit that begins with some parameters."""
         current, point = self.descend(start, self.evaluate(start).require_bounded(), say)
-        spread, expected = np.zeros((2, len(start.values)))
+        spread, expected, attainable = np.zeros((3, len(start.values)))
         covariance, discretisation = self.covariance(current, point)
         if not (np.diag(covariance) > 0.0).all():  # derivatives that grow without bound
             raise FloatingPointError("the simulation diverges")
-        current, covariance = self._share_delay(current, covariance)
         noise = self.encoder_noise(point)
+        known = np.maximum(np.hypot(np.nan_to_num(noise), discretisation), 1e-9)
+        curvature, _ = self._normal_equations(current, point, known)
+        attainable[self.places] = self._size * np.sqrt(np.diag(np.linalg.inv(curvature)))
+        current, covariance = self._share_delay(current, covariance)
         # A controller reads its encoder: a deadband within its noise is none.
         least = np.zeros(len(start.values))
         least[start.place("deadband")] = np.nan_to_num(noise) ** 2
@@ -149,6 +153,7 @@ class LoopFit:
         return Polished(
             parameters=current,
             deviations=spread,
+            attainable=attainable,
             residual=np.sqrt(np.nanmean(point.residual**2, axis=0)),
             noise=noise,
             discretisation=discretisation,
@@ -287,22 +292,18 @@ class LoopFit:
             say(f"simulate from commands: step {number + 1}, residual {largest:.2f} mrad")
             noise = self.noise(point)
             hessian, gradient = self._normal_equations(parameters, point, noise)
-            best = self._moved(parameters, hessian, gradient, self._least_damping)
-            step = (best.values - parameters.values)[self.places] / self._size
-            if -step @ (2.0 * gradient + hessian @ step) < _LEAST_DECREASE:
-                break
             decrease = 0.0
-            while damping < _LARGEST_DAMPING and decrease <= 0.0:
+            while decrease <= 0.0:
                 moved = self._moved(parameters, hessian, gradient, damping)
-                ahead = self.evaluate(moved)
-                decrease = self._decrease(parameters, moved, point, ahead, noise)
+                step = (moved.values - parameters.values)[self.places] / self._size
+                if -step @ (2.0 * gradient + hessian @ step) < _LEAST_DECREASE:
+                    return parameters, point
+                decrease = self._decrease(parameters, moved, point, self.simulate(moved), noise)
                 if decrease > 0.0:
                     damping = max(0.1 * damping, self._least_damping)
                 else:
                     damping = max(10.0 * damping, _FIRST_DAMPING)
-            if decrease <= 0.0:
-                break
-            parameters, point = moved, ahead
+            parameters, point = moved, self.evaluate(moved).require_bounded()
             if decrease < _LEAST_DECREASE:
                 break
         return parameters, point
