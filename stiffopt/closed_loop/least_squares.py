@@ -108,6 +108,11 @@ class SimulatedPoint:
         return self
 
 
+def _size(point: SimulatedPoint) -> np.ndarray:
+    """Return the root mean square (n,) of the residuals, not zero."""
+    return np.maximum(np.sqrt(np.nanmean(point.residual**2, axis=0)), 1e-9)
+
+
 class LoopFit:
     """Normal equations of a fit in units of the prior's deviations.
 
@@ -263,6 +268,10 @@ class LoopFit:
 
     def noise(self, point: SimulatedPoint) -> np.ndarray:
         """Return the standard deviation (n,) that a residual has as if rows were independent."""
+        return np.asarray(_size(point) * np.sqrt(self._repetition(point)))
+
+    def _repetition(self, point: SimulatedPoint) -> np.ndarray:
+        """Return the number (n,) of rows of a residual that repeat one another."""
         most = max(1, round(_MAX_REPETITION / self._step))
         found = []
         for own in point.residual.T:
@@ -274,9 +283,8 @@ class LoopFit:
                 if share <= 0.0:
                     break
                 repeated += 2.0 * share
-            count = int(np.isfinite(own).sum())
-            found.append(np.sqrt(square / max(count, 1) * repeated))
-        return np.maximum(found, 1e-9)
+            found.append(repeated)
+        return np.array(found)
 
     def descend(
         self, parameters: Parameters, point: SimulatedPoint, say: Callable[[str], object]
@@ -286,11 +294,13 @@ class LoopFit:
         Noise is what the fit leaves: at every step it is estimated anew, so that what the start
         leaves does not let the prior rule.
         """
-        damping = _FIRST_DAMPING
+        damping, repeated = _FIRST_DAMPING, np.full(self._loop.n, np.inf)
         for number in range(_MAX_ITERATIONS):
             largest = 1e3 * float(np.sqrt(np.nanmean(point.residual**2)))
             say(f"simulate from commands: step {number + 1}, residual {largest:.2f} mrad")
-            noise = self.noise(point)
+            # A joint that gets worse repeats itself more: its weight would sink with each step.
+            repeated = np.minimum(repeated, self._repetition(point))
+            noise = _size(point) * np.sqrt(repeated)
             hessian, gradient = self._normal_equations(parameters, point, noise)
             decrease = 0.0
             while decrease <= 0.0:
