@@ -7,10 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-# Largest relative standard deviation of an estimated gain that gives torque its scale.
-MAX_GAIN_DEVIATION = 0.1
-# Relative standard deviation of a gain that nobody states, about the value that a recording told.
-_UNSTATED_GAIN_DEVIATION = 1.0
+# Relative standard deviation of a gain that nobody states, and that no recording tells.
+UNSTATED_GAIN_DEVIATION = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,8 +29,9 @@ class ActuatorLaw:
     integral: np.ndarray  # (n,) integral over proportional gain [1/s]
     tolerance: np.ndarray  # (n,) one standard deviation of each gain, relative
     delay_deviation: float = 0.0  # one standard deviation of the delay [s]; 0 where it is stated
-    # (n,) gains that a recording told, not its description; default none. From `MAX_GAIN_DEVIATION`
-    # they are mere guesses, which hold a simulated joint but give torque no scale.
+    # (n,) gains that a recording told, not its description; default none. From a deviation of
+    # `UNSTATED_GAIN_DEVIATION` they are mere guesses, which hold a simulated joint but give torque
+    # no scale.
     estimated: np.ndarray | None = None
     damping_stated: bool = True  # otherwise it counts as viscous friction of the joints
 
@@ -45,7 +44,7 @@ class ActuatorLaw:
     def scaled(self) -> np.ndarray:
         """Return the joints (n,) whose gain gives torque its scale."""
         guessed = np.zeros(len(self.stiffness), bool) if self.estimated is None else self.estimated
-        loose = guessed & (self.tolerance > MAX_GAIN_DEVIATION)
+        loose = guessed & (self.tolerance >= UNSTATED_GAIN_DEVIATION)
         return np.asarray(np.isfinite(self.stiffness) & ~loose)
 
     @property
@@ -53,7 +52,7 @@ class ActuatorLaw:
         """Return one standard deviation (n,) of each gain before any recording, relative."""
         if self.estimated is None:
             return self.tolerance
-        return np.where(self.estimated, _UNSTATED_GAIN_DEVIATION, self.tolerance)
+        return np.where(self.estimated, UNSTATED_GAIN_DEVIATION, self.tolerance)
 
     def reordered(self, order: Sequence[int] | np.ndarray) -> ActuatorLaw:
         """Return the law of the joints in another order."""

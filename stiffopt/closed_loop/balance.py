@@ -188,7 +188,8 @@ class Balance:
         drive = _clip(self.kp * error, law.drive_max)
         torque = _clip(drive - self.kd * self.speed[: self.n], law.torque_max)
         for joint, largest in self.loop.physics.limits.items():
-            torque[joint] = _within(torque[joint], largest)
+            within = self.loop.physics.damped.get(joint, 0.0) * own["viscous"][joint] * v[joint]
+            torque[joint] = _within(torque[joint] - within, largest) + within
         losses = own["viscous"] * v + own["drag"] * v * ca.fabs(v)
         return torque, losses, self.kd + own["viscous"]
 

@@ -17,15 +17,14 @@ from stiffopt.closed_loop.simulation import (
     simulate_stretches,
 )
 
-# Iterations at most, and the decrease of the squared deviations that ends them: expected of a step
-# of the least damping, or reached.
+# Iterations at most, and the decrease of the squared deviations that ends them: expected of a step,
+# or reached.
 _MAX_ITERATIONS, _LEAST_DECREASE = 24, 0.1
-# Levenberg-Marquardt damping over the curvature: at first, and least after a step that failed; and
-# at most. It vanishes with steps that succeed: what stated values alone tell, as the scale of all
-# torques, has a curvature far below that of the motion, and any damping by the latter holds it.
-# Where no stated value tells that scale, it is held so: what a simulation does not follow exactly
-# would drag it.
-_FIRST_DAMPING, _LARGEST_DAMPING = 1e-3, 1e6
+# Levenberg-Marquardt damping over the curvature: at first, and least after a step that failed. It
+# vanishes with steps that succeed: what stated values alone tell, as the scale of all torques, has
+# a curvature far below that of the motion, and any damping by the latter holds it. Where no stated
+# value tells that scale, it is held so: what a simulation does not follow exactly would drag it.
+_FIRST_DAMPING = 1e-3
 # Duration of all runs that the leading parameters are fitted to, and that scores read, times joints
 # [s].
 LEADING_SECONDS = 40.0
@@ -46,6 +45,8 @@ class Polished:
 
     parameters: Parameters
     deviations: np.ndarray  # (p,) one standard deviation of each; 0 of those that were not fitted
+    # (p,) the same if nothing but the encoders' noise were left.
+    attainable: np.ndarray
     # (n,) root mean square of the positions' residual in the training runs [rad].
     residual: np.ndarray
     # (n,) standard deviation of the encoders' noise [rad]; nan of readings that never change.
@@ -107,6 +108,11 @@ class SimulatedPoint:
         return self
 
 
+def _size(point: SimulatedPoint) -> np.ndarray:
+    """Return the root mean square (n,) of the residuals, not zero."""
+    return np.maximum(np.sqrt(np.nanmean(point.residual**2, axis=0)), 1e-9)
+
+
 class LoopFit:
     """Normal equations of a fit in units of the prior's deviations.
 
@@ -134,12 +140,15 @@ class LoopFit:
     def polish(self, start: Parameters, say: Callable[[str], object]) -> Polished:
         """Return the fit that begins with some parameters."""
         current, point = self.descend(start, self.evaluate(start).require_bounded(), say)
-        spread, expected = np.zeros((2, len(start.values)))
+        spread, expected, attainable = np.zeros((3, len(start.values)))
         covariance, discretisation = self.covariance(current, point)
         if not (np.diag(covariance) > 0.0).all():  # derivatives that grow without bound
             raise FloatingPointError("the simulation diverges")
-        current, covariance = self._share_delay(current, covariance)
         noise = self.encoder_noise(point)
+        known = np.maximum(np.hypot(np.nan_to_num(noise), discretisation), 1e-9)
+        curvature, _ = self._normal_equations(current, point, known)
+        attainable[self.places] = self._size * np.sqrt(np.diag(np.linalg.inv(curvature)))
+        current, covariance = self._share_delay(current, covariance)
         # A controller reads its encoder: a deadband within its noise is none.
         least = np.zeros(len(start.values))
         least[start.place("deadband")] = np.nan_to_num(noise) ** 2
@@ -149,6 +158,7 @@ class LoopFit:
         return Polished(
             parameters=current,
             deviations=spread,
+            attainable=attainable,
             residual=np.sqrt(np.nanmean(point.residual**2, axis=0)),
             noise=noise,
             discretisation=discretisation,
@@ -258,6 +268,10 @@ class LoopFit:
 
     def noise(self, point: SimulatedPoint) -> np.ndarray:
         """Return the standard deviation (n,) that a residual has as if rows were independent."""
+        return np.asarray(_size(point) * np.sqrt(self._repetition(point)))
+
+    def _repetition(self, point: SimulatedPoint) -> np.ndarray:
+        """Return the number (n,) of rows of a residual that repeat one another."""
         most = max(1, round(_MAX_REPETITION / self._step))
         found = []
         for own in point.residual.T:
@@ -269,9 +283,8 @@ class LoopFit:
                 if share <= 0.0:
                     break
                 repeated += 2.0 * share
-            count = int(np.isfinite(own).sum())
-            found.append(np.sqrt(square / max(count, 1) * repeated))
-        return np.maximum(found, 1e-9)
+            found.append(repeated)
+        return np.array(found)
 
     def descend(
         self, parameters: Parameters, point: SimulatedPoint, say: Callable[[str], object]
@@ -281,28 +294,26 @@ class LoopFit:
         Noise is what the fit leaves: at every step it is estimated anew, so that what the start
         leaves does not let the prior rule.
         """
-        damping = _FIRST_DAMPING
+        damping, repeated = _FIRST_DAMPING, np.full(self._loop.n, np.inf)
         for number in range(_MAX_ITERATIONS):
             largest = 1e3 * float(np.sqrt(np.nanmean(point.residual**2)))
             say(f"simulate from commands: step {number + 1}, residual {largest:.2f} mrad")
-            noise = self.noise(point)
+            # A joint that gets worse repeats itself more: its weight would sink with each step.
+            repeated = np.minimum(repeated, self._repetition(point))
+            noise = _size(point) * np.sqrt(repeated)
             hessian, gradient = self._normal_equations(parameters, point, noise)
-            best = self._moved(parameters, hessian, gradient, self._least_damping)
-            step = (best.values - parameters.values)[self.places] / self._size
-            if -step @ (2.0 * gradient + hessian @ step) < _LEAST_DECREASE:
-                break
             decrease = 0.0
-            while damping < _LARGEST_DAMPING and decrease <= 0.0:
+            while decrease <= 0.0:
                 moved = self._moved(parameters, hessian, gradient, damping)
-                ahead = self.evaluate(moved)
-                decrease = self._decrease(parameters, moved, point, ahead, noise)
+                step = (moved.values - parameters.values)[self.places] / self._size
+                if -step @ (2.0 * gradient + hessian @ step) < _LEAST_DECREASE:
+                    return parameters, point
+                decrease = self._decrease(parameters, moved, point, self.simulate(moved), noise)
                 if decrease > 0.0:
                     damping = max(0.1 * damping, self._least_damping)
                 else:
                     damping = max(10.0 * damping, _FIRST_DAMPING)
-            if decrease <= 0.0:
-                break
-            parameters, point = moved, ahead
+            parameters, point = moved, self.evaluate(moved).require_bounded()
             if decrease < _LEAST_DECREASE:
                 break
         return parameters, point

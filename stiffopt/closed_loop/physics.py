@@ -58,4 +58,6 @@ class LoopPhysics:
     displacement: Callable[[ca.SX], ca.SX] | None = None
     springs: Mapping[int, LoopSpring] = field(default_factory=dict)  # of elastic joints (from 0)
     limits: Mapping[int, ca.SX] = field(default_factory=dict)  # largest torques of actuators [N m]
+    # Shares of viscous friction that such actuators give themselves, within their limit.
+    damped: Mapping[int, ca.SX] = field(default_factory=dict)
     amplitudes: Amplitudes = field(default_factory=Amplitudes)

@@ -56,13 +56,33 @@ def _begin_limits(
     One too low lets the joint drift, one too high never acts: no slope leads back from there.
     """
     fit = LoopFit(loop, runs, prior, deviations)
-    symbols = ca.vertsplit(loop.physics.amplitudes.symbols)
-    for limit in loop.physics.limits.values():
-        place = prior.amplitudes.start + [ca.is_equal(own, limit) for own in symbols].index(True)
-        tried = np.tile(prior.values, (len(_LIMIT_FACTORS), 1))
-        tried[:, place] *= _LIMIT_FACTORS
+    for joint in loop.physics.limits:
+        _, tried = _tried_limits(loop, prior, joint)
         prior = min((replace(prior, values=own) for own in tried), key=fit.misfit)
     return prior
+
+
+def _tried_limits(
+    loop: CommandedArm, prior: Parameters, joint: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the values without a limit of the drive of a joint (from 0), and (k, p) with some.
+
+    Damping that nobody states is the actuator's own, within its limit, or friction.
+    """
+    symbols = ca.vertsplit(loop.physics.amplitudes.symbols)
+
+    def place(symbol: ca.SX) -> int:
+        same = [ca.is_equal(own, symbol) for own in symbols]
+        return int(prior.amplitudes.start) + same.index(True)
+
+    limit, none = place(loop.physics.limits[joint]), prior.values.copy()
+    none[limit] = np.inf
+    tried = np.tile(prior.values, (len(_LIMIT_FACTORS), 1))
+    tried[:, limit] *= _LIMIT_FACTORS
+    if (damped := loop.physics.damped.get(joint)) is not None:
+        tried = np.vstack([tried, tried])
+        tried[:, place(damped)] = np.repeat([0.0, 1.0], len(_LIMIT_FACTORS))
+    return none, tried
 
 
 def polish_leading(
@@ -113,13 +133,13 @@ def score_amplitudes(
     return fit.score(parameters, groups, more)
 
 
-def limit_gain(loop: CommandedArm, runs: Sequence[CommandedRun], prior: Parameters) -> float:
-    """Return by how much the log residuals sink with the best limit, the last amplitude."""
-    fit, last = LoopFit(loop, runs, prior, np.ones_like(prior.values)), prior.amplitudes.stop - 1
-    tried = np.tile(prior.values, (len(_LIMIT_FACTORS) + 1, 1))
-    tried[1:, last] *= _LIMIT_FACTORS
-    tried[0, last] = np.inf
-    none, *misfits = (fit.misfit(replace(prior, values=values)) for values in tried)
+def limit_gain(
+    loop: CommandedArm, runs: Sequence[CommandedRun], prior: Parameters, joint: int
+) -> float:
+    """Return by how much the log residuals sink with the best limit of a joint (from 0)."""
+    fit = LoopFit(loop, runs, prior, np.ones_like(prior.values))
+    without, tried = _tried_limits(loop, prior, joint)
+    none, *misfits = (fit.misfit(replace(prior, values=own)) for own in (without, *tried))
     return none - min(misfits)
 
 

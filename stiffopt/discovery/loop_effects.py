@@ -170,6 +170,7 @@ class _Instant:
         self.windup: dict[int, ca.SX] = {}
         self.at_output: set[int] = set()
         self.limits: dict[int, ca.SX] = {}
+        self.damped: dict[int, ca.SX] = {}
         self.unknown: list[_Unknown] = []
 
     def add(self, each: EstimatedEffect, *, with_shapes: bool = True) -> None:
@@ -183,6 +184,10 @@ class _Instant:
             self.limits[place] = ca.SX.sym("limit")
             deviation = _LIMIT_DEVIATION * value
             self.unknown.append(((key, 0), self.limits[place], value, deviation, 0.0, np.inf))
+            law = self.recordings.actuator
+            if law is not None and not law.damping_stated:
+                self.damped[place] = ca.SX.sym("damped")
+                self.unknown.append(((key, 1), self.damped[place], 0.5, 0.5, 0.0, 1.0))
             return
         amplitudes, s = ca.SX.sym("amplitude", len(each.amplitudes)), self.symbols
         shapes = self._unknown_shapes(each) if with_shapes else {}
@@ -275,6 +280,7 @@ class _Instant:
         begun, deviations, least, greatest = (np.array(own, dtype=float) for own in numbers)
         return LoopPhysics(
             limits=self.limits,
+            damped=self.damped,
             amplitudes=Amplitudes(
                 names=names,
                 symbols=ca.vertcat(ca.SX(0, 1), *symbols),

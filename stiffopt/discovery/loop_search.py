@@ -417,10 +417,10 @@ class LoopSearch:
         known = extended_model(recordings, constants, whole)
         robot, physics, _ = robot_in_loop(recordings, known, [highest])
         loop = CommandedArm(robot.tree, model.loop.law, model.loop.middle, physics)
-        values = model.expected.values
-        begun = np.concatenate([values[:-1], physics.amplitudes.values[-1:], values[-1:]])
+        values, count = model.expected.values, len(model.loop.physics.amplitudes.names)
+        begun = np.concatenate([values[:-1], physics.amplitudes.values[count:], values[-1:]])
         prior = replace(model.expected, values=begun, amplitude_bounds=physics.amplitudes.bounds)
-        odds = self._stretch_count * limit_gain(loop, self._fitted_runs, prior)
+        odds = self._stretch_count * limit_gain(loop, self._fitted_runs, prior, place)
         return self._finding(highest, 1.0) if odds > RIVAL_LOG_ODDS else None
 
     def _replace_losses(

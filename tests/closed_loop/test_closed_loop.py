@@ -349,6 +349,32 @@ def settle(loop: CommandedArm, command: float) -> float:
     return float(simulate(loop, run, free)[-1, 0])
 
 
+def test_unstated_damping_may_be_the_actuators_own_within_its_limit(loop: CommandedArm) -> None:
+    run, inside = recorded(5, 4.0), true_parameters()
+    inside.values[inside.place("viscous")] = 0.0
+    law = replace(loop.law, damping=np.array([VISCOUS]), torque_max=np.array([LIMIT]))
+    stated = simulate(CommandedArm(loop.tree, law, loop.middle), run, inside)
+    share = ca.SX.sym("share")
+    physics = LoopPhysics(
+        limits={0: ca.SX(LIMIT)},
+        damped={0: share},
+        amplitudes=Amplitudes(
+            names=(("share", 0),),
+            symbols=share,
+            values=np.ones(1),
+            deviations=np.ones(1),
+            bounds=np.array([[0.0, 1.0]]),
+        ),
+    )
+    limited, outside = CommandedArm(loop.tree, loop.law, loop.middle, physics), true_parameters()
+    for value, largest in ((1.0, 1e-9), (0.0, np.inf)):
+        values = np.concatenate([outside.values[:-1], [value], outside.values[-1:]])
+        own = replace(outside, values=values, amplitude_bounds=physics.amplitudes.bounds)
+        away = float(np.max(np.abs(simulate(limited, run, own) - stated)))
+        assert away < largest
+    assert away > 1e-3
+
+
 def test_a_limit_of_the_physics_bounds_the_torque(loop: CommandedArm) -> None:
     physics = LoopPhysics(limits={0: ca.SX(0.5)})
     own = CommandedArm(loop.tree, loop.law, np.zeros(1), physics)

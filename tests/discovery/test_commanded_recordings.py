@@ -268,6 +268,22 @@ MISTAKES: dict[str, tuple[Callable[[Columns], Columns], str, str]] = {
         "command unit",
         "counts of an encoder",
     ),
+    "both in degrees": (
+        lambda c: c | {name: np.degrees(c[name]) for name in ("goal_position", "present_position")},
+        "position unit",
+        "positions look like degrees",
+    ),
+    "both in counts": (
+        lambda c: (
+            c
+            | {
+                name: np.round(c[name] / (2 * np.pi) * 4096)
+                for name in ("goal_position", "present_position")
+            }
+        ),
+        "position unit",
+        "positions are counts of an encoder",
+    ),
     "thinned": (_thin, "command rate", "change every 100 ms"),
     "no motion": (_stop, "no motion", "No joint moves"),
     "reversed": (

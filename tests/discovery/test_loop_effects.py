@@ -256,6 +256,7 @@ def fitted_loop(servo: RecordingSet, more: float) -> ClosedLoopModel:
     polished = Polished(
         parameters=fitted,
         deviations=spread,
+        attainable=spread,
         residual=np.ones(1),
         noise=np.ones(1),
         discretisation=np.zeros(1),

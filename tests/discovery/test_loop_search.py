@@ -118,7 +118,7 @@ def test_effects_are_not_sought_where_torque_has_no_scale(tmp_path: Path) -> Non
     searched = search(tmp_path / "set", stribeck=RISE)
     law = searched.recordings.actuator
     assert law is not None
-    guessed = replace(law, estimated=np.ones(1, dtype=bool), tolerance=np.full(1, 0.5))
+    guessed = replace(law, estimated=np.ones(1, dtype=bool), tolerance=np.ones(1))
     recordings = searched.recordings.with_actuator(guessed)
     model, findings = replace(searched, recordings=recordings).run(Extension(), ())
     assert model is not None

@@ -196,7 +196,7 @@ STRIBECK = Effect(
     confused_with=("hysteresis",),
     reference="ArmstrongEtAl1994",
     term=stribeck_term,
-    amplitudes=(Amplitude("A", "N m", half_dry_friction, 0.0, 4.0),),
+    amplitudes=(Amplitude("A", "N m", half_dry_friction, 0.0, 10.0),),
     shapes=(
         Shape("vs", "rad/s", start_slow_speeds, 0.005, 0.5),
         Shape("n", "", (1.0, 2.0), 0.5, 2.5, reported=False),

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from stiffopt.actuator.law import ActuatorLaw
+from stiffopt.actuator.law import UNSTATED_GAIN_DEVIATION, ActuatorLaw
 from stiffopt.closed_loop.parameters import Parameters
 from stiffopt.discovery.comparison.filtering import SLOW_CUTOFF, filter_slow_motion
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
@@ -34,6 +34,10 @@ _TRIED_DELAYS = np.arange(0.0, _MAX_DELAY + 1e-9, 0.0025)
 _ROBUST_SCALE = 9.0
 # Log likelihood ratio from which a delay is taken to differ from none.
 _MIN_DELAY_EVIDENCE = 6.0
+# Relative standard deviation of a gain up to which it is told, once nothing but noise is left.
+_MAX_GAIN_DEVIATION = 0.1
+# Largest deviation of a told gain over that of one that nothing tells.
+_LOOSEST_TOLD = 0.5
 # One standard deviation of an estimated delay [s].
 _DELAY_DEVIATION = 1e-3
 # Shortest delay that a simulation tells without evidence of a regression [s].
@@ -166,7 +170,7 @@ def estimate_actuator(
     found = replace(
         law,
         stiffness=stiffness,
-        tolerance=np.where(asked, 1.0, law.tolerance),
+        tolerance=np.where(asked, UNSTATED_GAIN_DEVIATION, law.tolerance),
         estimated=asked if asked.any() else law.estimated,
         integral=rates,
         delay=delay,
@@ -184,7 +188,8 @@ def _refine_law(
     """Return the law with gains and delay of a simulation fitted to the runs, and its parameters.
 
     A regression of filtered position errors takes what friction does at reversals for weight; a
-    simulation has reversals where the arm has them.
+    simulation has reversals where the arm has them. Where masses are vouched for, a gain is told
+    if noise alone would leave it sure: what the arm lacks makes it uncertain until it is found.
     """
     law, order = guess.law, recordings.order
     known = recordings.with_actuator(law)
@@ -199,13 +204,20 @@ def _refine_law(
         return law, None
     fitted = fit[1]
     factor = (1.0 + fitted.parameters.of("gain"))[order]
-    spread = fitted.deviations[fitted.parameters.place("gain")][order]
+    place = fitted.parameters.place("gain")
+    spread, attainable = (
+        each[place][order] / factor for each in (fitted.deviations, fitted.attainable)
+    )
+    # Beside masses that nobody vouches for, what is left may be their error.
+    own = spread if recordings.tolerance.mass is None else attainable
+    spread = np.minimum(spread, _LOOSEST_TOLD * UNSTATED_GAIN_DEVIATION)
+    spread[own > _MAX_GAIN_DEVIATION] = UNSTATED_GAIN_DEVIATION
     refined = law
     if law.estimated is not None:
         refined = replace(
             law,
             stiffness=np.where(law.estimated, law.stiffness * factor, law.stiffness),
-            tolerance=np.where(law.estimated, spread / factor, law.tolerance),
+            tolerance=np.where(law.estimated, spread, law.tolerance),
         )
     refined = replace(refined, integral=fitted.parameters.of("integral")[order])
     if law.delay_deviation:

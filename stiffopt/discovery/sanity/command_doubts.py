@@ -9,6 +9,7 @@ import numpy as np
 
 from stiffopt.actuator.position_servo import PositionServo
 from stiffopt.discovery.sanity.doubt import Doubt, format_joints
+from stiffopt.discovery.sanity.sensor_doubts import COUNT_SCALE, doubt_position_limits
 from stiffopt.errors import InputError
 from stiffopt.recording.channel_faults import MIN_TRAVEL
 from stiffopt.recording.readers.read import is_messages, read_tables
@@ -64,6 +65,8 @@ def doubt_commands(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> Ite
                 for kind in (
                     _doubt_copies(position, command, moving),
                     _doubt_units(recordings, position, command, moving),
+                    # In degrees or counts as well as the commands: no simulation holds them.
+                    doubt_position_limits(recordings, commanded),
                     _doubt_other_joints(position, command, moving),
                     _doubt_swapped(recordings, commanded, moving),
                     _doubt_thinned(commanded, moving),
@@ -124,7 +127,7 @@ def _doubt_units(
         line = 'position = "deg" and command = 1.0 in [signals.scale]'
     elif whole:
         what = "commands are counts of an encoder"
-        line = "command = [...] in [signals.scale], in rad per count (of 12 bits: 0.00153398)"
+        line = f"command = {COUNT_SCALE}"
     else:
         what, line = "commands have another unit than positions, or are another signal", ""
     yield Doubt(

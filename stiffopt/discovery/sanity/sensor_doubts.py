@@ -21,6 +21,8 @@ from stiffopt.units import to_si
 
 # Margin of position limits: share of the range, and at least [rad] or [m].
 LIMIT_MARGIN_SHARE, _MIN_LIMIT_MARGIN = 0.05, 0.02
+# Scale of angles in counts of an encoder.
+COUNT_SCALE = "[...] in [signals.scale], in rad per count (of 12 bits: 0.00153398)"
 # Relative tolerances of a factor of a sign or a gear, and of a unit.
 FACTOR_TOLERANCE, _UNIT_TOLERANCE = 0.2, 0.1
 
@@ -57,6 +59,14 @@ def doubt_position_limits(recordings: RecordingSet, runs: Sequence[RecordedRun])
             joints=tuple(int(j) + 1 for j in np.flatnonzero(out)),
             evidence=f"The positions look like degrees: {told}.",
             line=scale_line(recordings, "position", np.ones(recordings.n), "deg"),
+        )
+        return
+    if far and all(np.array_equal(r.position, np.round(r.position), equal_nan=True) for r in runs):
+        yield Doubt(
+            kind="position unit",
+            joints=tuple(int(j) + 1 for j in np.flatnonzero(out)),
+            evidence=f"The positions are counts of an encoder: {told}.",
+            line=f"position = {COUNT_SCALE}",
         )
         return
     yield Doubt(
