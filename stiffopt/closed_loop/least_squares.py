@@ -110,7 +110,7 @@ class SimulatedPoint:
 
 def _size(point: SimulatedPoint) -> np.ndarray:
     """Return the root mean square (n,) of the residuals, not zero."""
-    return np.maximum(np.sqrt(np.nanmean(point.residual**2, axis=0)), 1e-9)
+    return np.asarray(np.maximum(np.sqrt(np.nanmean(point.residual**2, axis=0)), 1e-9))
 
 
 class LoopFit:
