@@ -140,7 +140,7 @@ def build_findings(
 def judge_by_held_out(
     findings: Sequence[Finding], evidence: Mapping[tuple[object, ...], HeldOutEvidence]
 ) -> tuple[Finding, ...]:
-    """Return findings with what held-out runs say of them, less likely where these refute them."""
+    """Return findings with the evidence of held-out runs, less likely where these refute them."""
     judged = []
     for finding in findings:
         own = evidence.get(finding.located.key)

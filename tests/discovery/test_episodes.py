@@ -11,6 +11,7 @@ from simulated_sets import diagnosed, said, short_case
 
 from stiffopt.discovery.judging.episodes import ResidualTrack, find_episodes, training_tracks
 from stiffopt.discovery.judging.held_out import HeldOutRuns
+from stiffopt.discovery.judging.refutation import Refutation
 from stiffopt.discovery.prediction import Predictor
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import prepare_training
@@ -142,7 +143,8 @@ def opened(what):
         with_role=lambda *_: [SimpleNamespace(file=run.file)],
         open=lambda _: replace(run, torque=run.torque + more),
     )
-    held = HeldOutRuns(training, LACKS, (), known=training_tracks(comparison, fit))
+    untested = Refutation(comparison, (), {})
+    held = HeldOutRuns(training, LACKS, (), untested, known=training_tracks(comparison, fit))
     held.predict_all(own, lambda _: None)
     return held
 

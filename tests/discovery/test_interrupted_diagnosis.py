@@ -165,7 +165,7 @@ def test_ctrl_c_keeps_predicted_runs_consistent(monkeypatch):
     training = stands_for(before=(), recorded=(), robot=None, noise=stands_for(channels=None))
     stopped = 0
     for line in range(200):
-        opened = held_out.HeldOutRuns(training, None, ())
+        opened = held_out.HeldOutRuns(training, None, (), stands_for(add=lambda *_: None))
         opened.shares = stands_for(add=lambda *_: None)
         try:
             with interrupted_at(line, held_out.HeldOutRuns.predict_all):

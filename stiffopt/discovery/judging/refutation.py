@@ -24,7 +24,7 @@ _Key = tuple[object, ...]
 
 @dataclass(frozen=True)
 class HeldOutEvidence:
-    """What held-out runs say of a finding."""
+    """Evidence of held-out runs on a finding."""
 
     # Root mean square residual of its channel with it over that of a model fitted without it.
     ratio: float

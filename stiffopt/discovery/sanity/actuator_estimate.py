@@ -189,7 +189,7 @@ def _refine_law(
 
     A regression of filtered position errors takes what friction does at reversals for weight; a
     simulation has reversals where the arm has them. Where masses are vouched for, a gain is told
-    if noise alone would leave it sure: what the arm lacks makes it uncertain until it is found.
+    if noise alone would leave it sure: effects not yet found make it uncertain until they are.
     """
     law, order = guess.law, recordings.order
     known = recordings.with_actuator(law)
@@ -208,7 +208,7 @@ def _refine_law(
     spread, attainable = (
         each[place][order] / factor for each in (fitted.deviations, fitted.attainable)
     )
-    # Beside masses that nobody vouches for, what is left may be their error.
+    # Beside masses that nobody vouches for, the residual may be their error.
     own = spread if recordings.tolerance.mass is None else attainable
     spread = np.minimum(spread, _LOOSEST_TOLD * UNSTATED_GAIN_DEVIATION)
     spread[own > _MAX_GAIN_DEVIATION] = UNSTATED_GAIN_DEVIATION

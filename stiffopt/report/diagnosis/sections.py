@@ -110,7 +110,7 @@ def _state_row(each: Statement) -> tuple[str, ...]:
 
 
 def _describe_explained(finding: Finding) -> str:
-    """Return what a finding explains in training runs left out, and in held-out runs."""
+    """Return the share that a finding explains, and its change of the held-out residual."""
     channel = words.channel_words(finding.channel)
     text = f"{100 * finding.variance_explained:.0f} % of {channel}"
     if finding.held_out_ratio is None:
