@@ -138,9 +138,9 @@ def _mode_frequencies(low: float, high: float) -> tuple[float, ...]:
 
 
 SCALE_SHAPE = scale("s", 0.1, 0.3, 1.0)
-# Shares of the range at which places are tried, in steps of twice the least width that is tried: a
-# fit moves a sharp step by little more than its width, since beyond it the rows say nothing of it.
-_PLACE_STARTS = tuple(np.linspace(0.04, 0.96, 16).tolist())
+# Shares of the range at which places are tried, up to near its ends: a fit moves a sharp step by
+# little more than its width, since beyond it the rows say nothing of it.
+_PLACE_STARTS = tuple(np.linspace(0.04, 0.96, 9).tolist())
 PLACE_SHAPE = centre("c", *_PLACE_STARTS)
 ORDER_SHAPE = FormShape("k", "per signal", _orders, _order_bounds, periodic=True)
 FREQUENCY_SHAPE = FormShape("f", "Hz", lambda r: r.peaks, _frequency_bounds, periodic=True)
