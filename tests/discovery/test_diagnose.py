@@ -73,6 +73,9 @@ def test_torque_of_held_out_runs_changes_no_finding(disturbed):
     # What is said about the held-out runs themselves follows their channels.
     for key in ("fit", "mismatch", "runs", "faults"):
         del first[key], second[key]
+    # So does their residual with each finding; they refute none of these.
+    ratios = [[each.pop("held_out_ratio") for each in d["findings"]] for d in (first, second)]
+    assert ratios[0] != ratios[1]
     assert first == second
     model = (answered(COULOMB).out / "extended.toml").read_bytes()
     assert (disturbed.out / "extended.toml").read_bytes() == model

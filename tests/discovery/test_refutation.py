@@ -48,6 +48,22 @@ def test_held_out_runs_refute_friction_that_they_have_the_other_way(
     assert bool(refutation_sentences(answer)) == refutes
 
 
+def test_refuting_runs_change_no_value_and_no_model(tmp_path: Path) -> None:
+    """Findings, their values and the extended model are those of the training runs."""
+    one, other = (
+        diagnose(_with_held_out_friction(tmp_path / f"set{factor:g}", factor), experiment=False)
+        for factor in (1.0, -1.0)
+    )
+    told = [
+        [(f.effect.name, f.joint, f.estimated.amplitudes, f.parameters) for f in each.findings]
+        for each in (one, other)
+    ]
+    assert told[0] == told[1]
+    assert one.extension.calibration == other.extension.calibration
+    amplitudes = [[e.amplitudes for e in each.extension.effects] for each in (one, other)]
+    assert amplitudes[0] == amplitudes[1]
+
+
 def test_likelihood_of_a_loss_falls_with_its_agreement_between_stretches() -> None:
     assert _likelihood_of_gain(np.array([3.0, -1.0, 2.0])) == 1.0
     agreed, single = np.array([-3.0, -2.0, -4.0] * 3), np.array([-30.0] + [0.0] * 8)
