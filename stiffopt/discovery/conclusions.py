@@ -137,6 +137,19 @@ def build_findings(
     return tuple(findings)
 
 
+def refutable_channels(findings: Sequence[Finding]) -> dict[tuple[object, ...], Channel]:
+    """Return by key the channel of every finding that held-out runs may refute.
+
+    Those of single runs predict nothing of others, and unstated values of joints exist. Of a set of
+    commands positions are the proof, not torques that a law derives from these: none is tested.
+    """
+    return {
+        each.located.key: Channel.read(each.channel)
+        for each in findings
+        if not (each.located.calibrated or each.located.is_run_specific)
+    }
+
+
 def judge_by_held_out(
     findings: Sequence[Finding], evidence: Mapping[tuple[object, ...], HeldOutEvidence]
 ) -> tuple[Finding, ...]:

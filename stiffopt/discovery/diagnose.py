@@ -20,6 +20,7 @@ from stiffopt.discovery.conclusions import (
     describe_next_experiment,
     describe_taken,
     judge_by_held_out,
+    refutable_channels,
 )
 from stiffopt.discovery.diagnosis import Diagnosis
 from stiffopt.discovery.effect import Effect
@@ -59,7 +60,6 @@ from stiffopt.discovery.loop_search import (
     explained_joints,
     with_findings,
 )
-from stiffopt.discovery.names import Channel
 from stiffopt.discovery.opening import open_set
 from stiffopt.discovery.position_fit import model_section, simulate_held_out
 from stiffopt.discovery.prediction import choose_prediction_bands
@@ -278,12 +278,7 @@ def _run_diagnosis(
     # The findings are fixed: held-out runs are read only from here on.
     tracks = steps.finish(lambda: training_tracks(result.comparison, result.fit))
     parts = split_extension(found, recordings.unstated)
-    # Of a set of commands positions are the proof, not torques that a law derives from these.
-    tested = {
-        f.located.key: Channel.read(f.channel)
-        for f in findings
-        if not (f.located.calibrated or recordings.signals.commanded)
-    }
+    tested = {} if recordings.signals.commanded else refutable_channels(findings)
     refutation = Refutation(result.comparison, located, tested)
     held_out = HeldOutRuns(training, found, parts, refutation, opened.every, tracks)
     if training.free_bodies and not training.robot.vibrates:

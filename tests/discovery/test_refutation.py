@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from shipped_set import LACKS, SHIPPED
 
+from stiffopt.discovery.catalogue import effect
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.conclusions import refutable_channels
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.diagnosis import Diagnosis
 from stiffopt.discovery.judging.refutation import _likelihood_of_gain
@@ -71,3 +76,14 @@ def test_likelihood_of_a_loss_falls_with_its_agreement_between_stretches() -> No
     assert 0.3 < _likelihood_of_gain(single) < 0.8
     # The scale says nothing: another channel has another unit.
     assert _likelihood_of_gain(1e6 * agreed) == pytest.approx(_likelihood_of_gain(agreed))
+
+
+def test_findings_of_single_runs_are_not_tested() -> None:
+    """The gain of a held-out run is another one: its mean over training runs may predict worse."""
+    located = [
+        LocatedEffect(effect=effect("gain_drift"), joint=1),
+        LocatedEffect(effect=effect("coulomb"), joint=1),
+        LocatedEffect(effect=effect("coulomb"), joint=0, calibrated=True),
+    ]
+    findings: list[Any] = [SimpleNamespace(located=e, channel="torque_2") for e in located]
+    assert list(refutable_channels(findings)) == [located[1].key]
