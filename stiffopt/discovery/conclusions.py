@@ -140,8 +140,7 @@ def build_findings(
 def refutable_channels(findings: Sequence[Finding]) -> dict[tuple[object, ...], Channel]:
     """Return by key the channel of every finding that held-out runs may refute.
 
-    Those of single runs predict nothing of others, and unstated values of joints exist. Of a set of
-    commands positions are the proof, not torques that a law derives from these: none is tested.
+    Those of single runs predict nothing of others, and unstated values of joints exist.
     """
     return {
         each.located.key: Channel.read(each.channel)

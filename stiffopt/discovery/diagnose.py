@@ -278,8 +278,9 @@ def _run_diagnosis(
     # The findings are fixed: held-out runs are read only from here on.
     tracks = steps.finish(lambda: training_tracks(result.comparison, result.fit))
     parts = split_extension(found, recordings.unstated)
+    # Of commands positions are the proof, not torques that a law derives from these.
     tested = {} if recordings.signals.commanded else refutable_channels(findings)
-    refutation = Refutation(result.comparison, located, tested)
+    refutation = steps.finish(lambda: Refutation(result.comparison, located, tested))
     held_out = HeldOutRuns(training, found, parts, refutation, opened.every, tracks)
     if training.free_bodies and not training.robot.vibrates:
         steps.run(NOISE_CEILING, lambda: held_out.fit_noise_ceiling(say))

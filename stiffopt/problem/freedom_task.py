@@ -31,7 +31,7 @@ EXCESS_WEIGHT = 100.0
 POSE_JOINTS = 6
 # A scan takes each fourth node.
 SCAN_STRIDE = 4
-# Nodes per turn of the feed [1/rad], four in a right angle, and how many at most.
+# Nodes per turn of the feed [1/rad], eight in a right angle, and how many at most.
 _NODES_PER_TURN, _MOST_TURN_NODES = 16.0 / np.pi, 240
 # Residual at which a pose counts as found [m].
 _SOLVED_RESIDUAL = 1e-8

@@ -135,6 +135,12 @@ def _finite_range(values: np.ndarray) -> float:
     return float(np.ptp(known)) if known.size else 0.0
 
 
+def are_whole(values: np.ndarray) -> bool:
+    """Return True where all finite values are whole numbers, of which there are some."""
+    known = values[np.isfinite(values)]
+    return bool(known.size and np.all(known == np.round(known)))
+
+
 # Levels of a channel below which it rests on its largest value by rounding alone.
 _MIN_LIMITED_LEVELS = 8
 
@@ -144,16 +150,15 @@ def find_saturated_samples(values: np.ndarray, step: float) -> np.ndarray:
 
     The peak of a smooth signal, quantised coarsely by `step`, has about as many samples on the
     level below; a limit has at least five samples in a row and five times as many as the next
-    hundredth of the range (or the next count, if that is coarser).
+    hundredth of the range (or the next count, if that is coarser). Few levels are noise at rest.
     """
     bad = np.zeros(len(values), dtype=bool)
     finite = values[np.isfinite(values)]
     if len(finite) == 0:
         return bad
-    span = float(finite.max() - finite.min())
     if len(np.unique(finite)) < _MIN_LIMITED_LEVELS:
         return bad
-    near = max(step, 0.01 * span)
+    near = max(step, 0.01 * float(finite.max() - finite.min()))
     for sign in (1.0, -1.0):
         height = sign * values
         top = np.nanmax(height)

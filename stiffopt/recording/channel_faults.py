@@ -23,7 +23,9 @@ from stiffopt.recording.run import Fault, FaultKind, counted
 from stiffopt.recording.signals import Kind
 
 # Travel below which a joint is stationary: revolute [rad], prismatic [m].
-MIN_TRAVEL = (1e-3, 1e-4)
+_MIN_TRAVEL = (1e-3, 1e-4)
+# Travel over that one from which a joint moves enough to compare its sensors.
+_MOVED_RATIO = 10.0
 # Slope and correlation between two sensors of one motion that do not contradict each other.
 _SLOPE_RANGE = (0.8, 1.25)
 MIN_CORRELATION = 0.8
@@ -64,7 +66,12 @@ class JointChannels:
     @property
     def still(self) -> float:
         """Travel below which the joint is stationary [rad]."""
-        return MIN_TRAVEL[self.prismatic]
+        return _MIN_TRAVEL[self.prismatic]
+
+    @property
+    def moved(self) -> float:
+        """Travel from which the joint moves [rad]."""
+        return moved_travel(self.prismatic)
 
     def report(
         self,
@@ -118,6 +125,11 @@ def check_joint_channels(joint: JointChannels) -> list[Fault]:
     return joint.faults
 
 
+def moved_travel(prismatic: bool) -> float:
+    """Return the travel from which a joint moves: revolute [rad], prismatic [m]."""
+    return _MOVED_RATIO * _MIN_TRAVEL[bool(prismatic)]
+
+
 def covered_range(values: np.ndarray | None) -> float:
     """Range of a channel, 0 if it is absent."""
     if values is None or not np.isfinite(values).any():
@@ -159,7 +171,7 @@ def _check_constant(joint: JointChannels) -> None:
     velocity, torque = joint.usable("velocity"), joint.usable("torque")
     by_velocity = 0.0 if velocity is None else _integrated_travel(velocity, joint.time)
     by_other = max(covered_range(link), by_velocity)
-    if position is not None and covered_range(position) == 0.0 and by_other > 10.0 * joint.still:
+    if position is not None and covered_range(position) == 0.0 and by_other > joint.moved:
         joint.report(
             "position",
             "constant",
@@ -194,7 +206,7 @@ def _check_constant(joint: JointChannels) -> None:
 
 def _check_agreement(joint: JointChannels, signal: Kind) -> None:
     position, values = joint.usable("position"), joint.usable(signal)
-    if position is None or values is None or covered_range(position) < 10.0 * joint.still:
+    if position is None or values is None or covered_range(position) < joint.moved:
         return
     if signal == "velocity":
         slope, correlation = compare_velocity(values, position, joint.time)
@@ -250,7 +262,7 @@ def _check_spikes(joint: JointChannels, signal: Kind) -> None:
     values = joint.usable(signal)
     if values is None:
         return
-    if signal == "velocity" and covered_range(joint.usable("position")) < 10.0 * joint.still:
+    if signal == "velocity" and covered_range(joint.usable("position")) < joint.moved:
         return
     bad, size = find_spikes(
         values, resolution(values) or 0.0, _HARMLESS_JUMP_SHARES[signal] * covered_range(values)
@@ -282,7 +294,7 @@ def _check_saturation(joint: JointChannels) -> None:
 
 def _check_quantisation(joint: JointChannels, signal: Kind) -> None:
     values = joint.usable(signal)
-    if values is None or covered_range(joint.usable("position")) < 10.0 * joint.still:
+    if values is None or covered_range(joint.usable("position")) < joint.moved:
         return
     step = resolution(values)
     if step is not None and covered_range(values) < _MIN_FINE_LEVELS * step:
@@ -312,11 +324,9 @@ def compare_velocity(
 
     Its offset, which it has where the position rests, is no contradiction.
     """
+    lag = _samples_per_window(time)
     # Changes up to each sample: none within a window is rest.
-    changes, lag = (
-        np.cumsum(np.diff(position, prepend=position[:1]) != 0.0),
-        _samples_per_window(time),
-    )
+    changes = np.cumsum(np.diff(position, prepend=position[:1]) != 0.0)
     rests = np.isfinite(velocity)
     rests[:lag] = False
     rests[lag:] &= changes[lag:] == changes[:-lag]

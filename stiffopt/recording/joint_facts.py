@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stiffopt.recording.channel_faults import MIN_TRAVEL
+from stiffopt.recording.channel_faults import moved_travel
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
 
@@ -123,8 +123,8 @@ def _joint_facts(
     speed = np.abs(velocity)
     moving = speed > _MAX_REST_SPEED
     travel = [np.ptp(run.position[:, j]) for run in runs if np.isfinite(run.position[:, j]).all()]
-    still = 10.0 * MIN_TRAVEL[bool(recordings.prismatic[j])]
-    moves = bool(moving.any() and (not travel or max(travel) > still))
+    least = moved_travel(recordings.prismatic[j])
+    moves = bool(moving.any() and (not travel or max(travel) > least))
     count = max(1, int(moving.sum()))
     quick, usual = np.quantile(speed[moving], (0.95, 0.1)) if moving.any() else (0.0, 1.0)
     weight = np.concatenate([np.zeros(0), *(g[:, j] for g in gravity)])

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from stiffopt.errors import InputError
+from stiffopt.recording.channel import are_whole
 from stiffopt.recording.channel_faults import MIN_CORRELATION, compare_velocity
 from stiffopt.recording.clock import are_unordered
 from stiffopt.recording.signals import may_be_set_point
@@ -347,9 +348,8 @@ def request_factor(kind: str, unit: str) -> str:
 
 def _is_counted(values: np.ndarray, kind: str = "position") -> bool:
     """Return True if values (K, m) of a kind are whole numbers beyond those of its units."""
-    known = values[np.isfinite(values)]
-    whole = bool(known.size and np.all(known == np.round(known)))
-    return whole and bool(np.ptp(known) > _MIN_COUNTED_REACH[kind])
+    reach = _MIN_COUNTED_REACH[kind]
+    return are_whole(values) and bool(np.ptp(values[np.isfinite(values)]) > reach)
 
 
 def _column_values(table: Mapping[str, np.ndarray], names: Sequence[str]) -> np.ndarray:

@@ -11,7 +11,8 @@ from stiffopt.actuator.position_servo import PositionServo
 from stiffopt.discovery.sanity.doubt import Doubt, format_joints
 from stiffopt.discovery.sanity.sensor_doubts import COUNT_SCALE, doubt_position_limits
 from stiffopt.errors import InputError
-from stiffopt.recording.channel_faults import MIN_TRAVEL
+from stiffopt.recording.channel import are_whole
+from stiffopt.recording.channel_faults import moved_travel
 from stiffopt.recording.readers.read import is_messages, read_tables
 from stiffopt.recording.recorded_arm import path_inside_set
 from stiffopt.recording.recording_set import RecordingSet
@@ -48,7 +49,7 @@ def doubt_commands(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> Ite
         [np.nanmax(r.position, axis=0) - np.nanmin(r.position, axis=0) for r in commanded],
         axis=0,
     )
-    least = 10.0 * np.array([MIN_TRAVEL[bool(slides)] for slides in recordings.prismatic])
+    least = np.array([moved_travel(slides) for slides in recordings.prismatic])
     moving = travel > least
     if not moving.any():
         yield Doubt(
@@ -113,8 +114,7 @@ def _doubt_units(
     if not odd.any():
         return
     which, usual = format_joints(np.flatnonzero(odd)), float(np.median(ratio[odd]))
-    held = command[:, odd]
-    whole = np.all(held[np.isfinite(held)] == np.round(held[np.isfinite(held)]))
+    whole = are_whole(command[:, odd])
     degree = 180.0 / np.pi
     if max(usual / degree, degree / usual) < _DEGREE_RATIO_TOLERANCE and not whole:
         what, line = "commands are in degrees", 'command = "deg" in [signals.scale]'

@@ -13,8 +13,8 @@ from stiffopt.discovery.sanity.doubt import Doubt, format_joints, limit_to_runs,
 from stiffopt.discovery.sanity.interpretations import DEGREE, MILLIMETRE, Samples
 from stiffopt.discovery.sanity.torque_fit import Motion, fit_gain
 from stiffopt.discovery.settings import MIN_MOVING_SPEED
-from stiffopt.recording.channel import true_intervals
-from stiffopt.recording.channel_faults import MIN_TRAVEL, covered_range
+from stiffopt.recording.channel import are_whole, true_intervals
+from stiffopt.recording.channel_faults import covered_range, moved_travel
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
 from stiffopt.units import to_si
@@ -61,7 +61,7 @@ def doubt_position_limits(recordings: RecordingSet, runs: Sequence[RecordedRun])
             line=scale_line(recordings, "position", np.ones(recordings.n), "deg"),
         )
         return
-    if far and all(np.array_equal(r.position, np.round(r.position), equal_nan=True) for r in runs):
+    if far and are_whole(np.vstack([run.position for run in runs])):
         yield Doubt(
             kind="position unit",
             joints=tuple(int(j) + 1 for j in np.flatnonzero(out)),
@@ -125,7 +125,7 @@ def _is_poor_velocity(
         if run.velocity is not None
         for j in range(run.n)
         if np.isfinite(run.velocity[:, j]).any()
-        and covered_range(run.position[:, j]) >= 10.0 * MIN_TRAVEL[bool(recordings.prismatic[j])]
+        and covered_range(run.position[:, j]) >= moved_travel(recordings.prismatic[j])
     }
     explained = [
         _ratio_line(recordings, "velocity", {joint: ratio}) for joint, (_, ratio) in joints.items()
