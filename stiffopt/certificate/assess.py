@@ -177,8 +177,21 @@ def drive_history(
             spring_torque = body.link_torque - np.einsum("kij,ki->kj", body.jacobian, force)
         else:
             spring_torque = link_torques(robot, *moved)
-    torque = _drive_torque(robot, spring_torque, position, velocity, acceleration)
-    return DriveHistory(times, position, velocity, acceleration, jerk, torque), spring_torque
+    moves = np.stack([position, velocity, acceleration, jerk])
+    return drives_of(robot, times, moves, spring_torque), spring_torque
+
+
+def drives_of(
+    robot: Robot, times: np.ndarray, moves: np.ndarray, spring_torque: np.ndarray
+) -> DriveHistory:
+    """Return the drives' motion and torques.
+
+    `times` (K,) [s]; `moves` (4, K, n): positions, velocities, accelerations and jerks of the
+    motors; `spring_torque` (K, n) [N m].
+    """
+    torque = _drive_torque(robot, spring_torque, *moves[:3])
+    position, velocity, acceleration, jerk = moves
+    return DriveHistory(times, position, velocity, acceleration, jerk, torque)
 
 
 def _process_forces(

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import functools
-import itertools
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -12,8 +10,9 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from stiffopt.certificate.assess import drive_history
+from stiffopt.certificate.assess import drive_history, drives_of
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE, find_drive_violations
+from stiffopt.command.command_lead import WINDUP_SHARES, CommandLead, ExistingCommand
 from stiffopt.command.force_compensation import force_lead, led_against_force
 from stiffopt.command.smoothing_width import KNOT_SPACINGS, motors_with_sufficient_smoothing
 from stiffopt.elastic.bearings import LedPlan, bearing_lead
@@ -24,7 +23,7 @@ from stiffopt.elastic.uncertain_arms import Member, UncertainArms
 from stiffopt.elastic.uncertainty import Departure, ParameterBox
 from stiffopt.elastic.worst_arms import worst_levels
 from stiffopt.problem.formulation import law_smoothing
-from stiffopt.problem.motor_model import ROBUST_LEAD_SHARE, MotorLaw
+from stiffopt.problem.motor_model import MotorLaw
 from stiffopt.result.compensation import CompensatedMotion, PartPeaks, Spread, Spreads
 from stiffopt.result.trajectory import JointMotion, Trajectory
 
@@ -33,30 +32,19 @@ if TYPE_CHECKING:
     from stiffopt.elastic.arm import ElasticArm
     from stiffopt.elastic.servo import Servo
     from stiffopt.problem.trajectory import TrajectoryProblem
-    from stiffopt.result.assessment import Violation
+    from stiffopt.result.assessment import DriveHistory, Violation
     from stiffopt.result.simulation import SimulatedMotion
 
-# Shares of the nominal wind-up that are tried; a plan chosen for uncertain arms reserves drive
-# capacity for the second one (`LEADS_MORE`).
-_WINDUP_SHARES = (1.0, 1.0 + ROBUST_LEAD_SHARE, 1.06, 1.09)
-# Shares of the servo's known lag that are led where the whole exceeds a limit; the last one is 0.
-_SERVO_LEAD_SHARES = (0.5,)
+# Shares of the nominal wind-up that are tried: errors are within 1 % of the least between them.
+_TRIED_SHARES = np.linspace(*WINDUP_SHARES, 11)
+# Shares of the servo's known lag that are led: less where the whole exceeds a limit.
+_SERVO_LEAD_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
 # Samples at which candidates are judged; the chosen one is judged on the certificate's grid.
 _TRIAL_SAMPLES = 1001
 
 
 # Knot spacing, share of the wind-up and share of the servo's lag of a command.
 CommandChoice = tuple[float | None, float, float]
-
-
-@dataclass(frozen=True, eq=False)
-class ExistingCommand:
-    """Command of the motors, made or of an earlier solve."""
-
-    motors: JointMotion  # motion of the motors, with that of the links as its `link`
-    spacing: float | None  # as of `CompensatedMotion`
-    share: float
-    servo_share: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,54 +88,6 @@ class CommandOnArms:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class _Lead:
-    """Smooth motion of the links and the motors that lead it."""
-
-    link: Trajectory
-    motors: Trajectory  # with all of the nominal wind-up
-    spacing: float | None
-    servo: Servo  # whose known lag the command leads
-
-    def commands(self, share: float) -> Iterator[ExistingCommand]:
-        """Commands with a share of the wind-up, and with less and less of the servo's lag."""
-        motors = self._mixed(self.link, self.motors, share, self.link)
-        made = functools.partial(ExistingCommand, spacing=self.spacing, share=share)
-        if self.servo.leads_exactly:
-            yield made(motors)
-            return
-        link, ahead = self._ahead_of_servo
-        whole = self._mixed(link, ahead, share, ahead.link or link)
-        yield made(whole)
-        times, end = whole.times, motors.duration
-        held = motors.held_for(times[-1] - end)
-        for led in _SERVO_LEAD_SHARES:
-            derivatives = [led * whole(times, k) + (1.0 - led) * held(times, k) for k in range(4)]
-            mixed = Trajectory.through(times, np.stack(derivatives), whole.link or held)
-            yield made(mixed, servo_share=led)
-        yield made(motors, servo_share=0.0)
-
-    @functools.cached_property
-    def _ahead_of_servo(self) -> tuple[Trajectory, Trajectory]:
-        """Links and motors ahead by the servo's lag, which is linear in them; of one duration."""
-        found = [self.servo.lead(each) for each in (self.link, self.motors)]
-        end = max(each.duration for each in found)
-        link, motors = (each.held_for(end - each.duration) for each in found)
-        held = self.link.held_for(end - self.link.duration)
-        return link, replace(motors, link=held)
-
-    @staticmethod
-    def _mixed(
-        link: Trajectory, motors: Trajectory, share: float, carried: Trajectory
-    ) -> Trajectory:
-        """Return motors that lead the link by a share, and carry a motion of the links."""
-        if share == 1.0:
-            return motors
-        times = motors.times
-        derivatives = [(1.0 - share) * link(times, k) + share * motors(times, k) for k in range(4)]
-        return Trajectory.through(times, np.stack(derivatives), carried)
-
-
 class CommandSearch:
     """Search for the command of one planned motion on many arms; a known servo is that of all.
 
@@ -167,7 +107,7 @@ class CommandSearch:
         progress: Callable[[str], object] | None = None,
     ) -> None:
         self._choice, self._progress = choice, progress or (lambda _: None)
-        self._problem, self._arm, self._motion, self._law = problem, arm, motion, law
+        self.problem, self._arm, self._motion, self._law = problem, arm, motion, law
         self._follows, self._plan = motion.followed, motion.planned_path
         self._servo = self._worst = servo or problem.servo
         if servo is None:
@@ -177,6 +117,7 @@ class CommandSearch:
         self._ahead = self._led.dead_time
         self._many = UncertainArms(arm, self._plan, self._servo, self._worst, self._ahead)
         self._loads: WeakKeyDictionary[JointMotion, np.ndarray] = WeakKeyDictionary()
+        self._worst_of: WeakKeyDictionary[JointMotion, list[Departure]] = WeakKeyDictionary()
         self._nominal = Departure.none(arm.robot.n)
         self._box = ParameterBox(problem.uncertainty, arm.robot, servo=self._worst != self._servo)
 
@@ -184,7 +125,7 @@ class CommandSearch:
         """Simulate a command on the arm as modelled, on the worst arms and as drawn."""
         self._progress(self._motion.name)
         follows, command = self._follows, MotorMotion.of(made.motors)
-        worst, drawn = self._worst_arms(command), self._box.drawn()
+        worst, drawn = self._worst_arms(made.motors), self._box.drawn()
         arms = [self._nominal, *worst, *drawn]
         # Both on one arm, one after the other: they share its static equilibria.
         pairs = [Member(command=own, departure=each) for each in arms for own in (follows, command)]
@@ -224,59 +165,53 @@ class CommandSearch:
         if (made := self._command_as_chosen()) is not None:
             return made
         arms: list[Departure] = []
-        # One command at a time: each of a motion of minutes has a hundred megabytes.
         kept: tuple[float, ExistingCommand | None] = (np.inf, None)  # peaks in flight and after
         # Excess of limits, of candidates and, where there is none, of whole leads.
         least: tuple[float, ExistingCommand | None] = (np.inf, None)
         beyond: tuple[float, ExistingCommand | None] = (np.inf, None)
+        of_kept: _LeadWithinLimits | None = None
         for lead in map(self._lead_of, self._spacings):
-            for made in self._candidates_within_limits(lead):
-                self._progress(self._motion.name)
-                command = MotorMotion.of(made.motors)
-                arms = arms or self._worst_arms(command)
-                members = [Member(command=command, departure=arm) for arm in arms]
-                largest = self._many.position_peaks(members, kept[0]).max(axis=1)
-                peaks = float(largest.sum())
-                if not peaks < kept[0]:
-                    continue
-                # The trial grid may miss excesses shorter than its step, as of the jerk at an end.
-                excess = self._excess_beyond_plan(made.motors)
-                if excess <= CERTIFICATE_TOLERANCE:
-                    kept = peaks, made
-                elif excess < least[0]:
-                    least = excess, made
-            if kept[1] is None and least[1] is None:
-                made = deque(lead.commands(1.0), 1).pop()
-                excess = self._excess_beyond_plan(made.motors)
+            within = _LeadWithinLimits(self, lead)
+            if not within.servo_shares:
+                made = lead.command(1.0, 0.0)
+                excess = self.excess_beyond_plan(made.motors)
                 beyond = (excess, made) if excess < beyond[0] else beyond
+                continue
+            self._progress(self._motion.name)
+            arms = arms or self._worst_arms(lead.command(1.0, within.servo_shares[0]).motors)
+            for peaks, made in within.ranked(self._many, arms, kept[0]):
+                # The trial grid may miss excesses shorter than its step, as of the jerk at an end.
+                excess = self.excess_beyond_plan(made.motors)
+                if excess <= CERTIFICATE_TOLERANCE:
+                    kept, of_kept = (peaks, made), within
+                    break
+                least = (excess, made) if excess < least[0] else least
+        if of_kept is not None and kept[1] is not None:
+            # Other arms are the worst of it: shares are chosen again with these.
+            arms += self._worst_arms(kept[1].motors)
+            for peaks, made in of_kept.ranked(self._many, arms):
+                if self.excess_beyond_plan(made.motors) <= CERTIFICATE_TOLERANCE:
+                    kept = peaks, made
+                    break
         found = kept[1] or least[1] or beyond[1]
         assert found is not None
         return found
 
-    def _worst_arms(self, command: MotorMotion) -> list[Departure]:
+    def _worst_arms(self, motors: JointMotion) -> list[Departure]:
         """Return the worst arms of a command, and the corners with joints alike."""
-        worst = worst_levels(self._many, command, self._box)
-        return [self._box.departure(each) for each in (*worst, *self._box.alike_corners())]
-
-    def _candidates_within_limits(self, lead: _Lead) -> Iterator[ExistingCommand]:
-        """Commands of a lead that keep the plan's limits on the trial grid."""
-        for share in _WINDUP_SHARES:
-            made = lead.commands(share)
-            kept = (each for each in made if self._keeps_plan_limits(each.motors))
-            yield from itertools.islice(kept, 1)
-            # The one without the servo's lag has the largest margin on a finer grid.
-            yield from deque(kept, maxlen=1)
+        if motors not in self._worst_of:
+            worst = worst_levels(self._many, MotorMotion.of(motors), self._box)
+            levels = (*worst, *self._box.alike_corners())
+            self._worst_of[motors] = [self._box.departure(each) for each in levels]
+        return self._worst_of[motors]
 
     def _command_as_chosen(self) -> ExistingCommand | None:
         """Return the command of the choice, None without one or where it exceeds a limit."""
         if self._choice is None or self._choice[0] not in self._spacings:
             return None
         spacing, share, servo_share = self._choice
-        for made in self._lead_of(spacing).commands(share):
-            if made.servo_share == servo_share:
-                kept = self._excess_beyond_plan(made.motors) <= CERTIFICATE_TOLERANCE
-                return made if kept else None
-        return None
+        made = self._lead_of(spacing).command(share, servo_share)
+        return made if self.excess_beyond_plan(made.motors) <= CERTIFICATE_TOLERANCE else None
 
     @property
     def _spacings(self) -> list[float | None]:
@@ -285,7 +220,7 @@ class CommandSearch:
         planned = self._motion.motors
         return [*([] if planned is None or planned.link is None else [None]), *KNOT_SPACINGS]
 
-    def _lead_of(self, spacing: float | None) -> _Lead:
+    def _lead_of(self, spacing: float | None) -> CommandLead:
         planned, own = self._motion.motors, self._bearing_lead
         if spacing is None and planned is not None and planned.link is not None:
             link, motors = planned.link, planned
@@ -296,11 +231,11 @@ class CommandSearch:
             link = smooth_motion(self._plan if own is None else LedPlan(self._plan, own), spacing)
             motors = motors_with_sufficient_smoothing(
                 functools.partial(self._law.motion, link),
-                functools.partial(self._excess_beyond_plan, points=_TRIAL_SAMPLES),
-                law_smoothing(self._problem),
+                functools.partial(self.excess_beyond_plan, points=_TRIAL_SAMPLES),
+                law_smoothing(self.problem),
                 CERTIFICATE_TOLERANCE,
             )
-        return self._against_force(_Lead(link, motors, spacing, self._led))
+        return self._against_force(CommandLead(link, motors, spacing, self._led))
 
     @functools.cached_property
     def _bearing_lead(self) -> Trajectory | None:
@@ -309,38 +244,78 @@ class CommandSearch:
             return None
         return bearing_lead(self._arm, self._plan)
 
-    def _against_force(self, lead: _Lead) -> _Lead:
+    def _against_force(self, lead: CommandLead) -> CommandLead:
         """Return a lead that compensates the force along the path too."""
         force = self._arm.path_force
         if force is None:
             return lead
-        added = force_lead(self._problem.robot, lead.link, force)
+        added = force_lead(self.problem.robot, lead.link, force)
         motors = led_against_force(lead.motors, added, force)
         return replace(lead, link=replace(lead.link, force=force), motors=motors)
 
-    def _keeps_plan_limits(self, motors: JointMotion) -> bool:
-        """Return True where no limit that the plan keeps is exceeded, on the trial grid."""
-        return self._excess_beyond_plan(motors, _TRIAL_SAMPLES) <= CERTIFICATE_TOLERANCE
-
-    def _excess_beyond_plan(self, motors: JointMotion, points: int | None = None) -> float:
+    def excess_beyond_plan(self, motors: JointMotion, points: int | None = None) -> float:
         """Return the largest excess of the limits that the plan keeps."""
-        excess = self.motor_violations(motors, points)
-        kept = [each.value for each in excess if each.limit not in self._motion.exceeded]
+        return self.largest_excess(self._drives(motors, points))
+
+    def largest_excess(self, drives: DriveHistory) -> float:
+        """Return the largest excess of the drives' limits that the plan keeps."""
+        found = find_drive_violations(self.problem, drives)
+        kept = [each.value for each in found if each.limit not in self._motion.exceeded]
         return max(kept, default=0.0)
 
-    def motor_violations(
-        self, motors: JointMotion, points: int | None = None
-    ) -> tuple[Violation, ...]:
+    def motor_violations(self, motors: JointMotion) -> tuple[Violation, ...]:
         """Return the motor limits that a motion exceeds, worst first."""
-        # Spring torques follow from the links' motion: the same for all shares and widths.
+        found = find_drive_violations(self.problem, self._drives(motors))
+        return tuple(each for each in found if each.value > CERTIFICATE_TOLERANCE)
+
+    def _drives(self, motors: JointMotion, points: int | None = None) -> DriveHistory:
+        """Return the drives' motion and torques, by default on the certificate's grid."""
+        # Spring torques follow from the links' motion: the same for all widths of the law.
         link = getattr(motors, "link", None) or motors
         times = None if points is None else np.linspace(0.0, motors.duration, points)
         known = None if points is None else self._loads.get(link)
-        drives, loads = drive_history(self._problem, motors, times, known)
+        drives, loads = drive_history(self.problem, motors, times, known)
         if points is not None:
             self._loads[link] = loads
-        found = find_drive_violations(self._problem, drives)
-        return tuple(each for each in found if each.value > CERTIFICATE_TOLERANCE)
+        return drives
+
+
+class _LeadWithinLimits:
+    """Commands of a lead that keep the plan's limits on a trial grid.
+
+    Attributes
+    ----------
+    servo_shares : list of float
+        Shares of the servo's lag that the limits allow beside the nominal wind-up, largest first.
+    """
+
+    def __init__(self, search: CommandSearch, lead: CommandLead) -> None:
+        self._search, self._lead, corners = search, lead, lead.corners
+        self._times = np.linspace(0.0, corners[0].duration, _TRIAL_SAMPLES)
+        _, self._loads = drive_history(search.problem, corners[0], self._times)
+        self._corners = np.array([[each(self._times, k) for k in range(4)] for each in corners])
+        shares = _SERVO_LEAD_SHARES[: 1 if lead.servo.leads_exactly else None]
+        self.servo_shares = [each for each in shares if self._keeps_limits(1.0, each)]
+
+    def ranked(
+        self, many: UncertainArms, arms: Sequence[Departure], below: float = np.inf
+    ) -> Iterator[tuple[float, ExistingCommand]]:
+        """Yield peaks [m] below a bound and commands, in increasing order of peaks.
+
+        Peaks are the largest on the arms, in flight plus after arrival.
+        """
+        shares = [(float(own), each) for each in self.servo_shares for own in _TRIED_SHARES]
+        weights = np.array([self._lead.weights(*each) for each in shares])
+        corners = [MotorMotion.of(each) for each in self._lead.corners]
+        peaks = many.mixed_peaks(corners, arms, weights, below)
+        for k in np.argsort(peaks, kind="stable"):
+            if peaks[k] < below and self._keeps_limits(*shares[k]):
+                yield float(peaks[k]), self._lead.command(*shares[k])
+
+    def _keeps_limits(self, share: float, servo_share: float) -> bool:
+        moves = np.tensordot(self._lead.weights(share, servo_share), self._corners, 1)
+        drives = drives_of(self._search.problem.robot, self._times, moves, self._loads)
+        return self._search.largest_excess(drives) <= CERTIFICATE_TOLERANCE
 
 
 def _simulate_on(

@@ -16,12 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.certificate.assess import assess
-from stiffopt.command.command_search import (
-    CommandChoice,
-    CommandOnArms,
-    CommandSearch,
-    ExistingCommand,
-)
+from stiffopt.command.command_lead import ExistingCommand
+from stiffopt.command.command_search import CommandChoice, CommandOnArms, CommandSearch
 from stiffopt.elastic.uncertainty import AssumedUncertainty
 from stiffopt.problem.formulation import smoothing_stages
 from stiffopt.problem.motor_model import MotorLaw

@@ -220,6 +220,43 @@ class UncertainArms:
                 break
         return found
 
+    def mixed_peaks(
+        self,
+        commands: Sequence[MotorMotion],
+        departures: Sequence[Departure],
+        weights: np.ndarray,
+        below: float = np.inf,
+        *,
+        searched: bool = False,
+    ) -> np.ndarray:
+        """Peaks (c,) of weighted sums of two or four commands, in flight plus after arrival [m].
+
+        Each phase's is that on the worst of the departures. `weights` (c, k) of the k commands.
+        Errors are linear in the command where springs differ by a hundredth of their wind-up. Up to
+        the instant from which on none is `below`, `searched` as for `position_peaks`.
+        """
+        if not searched and np.isfinite(below) and self._searched != self._whole:
+            found = self.mixed_peaks(commands, departures, weights, below, searched=True)
+            if not found.min() < below:
+                return found
+        members = [Member(command=own, departure=each) for each in departures for own in commands]
+        first, second = np.triu_indices(len(commands))
+        twice = np.where(first == second, 1.0, 2.0)
+        products = twice * weights[:, first] * weights[:, second]
+        squares = np.zeros((2, len(weights)))
+        for of, steps, error in self._errors(members, 3, searched=searched):
+            phases = self._phases_within(steps)
+            shape = -1, len(commands), *error.position.shape[1:]
+            for own in error.position.reshape(shape):
+                pairs = np.einsum("pkx,pkx->pk", own[first], own[second])
+                # Threads of a matrix product would cost more than they save.
+                along = np.einsum("cp,pk->ck", products, pairs)
+                for largest, phase in zip(squares, phases, strict=True):
+                    np.maximum(largest, along[:, phase].max(axis=1, initial=0.0), out=largest)
+            if of.stop == len(members) and not np.sqrt(squares).sum(axis=0).min() < below:
+                break
+        return np.asarray(np.sqrt(squares).sum(axis=0))
+
     def search_where_worst(self, members: Sequence[Member]) -> np.ndarray:
         """Return position peaks of members, and search from now on where they are largest."""
         found, blocks = np.zeros((2, len(members))), len(self._whole[0])

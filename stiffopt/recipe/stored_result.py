@@ -12,7 +12,7 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline, make_interp_splin
 
 from stiffopt.certificate.assess import assess
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
-from stiffopt.command.command_search import ExistingCommand
+from stiffopt.command.command_lead import ExistingCommand
 from stiffopt.command.simulation import PlannedMotion, rival_motions
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import InputFileError, shortened

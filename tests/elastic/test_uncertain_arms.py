@@ -236,6 +236,32 @@ def test_members_in_parts_are_those_of_one_batch(tmp_path, monkeypatch):
     np.testing.assert_allclose(parts.orientation, whole.orientation, rtol=1e-12, atol=1e-15)
 
 
+def test_weighted_sums_of_commands_have_the_errors_of_the_summed_commands(tmp_path, monkeypatch):
+    elastic = planar(tmp_path)
+    plan = there_and_stop((1.0, -1.0), 0.2, (0.3, 0.4))
+    ends = [there_and_stop((1.0 + share, -1.0), 0.2, (0.3, 0.4)) for share in (0.0, 0.01)]
+    shares = np.array([0.0, 0.3, 1.0])
+    box = ParameterBox(Uncertainty(), elastic.robot)
+    arms = [box.departure(each) for each in np.random.default_rng(3).uniform(-1.0, 1.0, (5, 7))]
+    many = UncertainArms(elastic, plan)
+    summed = []
+    for share in shares:
+        command = MotorMotion.of(ends[0].mixed_with(ends[1], share))
+        found = many.position_peaks([Member(command=command, departure=each) for each in arms])
+        summed.append(found.max(axis=1).sum())
+    weights = np.column_stack([1.0 - shares, shares])
+    commands = list(map(MotorMotion.of, ends))
+    found = many.mixed_peaks(commands, arms, weights)
+    assert summed[2] > 1.5 * summed[0]
+    np.testing.assert_allclose(found, summed, rtol=1e-3)
+    monkeypatch.setattr(uncertain_arms, "_STEPS_AT_ONCE", 7)
+    parts = UncertainArms(elastic, plan).mixed_peaks(commands, arms, weights)
+    np.testing.assert_allclose(parts, found, rtol=1e-9)
+    # All end where none is below the bound.
+    ended = UncertainArms(elastic, plan).mixed_peaks(commands, arms, weights, 0.5 * found.min())
+    assert 0.5 * found.min() <= ended.min() < found.min()
+
+
 def test_one_derivative_of_the_bodies_stands_for_several_steps(tmp_path, monkeypatch):
     elastic = planar(tmp_path)
     command, plan = (made((3.0, -4.0), 0.2, (0.3, 0.4)) for made in (bang, there_and_stop))

@@ -13,7 +13,7 @@ from stiffopt.baseline.baselines import baselines
 from stiffopt.baseline.rivals import FairRival, quintic_law, s_curve_law
 from stiffopt.certificate.assess import assess
 from stiffopt.command import command_search
-from stiffopt.command.command_search import ExistingCommand
+from stiffopt.command.command_lead import ExistingCommand
 from stiffopt.command.compensation import (
     commands_on_arms,
     compensate,
@@ -322,11 +322,10 @@ def test_without_a_command_within_the_limits_the_one_of_least_excess_is_taken(
     motion = replace(planned(problem, 0.31), exceeded=())
     arm, law = elastic_arm(problem, motion.position[0]), MotorLaw(problem.robot)
     search = command_search.CommandSearch(problem, arm, motion, law)
-    leads = map(search._lead_of, search._spacings)
-    assert not any(list(search._candidates_within_limits(lead)) for lead in leads)
+    leads = list(map(search._lead_of, search._spacings))
+    assert not any(command_search._LeadWithinLimits(search, lead).servo_shares for lead in leads)
     monkeypatch.setattr(search, "_worst_arms", None)  # nothing is simulated
-    leads = [list(search._lead_of(each).commands(1.0))[-1] for each in search._spacings]
-    excess = [search._excess_beyond_plan(each.motors) for each in leads]
+    excess = [search.excess_beyond_plan(each.command(1.0, 0.0).motors) for each in leads]
     assert min(excess) < 0.9 * max(excess)
     chosen = search.chosen_command()
-    assert search._excess_beyond_plan(chosen.motors) == pytest.approx(min(excess))
+    assert search.excess_beyond_plan(chosen.motors) == pytest.approx(min(excess))

@@ -9,7 +9,6 @@ import pytest
 from small_arms import ROOT, load
 
 from stiffopt import native, solve
-from stiffopt.command.command_search import CommandSearch
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.formulation import formulate
 from stiffopt.problem.objective import Scales
@@ -92,11 +91,12 @@ def test_a_command_is_chosen_as_that_of_the_solved_state(tmp_path, monkeypatch):
     other = replace(end, command=(own.spacing, 1e4, own.servo_share))
     again, _ = family.solve(longer, other, simulate=True, beside_rivals=False)
     assert again.compensation.optimised.share < 2.0
-    monkeypatch.setattr(CommandSearch, "_candidates_within_limits", None)
+    monkeypatch.setattr("stiffopt.command.command_search._LeadWithinLimits", None)
     found, _ = family.solve(longer, end, simulate=True, beside_rivals=False)
     led = found.compensation.optimised
     assert (led.spacing, led.share, led.servo_share) == end.command
-    assert led.compensated.worst_case <= 1.02 * again.compensation.optimised.compensated.worst_case
+    # A new choice follows the planned lead, which is not within the limits of the shorter motion.
+    assert led.compensated.worst_case <= 1.03 * again.compensation.optimised.compensated.worst_case
 
 
 def test_warm_solution_is_that_of_the_problem_as_stated(first, monkeypatch):

@@ -70,7 +70,7 @@ def test_objective_cost_of_a_slower_deviation_is_small(solved):
 
 def test_the_command_deviates_less_on_the_worst_arm(unsure, solved):
     (_, *least), (share, *found) = (at_worst(unsure, each) for each in solved)
-    assert share >= 1.03
+    assert share > 1.0
     assert sum(found) < sum(least)
 
 
