@@ -127,6 +127,9 @@ def build_findings(
                 link=None if located.link is None else constants.links[located.link],
                 probability=(1.0 - misfit) * selected.probability,
                 misfit=misfit,
+                absence=0.0
+                if located.calibrated
+                else 1.0 - (1.0 - zero) * float(np.mean([gain.support for gain in own])),
                 rivals=build_rivals(selected, 1.0 - misfit),
                 parameters=reported,
                 where=effect.signature,

@@ -22,7 +22,7 @@ from stiffopt.discovery.conclusions import (
     judge_by_held_out,
     refutable_channels,
 )
-from stiffopt.discovery.diagnosis import Diagnosis
+from stiffopt.discovery.diagnosis import Diagnosis, Finding
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.experiment.design import leading_pair, plan_experiment
 from stiffopt.discovery.extended.left_open import rescale_to_rate
@@ -259,7 +259,8 @@ def _run_diagnosis(
     limits = steps.run(
         LIMITS, lambda: detection_limits(Scorer(result.comparison, located), sought, result.effects)
     )
-    found, whole = _with_found(parameters, base)
+    found = extension_of_estimate(parameters, findings)
+    whole = _with_found(found, base)
     if unexplained is None and not findings and not opened.at_rest:
         unexplained = steps.run(BURSTS, lambda: find_bursts(training, found))
     new = [s for s in selected if not s.located.calibrated]
@@ -344,10 +345,22 @@ def _run_diagnosis(
     return complete_step(concluded)[0]
 
 
-def _with_found(estimate: Estimate, base: ExtendedModel | None) -> tuple[Extension, Extension]:
-    """Return what was found, and the starting model with it."""
-    found = Extension(calibration=estimate.calibration(), effects=estimate.effects)
-    return found, found if base is None else base.extension.plus(found)
+def extension_of_estimate(estimate: Estimate, findings: Sequence[Finding] = ()) -> Extension:
+    """Return the extension by an estimate, with less of the effects that may be absent.
+
+    By the `findings` all of the values up to an absence of one half, and from there on less, down
+    to none of an effect that is surely absent; the others are fitted beside that. A value within a
+    standard deviation of zero predicts worse than zero.
+    """
+    absence = {each.located.key: each.absence for each in findings}
+    shares = [2.0 - 2.0 * absence.get(each.located.key, 0.0) for each in estimate.effects]
+    estimate = estimate.shrunk(np.minimum(shares, 1.0))
+    return Extension(calibration=estimate.calibration(), effects=estimate.effects)
+
+
+def _with_found(found: Extension, base: ExtendedModel | None) -> Extension:
+    """Return the starting model with what was found."""
+    return found if base is None else base.extension.plus(found)
 
 
 def _fit_simulation(
@@ -357,7 +370,9 @@ def _fit_simulation(
     if not simulation.recordings.signals.commanded:
         return None
     estimate = steps.finish(lambda: estimate_parameters(result.comparison, result.effects))
-    return steps.run(SIMULATION, lambda: simulation.fit(_with_found(estimate, base)[1]))
+    return steps.run(
+        SIMULATION, lambda: simulation.fit(_with_found(extension_of_estimate(estimate), base))
+    )
 
 
 def _estimate_parameters(

@@ -93,6 +93,9 @@ class Finding:
     # Root mean square residual of that channel in held-out runs over that of a model fitted without
     # the finding; None where they do not tell.
     held_out_ratio: float | None = None
+    # Probability that it is not there: by the spread of its gain in stretches of the training runs
+    # left out, and by its values where these do not exclude zero.
+    absence: float = 0.0
 
     @property
     def located(self) -> LocatedEffect:

@@ -465,6 +465,7 @@ def with_findings(
     extension: Extension, before: Sequence[Finding], after: Sequence[Finding]
 ) -> Extension:
     """Return an extension with findings that have come, and without those that have gone."""
-    old, new = ([each.estimated for each in some] for some in (before, after))
-    kept = [each for each in extension.effects if each in new or each not in old]
-    return replace(extension, effects=(*kept, *(each for each in new if each not in old)))
+    old, new = ({each.located.key: each.estimated for each in some} for some in (before, after))
+    kept = [e for e in extension.effects if e.located.key in new or e.located.key not in old]
+    come = (each for key, each in new.items() if key not in old)
+    return replace(extension, effects=(*kept, *come))

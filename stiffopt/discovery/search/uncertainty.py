@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import special
+from scipy.linalg import block_diag
 
 from stiffopt.discovery.comparison.channel_rows import part_numbers
 from stiffopt.discovery.comparison.comparison import Comparison
@@ -229,6 +230,28 @@ class Estimate:
             each.append((self.between, self.parts[1]))
         return [(m, count) for m, count in each if not np.array_equal(m, self.covariance)]
 
+    def shrunk(self, shares: np.ndarray) -> Estimate:
+        """Return the estimate with shares (e,), 0 to 1, of the amplitudes, the others refitted.
+
+        As by a prior about zero that alone would leave that share of an effect. Deviations stay.
+        """
+        chosen = np.flatnonzero(shares < 1.0)
+        rows = [self._amplitude_rows(index) for index in range(len(self.effects))]
+        gone = np.concatenate([np.zeros(0, dtype=int), *(rows[index] for index in chosen)])
+        across = self.covariance[:, gone]
+        within = [self.covariance[np.ix_(rows[k], rows[k])] for k in chosen]
+        loose = [s / (1.0 - s) * own for s, own in zip(shares[chosen], within, strict=True)]
+        pulled = np.linalg.pinv(across[gone] + block_diag(*loose)) if len(gone) else across[gone]
+        change = -across[: len(self.values)] @ pulled @ self.values[gone]
+        effects = tuple(
+            replace(each, amplitudes=tuple((each.amplitudes + size * change[own]).tolist()))
+            for each, own, size in zip(self.effects, rows, self.sizes, strict=True)
+        )
+        return replace(self, values=self.values + change, effects=effects)
+
+    def _amplitude_rows(self, index: int) -> np.ndarray:
+        return self._parameter_rows(index)[0][: len(self.sizes[index])]
+
     def moved(self, steps: np.ndarray) -> Estimate:
         """Return the estimate with first amplitudes moved by steps (e,) over their sizes.
 
@@ -261,8 +284,7 @@ class Estimate:
         """Add a common relative standard deviation (e,) of each effect's amplitudes."""
         more = np.zeros_like(self.covariance)
         for index, scale in enumerate(scales):
-            rows, _ = self._parameter_rows(index)
-            own = rows[: len(self.sizes[index])]
+            own = self._amplitude_rows(index)
             more[np.ix_(own, own)] = scale**2 * np.outer(self.values[own], self.values[own])
         return self._widened(more)
 
