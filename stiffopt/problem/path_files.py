@@ -69,12 +69,13 @@ def on_positioner(robot: Robot, link: str, process_force: Sequence[float]) -> Ro
     Raises `ProblemError`: the link does not move, or the tool moves it; or what is given in axes of
     the base.
     """
-    held = [each.name for each in robot.held if each.why == "not on the way to the tool"]
+    held = [each.name for each in robot.held]
     if link in frames.link_names(robot.model) and link not in frames.moving_link_names(robot.model):
         raise ProblemError(
             f"the link {link!r} does not move"
-            + (f": {', '.join(held)} are held. Name the joints that move it in [[joint]] sections "
-               "of the robot file." if held else ". Leave path.frame.link out.")
+            + (f": {', '.join(held)} are held. Give the joints that move it [[joint]] sections of "
+               "the robot file, and take them out of `lock`." if held
+               else ". Leave path.frame.link out.")
         )  # fmt: skip
     work = frames.link_frame(robot.model, link)
     if robot.tool.joint in supporting_joints(robot.model, work.joint):
