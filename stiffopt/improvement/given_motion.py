@@ -25,8 +25,8 @@ _SMOOTHED_INTERVALS, _MIN_SPACING = 4.0, 0.01
 # Widest spacing of samples [s], and the residual of a wider one over that of the narrowest, beyond
 # the resolution of a sample [rad], at which it still follows the motion.
 _MAX_SPACING, _MAX_NOISE_RATIO, _SAMPLE_RESOLUTION = 0.16, 1.2, 2e-7
-# Range of a joint at rest: over the standard deviation of its noise, and beside that [rad] or [m].
-_REST_NOISES, _REST_RANGE = 5.0, 1e-6
+# Range of a joint at rest over the standard deviation of its noise, beside the path's tolerance.
+_REST_NOISES = 5.0
 # Standard deviation over median of the sizes of normal noise; the median counts no misfit at bends.
 _MEDIAN_TO_SIGMA = 1.4826
 # Window in which the speed at the ends is taken [s]; motions of fewer rows are points to pass.
@@ -154,7 +154,7 @@ class GivenMotion:
         count = max(_MIN_ARC_SAMPLES, int(np.ceil(self.duration / _REST_INTERVAL)) + 1)
         time = np.linspace(0.0, self.duration, count)
         position = self.plan(time)
-        band = np.full(position.shape[1], _REST_RANGE)
+        band = np.full(position.shape[1], _PATH_TOLERANCE)
         if self._has_noise:
             off = np.abs(self.smoothed(self.times) - self(self.times))
             band += _REST_NOISES * _MEDIAN_TO_SIGMA * np.median(off, axis=0)
@@ -228,10 +228,11 @@ def moving_pieces(given: GivenMotion) -> list[MotionPiece]:
     """Return the pieces of a motion between rests, with their paths by arc length."""
     edges = [0.0, *itertools.chain.from_iterable(given.rests), given.duration]
     moves = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b > a]
-    until = [*(begin for begin, _ in moves[1:]), moves[-1][1]]
+    # The halves of a window that the pieces have on either side of a rest pass in no time.
+    dwells = [after - end + _MIN_DWELL for (_, end), (after, _) in itertools.pairwise(moves)]
     return [
-        _piece(given.plan, begin, end, after - end)
-        for (begin, end), after in zip(moves, until, strict=True)
+        _piece(given.plan, begin, end, dwell)
+        for (begin, end), dwell in zip(moves, [*dwells, 0.0], strict=True)
     ]
 
 
