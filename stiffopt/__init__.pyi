@@ -11,6 +11,7 @@ from .errors import ProblemError as ProblemError
 from .errors import StiffoptError as StiffoptError
 from .fastening.tightening import Tightening as Tightening
 from .identification.stiffness import identify_stiffness as identify_stiffness
+from .path.load import load_problem as load_problem
 from .preload.files import load_study as load_study
 from .preload.load_case import LoadCase as LoadCase
 from .preload.optimise import optimise_preloads as optimise_preloads
@@ -18,7 +19,6 @@ from .preload.problem import Choice as Choice
 from .preload.problem import PreloadProblem as PreloadProblem
 from .preload.problem import Requirements as Requirements
 from .preload.study import preload_study as preload_study
-from .problem.files import load_problem as load_problem
 from .problem.limit import Limits as Limits
 from .problem.objective import Objective as Objective
 from .problem.trajectory import Method as Method

@@ -12,12 +12,12 @@ import numpy as np
 from stiffopt.cycle.solve_cycle import solve_cycle
 from stiffopt.errors import InputFileError
 from stiffopt.files import check_file, load_toml
+from stiffopt.path.load import load_problem
 from stiffopt.preload.files import load_study
 from stiffopt.preload.schema import ExpectedValueSection
 from stiffopt.preload.solution import PreloadSolution
 from stiffopt.preload.study import named_values, preload_study
 from stiffopt.problem.cycle_files import is_cycle, load_cycle
-from stiffopt.problem.files import load_problem
 from stiffopt.problem.schema import ExpectedSection
 from stiffopt.result.cycle import CycleSolution
 from stiffopt.result.progress import ProgressCallback, SolveProgress

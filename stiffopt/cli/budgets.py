@@ -36,7 +36,7 @@ def budget(
     from stiffopt.budget.measurements import rank_measurements
     from stiffopt.budget.store import write_budget
     from stiffopt.budget.volume import volume_budget
-    from stiffopt.problem.files import load_problem
+    from stiffopt.path.load import load_problem
     from stiffopt.recipe.motion_states import problem_states, solved_states
     from stiffopt.recipe.stored_result import read_result
     from stiffopt.report.pages.budget import print_budget, write_budget_report

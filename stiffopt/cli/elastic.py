@@ -291,7 +291,7 @@ def _named_poses(
 ) -> tuple[Robot, dict[str, np.ndarray]]:
     """Return robot and named poses: of a problem file, at --at, or the start of `init problem`."""
     from stiffopt.files import load_toml
-    from stiffopt.problem.files import load_problem
+    from stiffopt.path.load import load_problem
     from stiffopt.problem.resolve import resolve
     from stiffopt.robot.files import load_robot
     from stiffopt.starter.problem_file import first_motion

@@ -48,7 +48,7 @@ def improve(
     from stiffopt.improvement.given_motion import GivenMotion
     from stiffopt.improvement.improvement import improve as improve_motion
     from stiffopt.improvement.improvement_files import write_improvement
-    from stiffopt.problem.files import load_problem
+    from stiffopt.path.load import load_problem
     from stiffopt.problem.limit import Limits
     from stiffopt.report.pages.improvement import print_improvement, write_improvement_report
     from stiffopt.result.compensation import COMMAND_FILE
@@ -86,6 +86,6 @@ def improve(
         with defer_while_writing():
             write_improvement_report(motion.stem, found, stage, read.reasons)
             write_improvement(found, stage, origin)
-    print_improvement(found, folder)
+    print_improvement(found, folder, read.reasons)
     show_report(folder, open_report)
     return 0 if found.kept else 3

@@ -68,7 +68,7 @@ def solve(
     with defer_until_result():
         from stiffopt.certificate.assess import assess
         from stiffopt.command.simulated_solution import with_simulation
-        from stiffopt.problem.files import load_problem
+        from stiffopt.path.load import load_problem
         from stiffopt.recipe.stored_result import (
             PREPARED_FILE,
             STATE_FILE,

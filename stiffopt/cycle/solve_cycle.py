@@ -326,10 +326,15 @@ class _CycleRun:
 
     def _message(self, solutions: list[Solution], status: SolveStatus) -> str:
         count = len(self._cycle.legs)
-        if status.usable and len(solutions) == count:
-            return "Every leg is solved and certified."
         worst = next(k for k, each in enumerate(solutions) if each.status is status)
         leg = self._cycle.legs[worst]
+        if status.usable and len(solutions) == count:
+            told = "Every leg is solved and certified."
+            if status is not SolveStatus.OPTIMAL:
+                # How near it is to its optimum, and why.
+                why = ". ".join(solutions[worst].message.split(". ")[:2])
+                told += f" Leg {worst + 1} ({leg.name}): {why.rstrip('.')}."
+            return told
         why = f" {self._infeasible[0].upper()}{self._infeasible[1:]}" if self._infeasible else ""
         return f"leg {worst + 1} ({leg.name}): {solutions[worst].message}{why}"
 

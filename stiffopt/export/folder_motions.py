@@ -27,7 +27,7 @@ from stiffopt.files import load_json
 from stiffopt.folders import check_result
 from stiffopt.improvement.improvement import problem_of_motion
 from stiffopt.improvement.improvement_files import IMPROVEMENT_FILE
-from stiffopt.problem.files import load_problem
+from stiffopt.path.load import load_problem
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.recipe.stored_result import read_changes
 from stiffopt.result.assessment import Violation

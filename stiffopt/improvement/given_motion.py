@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from stiffopt.elastic.smooth_motion import smooth_motion
 from stiffopt.errors import ProblemError
@@ -23,16 +25,18 @@ _SMOOTHED_INTERVALS, _MIN_SPACING = 4.0, 0.01
 # Widest spacing of samples [s], and the residual of a wider one over that of the narrowest, beyond
 # the resolution of a sample [rad], at which it still follows the motion.
 _MAX_SPACING, _MAX_NOISE_RATIO, _SAMPLE_RESOLUTION = 0.16, 1.2, 2e-7
-# Speed over the joint's largest one below which a joint counts as at rest.
-_REST_SHARE = 2e-3
+# Range of a joint at rest over the standard deviation of its noise, beside the path's tolerance.
+_REST_NOISES = 5.0
+# Standard deviation over median of the sizes of normal noise; the median counts no misfit at bends.
+_MEDIAN_TO_SIGMA = 1.4826
 # Window in which the speed at the ends is taken [s]; motions of fewer rows are points to pass.
 _END_WINDOW, _MIN_JUDGED_ROWS = 0.02, 20
 # Speed at the ends over the largest one from which a motion does not begin or end at rest.
 _MAX_END_SHARE = 0.2
 # Share of the mean speed that a motion may always have: it rises from rest without the noise there.
 _LEAST_SPEED_SHARE = 0.02
-# Shortest rest within a motion at which it is divided [s].
-_MIN_DWELL = 0.1
+# Window within whose range joints are at rest [s], and the interval at which it is moved.
+_MIN_DWELL, _REST_INTERVAL = 0.1, 1e-3
 # Change of a value from row to row less that by the mean of its rates, over that by the change of
 # its rates, below which the rates are its derivatives: up to 0.03 if so, 0.3 and more if measured.
 _MAX_RATE_ERROR = 0.1
@@ -60,6 +64,8 @@ class GivenMotion:
         jerk_max: np.ndarray | None = None,
     ) -> None:
         self.times = np.asarray(time, dtype=float)
+        self._rows = (position, velocity, acceleration)
+        self._jerk_max = jerk_max
         exact = velocity is not None and are_derivatives(velocity, self.times, position)
         self._has_noise = self.is_sampled and not exact
         self._spline: Callable[..., np.ndarray]
@@ -74,9 +80,9 @@ class GivenMotion:
             self._spline = CubicSpline(self.times, position, bc_type="clamped")
         else:
             self._spline = CubicHermiteSpline(self.times, position, velocity)
-        self._check_ends(np.asarray(position))
 
-    def _check_ends(self, position: np.ndarray) -> None:
+    def check_ends(self) -> None:
+        """Raise `ProblemError` for a motion that begins or ends in flight."""
         if len(self.times) < _MIN_JUDGED_ROWS:
             return
         # Over a window: differences of neighbouring samples are noise.
@@ -138,6 +144,54 @@ class GivenMotion:
         start, rest = self._spline(0.0), self._spline(0.0, 1)
         return Trajectory.from_acceleration(self.times, np.stack(rows, axis=1), start, rest)
 
+    @cached_property
+    def rests(self) -> list[tuple[float, float]]:
+        """Begin and end of each rest [s], about whose instants no joint moves beyond its noise.
+
+        A rest ends half a window before a joint leaves it: a motion rises slowly out of noise.
+        Without those in which an arm creeps from one place to another.
+        """
+        count = max(_MIN_ARC_SAMPLES, int(np.ceil(self.duration / _REST_INTERVAL)) + 1)
+        time = np.linspace(0.0, self.duration, count)
+        position = self.plan(time)
+        band = np.full(position.shape[1], _PATH_TOLERANCE)
+        if self._has_noise:
+            off = np.abs(self.smoothed(self.times) - self(self.times))
+            band += _REST_NOISES * _MEDIAN_TO_SIGMA * np.median(off, axis=0)
+        half = int(np.ceil(0.5 * _MIN_DWELL / time[1]))
+        reach = maximum_filter1d(position, 2 * half + 1, axis=0)
+        reach -= minimum_filter1d(position, 2 * half + 1, axis=0)
+        still = (reach <= band).all(axis=1)
+        # Windows that reach beyond the ends are no whole ones.
+        still[:half], still[count - half :] = still[half], still[count - half - 1]
+        runs = [(a, b) for a, b in _runs(still) if b > a]
+        same = [(np.abs(position[b] - position[a]) <= band).all() for a, b in runs]
+        return [(float(time[a]), float(time[b])) for a, b in itertools.compress(runs, same)]
+
+    def without_rest(self) -> tuple[GivenMotion, float, float]:
+        """Return the motion without rest before and after it, and those two rests [s].
+
+        It starts and ends at the mean places of those rests. Raises `ProblemError` if nothing
+        moves, or the motion begins or ends in flight.
+        """
+        times, rests = self.times, self.rests
+        first, last, position = 0, len(times) - 1, np.array(self._rows[0], dtype=float)
+        if rests and rests[0][0] == 0.0:
+            first = int(np.searchsorted(times, rests[0][1], "right")) - 1
+            position[first] = position[: first + 1].mean(axis=0)
+        if rests and rests[-1][1] == self.duration:
+            last = int(np.searchsorted(times, rests[-1][0]))
+            position[last] = position[last:].mean(axis=0)
+        if first >= last:
+            raise ProblemError("the motion holds an arm at rest: no joint moves beyond its noise.")
+        kept = slice(first, last + 1)
+        velocity, acceleration = (None if each is None else each[kept] for each in self._rows[1:])
+        cut = GivenMotion(
+            times[kept] - times[first], position[kept], velocity, acceleration, self._jerk_max
+        )
+        cut.check_ends()
+        return cut, float(times[first]), float(times[-1] - times[last])
+
     @property
     def without_noise(self) -> JointMotion:
         """Given motion without the noise of samples, which planned ones with velocities lack."""
@@ -170,27 +224,16 @@ class MotionPiece:
         return np.asarray(np.maximum(np.interp(s, self.places, self.rates), least))
 
 
-def moving_pieces(motion: JointMotion) -> list[MotionPiece]:
+def moving_pieces(given: GivenMotion) -> list[MotionPiece]:
     """Return the pieces of a motion between rests, with their paths by arc length."""
-    count = max(_MIN_ARC_SAMPLES, int(np.ceil(motion.duration / 1e-3)) + 1)
-    time = np.linspace(0.0, motion.duration, count)
-    speed = np.abs(motion(time, 1))
-    resting = (speed <= _REST_SHARE * speed.max(axis=0).max()).all(axis=1)
-    pieces, begin = [], 0
-    for first, last in _runs(~resting):
-        pieces.append([first, last])
-    merged: list[list[int]] = []
-    for first, last in pieces:
-        if merged and time[first] - time[merged[-1][1]] < _MIN_DWELL:
-            merged[-1][1] = last
-        else:
-            merged.append([first, last])
-    found = []
-    for k, (first, last) in enumerate(merged):
-        begin, end = max(first - 1, 0), min(last + 1, count - 1)
-        after = merged[k + 1][0] - 1 if k + 1 < len(merged) else end
-        found.append(_piece(motion, time[begin], time[end], time[after] - time[end]))
-    return found
+    edges = [0.0, *itertools.chain.from_iterable(given.rests), given.duration]
+    moves = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b > a]
+    # The halves of a window that the pieces have on either side of a rest pass in no time.
+    dwells = [after - end + _MIN_DWELL for (_, end), (after, _) in itertools.pairwise(moves)]
+    return [
+        _piece(given.plan, begin, end, dwell)
+        for (begin, end), dwell in zip(moves, [*dwells, 0.0], strict=True)
+    ]
 
 
 def _runs(mask: np.ndarray) -> list[tuple[int, int]]:

@@ -72,10 +72,11 @@ class AssessedMotion:
 
     assessment: Assessment
     uses: tuple[LimitUse, ...]  # of every joint and quantity with a limit, the largest share first
-    # Motors that follow exactly on the elastic arm, servo alone, and both; None for rigid arms.
+    # Motors that follow exactly on the elastic arm, servo alone, and both; None if not simulated.
     elastic: SimulatedMotion | None
     servo: np.ndarray | None
     both: SimulatedMotion | None
+    unsimulated: str = ""  # why it was not simulated
 
     @property
     def exceeded(self) -> tuple[Violation, ...]:
@@ -98,6 +99,7 @@ class Improvement:
     retimed: bool  # True where the timing differs from the given one
     margins: dict[str, float]  # largest shares of limits left to the lead of the motors
     notes: tuple[str, ...]
+    is_timed_anew: bool = False  # True where the given timing was not asked to be kept
 
     @property
     def kept(self) -> bool:
@@ -145,10 +147,11 @@ def improve(
     Raises `ProblemError`: the path exceeds a limit at rest, or a range of the joints.
     """
     tell = progress or (lambda _: None)
+    given, notes = _moving(given)
     problem = problem_of_motion(robot, given, settings)
     tell("given motion")
     before = _assess_motion(problem, given.without_noise)
-    pieces, shares = moving_pieces(given.plan), LimitShares(_AVERAGING_WINDOW)
+    pieces, shares = moving_pieces(given), LimitShares(_AVERAGING_WINDOW)
     laws: list[tuple[float, Trajectory]] = []
     plan = given.plan
     if retime or _violations(assess(problem, plan)):
@@ -175,8 +178,25 @@ def improve(
         path_deviation=_path_deviation(problem, given, plan),
         retimed=bool(laws),
         margins=shares.margins,
-        notes=problem.remarks,
+        notes=(*problem.remarks, *notes, *_why_not_simulated(before)),
+        is_timed_anew=retime,
     )
+
+
+def _moving(given: GivenMotion) -> tuple[GivenMotion, tuple[str, ...]]:
+    """Return the motion without rest before and after it, with a note where there is some."""
+    cut, before, after = given.without_rest()
+    if not before + after:
+        return given, ()
+    return cut, (
+        f"Rest of {before:.3g} s before and {after:.3g} s after it, in which no joint moves beyond "
+        "its noise: left out.",
+    )
+
+
+def _why_not_simulated(given: AssessedMotion) -> tuple[str, ...]:
+    why = given.unsimulated
+    return (f"Neither tool error nor lead of the motors: {why}",) if why else ()
 
 
 def _violations(motion: Assessment) -> tuple[Violation, ...]:
@@ -211,8 +231,11 @@ def _assess_motion(
 ) -> AssessedMotion:
     found = with_collisions(problem, assess(problem, motion))
     uses = _limit_uses(problem, found)
-    if not (simulated and problem.robot.yields):
-        return AssessedMotion(assessment=found, uses=uses, elastic=None, servo=None, both=None)
+    rigid = AssessedMotion(assessment=found, uses=uses, elastic=None, servo=None, both=None)
+    if not simulated:
+        return rigid
+    if not problem.robot.yields:
+        return replace(rigid, unsimulated=_no_spring(problem.robot))
     try:
         arm = elastic_arm(problem, found.position[0])
         command = MotorMotion.of(motion)
@@ -221,14 +244,22 @@ def _assess_motion(
         elastic = simulate(arm, command)
         follows = servo.follow(command, float(both.time[-1]), servo.dead_time)
         late = arm.tool(follows.position(both.time)) - arm.tool(command.position(both.time))
-    except NotSimulatedError:
-        return AssessedMotion(assessment=found, uses=uses, elastic=None, servo=None, both=None)
+    except NotSimulatedError as error:
+        return replace(rigid, unsimulated=str(error))
     return AssessedMotion(
         assessment=found,
         uses=uses,
         elastic=elastic,
         servo=np.linalg.norm(late, axis=1),
         both=both,
+    )
+
+
+def _no_spring(robot: Robot) -> str:
+    urdf = "its URDF" if robot.urdf is None else robot.urdf.name
+    return (
+        f"no joint of {robot.name} has a drivetrain. Take a robot file: `stiffopt init robot"
+        f" {urdf}` writes one with estimated drivetrains."
     )
 
 

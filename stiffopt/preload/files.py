@@ -15,6 +15,7 @@ from stiffopt.dynamics.inverse_kinematics import solve_pose
 from stiffopt.errors import InputFileError, nearest
 from stiffopt.fastening.limits import check_preload
 from stiffopt.files import apply_changes, load_toml, read_document
+from stiffopt.path.load import load_problem
 from stiffopt.preload.load_case import LoadCase, LoadHistory
 from stiffopt.preload.load_sources import pose_case, trajectory_history
 from stiffopt.preload.problem import PreloadProblem
@@ -25,7 +26,7 @@ from stiffopt.preload.schema import (
     StudyMotionSection,
 )
 from stiffopt.preload.study import value_units
-from stiffopt.problem.files import load_problem, read_robot
+from stiffopt.problem.files import read_robot
 from stiffopt.problem.joint_lists import JointLists
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.robot.elements import locate_errors

@@ -17,13 +17,12 @@ from stiffopt.problem import schema
 from stiffopt.problem.joint_lists import JointLists
 from stiffopt.problem.limit import LIMITS, Limits
 from stiffopt.problem.objective import Objective
-from stiffopt.problem.path_files import on_positioner, read_tool_path
+from stiffopt.problem.path_files import ReadPath, on_positioner, read_tool_path
 from stiffopt.problem.trajectory import (
     Target,
     TrajectoryProblem,
 )
 from stiffopt.result.duty import DutyLimits
-from stiffopt.result.joint_path import JointPath
 from stiffopt.robot.cell import Cell
 from stiffopt.robot.elements import locate_errors
 from stiffopt.robot.files import load_robot, shipped_robots
@@ -46,17 +45,19 @@ def load_problem(
     *,
     robots: Callable[[str | Path], Robot] = load_robot,
     choice: object = None,
+    timing: Callable[[TrajectoryProblem], float] | None = None,
 ) -> LoadedProblem:
     """Read a trajectory problem file.
 
     `changes` such as "motion.duration=0.5 s" override entries of the file; `robots` loads the robot
     of a name or file, for callers with a cache; `choice` is that of the freedom of a path, as a
-    result keeps it.
+    result keeps it; `timing` returns the least duration [s] on the path of a problem, by which a
+    path's freedom is chosen where the time is minimised.
     """
     path = Path(path)
     document = read_document(path, schema.problem_file(), "trajectory", changes)
     with locate_errors(path, ""):
-        problem = _build_problem(document, path, robots, choice)
+        problem = _build_problem(document, path, robots, choice, timing)
     check_expected_unit(document.expected, problem.objectives, path)
     return LoadedProblem(problem, document.expected, path)
 
@@ -71,7 +72,11 @@ def check_expected_unit(
 
 
 def _build_problem(
-    document: schema.ProblemFile, path: Path, robots: Callable[[str | Path], Robot], choice: object
+    document: schema.ProblemFile,
+    path: Path,
+    robots: Callable[[str | Path], Robot],
+    choice: object,
+    timing: Callable[[TrajectoryProblem], float] | None,
 ) -> TrajectoryProblem:
     if document.move:
         raise InputFileError(
@@ -93,56 +98,64 @@ def _build_problem(
     poses = PoseReader(joints, document.pose)
     remarks = payload_remarks(document.payload)
     fields = common_fields(document, joints)
-    # An array of waypoints becomes a path when the problem is checked.
-    waypoints: Any = None
-    force = None
-    if motion.path is not None:
-        waypoints = np.stack(
-            [joints(q, "angle", f"motion.path[{k}]") for k, q in enumerate(motion.path, start=1)]
-        )
-        start, end = Target(joints=waypoints[0]), Target(joints=waypoints[-1])
-    elif document.path is not None:
-        if motion.start is not None:
-            raise InputFileError(
-                path, "path", "fixes the motion of the tool. Remove start, via and end of [motion]."
-            )
-        cell = fields["cell"] or Cell()
-        followed = read_tool_path(document.path, joints, fields["limits"], cell, choice)
-        waypoints, force, fields["path_choice"] = followed.joints, followed.force, followed.choice
-        remarks += followed.remarks
-        start, end = (Target(joints=waypoints.points[k]) for k in (0, -1))
-    else:
-        if motion.start is None or motion.end is None:
-            raise InputFileError(
-                path, "motion", "give `start` and `end`, or a fixed joint `path`, or a [path] of "
-                "the tool, or `start` and the [[move]] of a cycle."
-            )  # fmt: skip
-        start = poses(motion.start, "motion.start")
-        end = poses(motion.end, "motion.end")
-    if isinstance(waypoints, JointPath) and waypoints.speeds is not None:
-        limits: Limits = fields["limits"]
-        fastest = min(limits.tool_speed, float(waypoints.speeds.max()))
-        fields["limits"] = Limits({**limits.values, "tool_speed": fastest})
     velocity = None
     if motion.boundary_velocity != "zero":
         velocity = (
             joints(motion.boundary_velocity.start, "angular velocity", "boundary_velocity.start"),
             joints(motion.boundary_velocity.end, "angular velocity", "boundary_velocity.end"),
         )
-    return TrajectoryProblem(
-        robot=robot,
-        start=start,
-        end=end,
-        vias=tuple(poses(via, f"motion.via[{k}]") for k, via in enumerate(motion.via, start=1)),
-        path=waypoints,
-        path_force=force,
-        duration=read_duration(document),
-        boundary_velocity=velocity,
-        boundary_acceleration=motion.boundary_acceleration,
-        remarks=remarks,
-        duty=None if document.duty == schema.DutySection() else read_duty(document.duty, joints),
-        **fields,
-    )
+
+    def stated(start: Target, end: Target, own: dict[str, Any]) -> TrajectoryProblem:
+        return TrajectoryProblem(
+            robot=robot,
+            start=start,
+            end=end,
+            vias=tuple(poses(via, f"motion.via[{k}]") for k, via in enumerate(motion.via, start=1)),
+            duration=read_duration(document),
+            boundary_velocity=velocity,
+            boundary_acceleration=motion.boundary_acceleration,
+            duty=None
+            if document.duty == schema.DutySection()
+            else read_duty(document.duty, joints),
+            **{**fields, "remarks": remarks, **own},
+        )
+
+    def along(found: ReadPath) -> TrajectoryProblem:
+        own: dict[str, Any] = {
+            "path": found.joints,
+            "path_force": found.force,
+            "path_choice": found.choice,
+            "remarks": (*remarks, *found.remarks),
+        }
+        if found.joints.speeds is not None:
+            limits: Limits = fields["limits"]
+            fastest = min(limits.tool_speed, float(found.joints.speeds.max()))
+            own["limits"] = Limits({**limits.values, "tool_speed": fastest})
+        start, end = (Target(joints=found.joints.points[k]) for k in (0, -1))
+        return stated(start, end, own)
+
+    if motion.path is not None:
+        # An array of waypoints becomes a path when the problem is checked.
+        waypoints = np.stack(
+            [joints(q, "angle", f"motion.path[{k}]") for k, q in enumerate(motion.path, start=1)]
+        )
+        ends = Target(joints=waypoints[0]), Target(joints=waypoints[-1])
+        return stated(*ends, {"path": waypoints})
+    if document.path is not None:
+        if motion.start is not None:
+            raise InputFileError(
+                path, "path", "fixes the motion of the tool. Remove start, via and end of [motion]."
+            )
+        cell = fields["cell"] or Cell()
+        judge = None if timing is None else lambda found: timing(along(found))
+        return along(read_tool_path(document.path, joints, fields["limits"], cell, choice, judge))
+    if motion.start is None or motion.end is None:
+        raise InputFileError(
+            path, "motion", "give `start` and `end`, or a fixed joint `path`, or a [path] of "
+            "the tool, or `start` and the [[move]] of a cycle."
+        )  # fmt: skip
+    start = poses(motion.start, "motion.start")
+    return stated(start, poses(motion.end, "motion.end"), {})
 
 
 def read_duration(document: schema.ProblemFile) -> tuple[float, float]:

@@ -1,6 +1,9 @@
 """Coarse scan of the freedom of a tool path: postures, constant rotations and tilts, placements.
 
-All candidates are followed along the path at once, from a pose that each posture was found at.
+All candidates are followed along the path at once, from a pose that each posture was found at. From
+pose to pose the joints turn as little as possible; where the last joint of a positioner turns the
+work, also so that the tool's place about its axis, or the feed's direction, is at rest in the cell.
+No small step leads from the ones to the others: they differ by whole turns.
 """
 
 from __future__ import annotations
@@ -17,6 +20,8 @@ from stiffopt.problem.freedom_task import EXCESS_WEIGHT, SCAN_STRIDE, FreedomTas
 
 # Directions of tilt, and shares of half-widths at which tilt and placement are tried.
 _TILT_DIRECTIONS, _TRIED_SHARE = 6, 2.0 / 3.0
+# Difference of two turning motions of the work below which they are one [rad].
+_SAME_ANGLE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,10 +65,16 @@ def scan_candidates(task: FreedomTask, near: np.ndarray, count: int) -> list[Pat
     kept = np.flatnonzero(found)
     kept = kept[_first_of_equal(np.hstack([_unwound(q), placement.T, turns.T])[kept])]
     placement, turns = placement[:, kept], turns[:, kept]
-    joints = np.full((len(kept), len(nodes), task.robot.n), np.nan)
-    joints[:, begin] = q[kept]
-    for order in (range(begin + 1, len(nodes)), range(begin - 1, -1, -1)):
-        _follow(task, joints, order, placement, turns, data)
+    angles = [None, *_turning_angles(task, nodes)]
+    groups = []
+    for angle in angles:
+        own = np.full((len(kept), len(nodes), task.robot.n), np.nan)
+        own[:, begin] = q[kept]
+        for order in (range(begin + 1, len(nodes)), range(begin - 1, -1, -1)):
+            _follow(task, own, order, placement, turns, data, angle)
+        groups.append(own)
+    joints = np.concatenate(groups)
+    placement, turns = (np.tile(each, len(angles)) for each in (placement, turns))
     whole = np.flatnonzero(np.isfinite(joints).all(axis=(1, 2)))
     if not len(whole):
         return []
@@ -173,20 +184,58 @@ def _follow(
     placement: np.ndarray,
     turns: np.ndarray,
     data: np.ndarray,
+    angle: np.ndarray | None,
 ) -> None:
-    """Fill in the joint positions (C, K, n) at nodes in order, NaN from where they end."""
+    """Fill in the joint positions (C, K, n) at nodes in order, NaN from where they end.
+
+    `angle` (K,) is that by which the joint of the work turns [rad]; None: as little as possible.
+    """
     back = -1 if order.step > 0 else 1
+    held, work = None, _work_joint(task)
+    if angle is not None:
+        held = np.arange(task.robot.n) == work
     for k in order:
         own = np.flatnonzero(np.isfinite(joints[:, k + back]).all(axis=1))
         if not len(own):
             return
         before = joints[own, k + back]
-        q, found = task.solve_poses(
-            before, placement[:, own], turns[:, own], np.repeat(data[:, [k]], len(own), axis=1)
-        )
+        guess = before.copy()
+        if angle is not None:
+            guess[:, work] += angle[k] - angle[k + back]
+        at = np.repeat(data[:, [k]], len(own), axis=1)
+        q, found = task.solve_poses(guess, placement[:, own], turns[:, own], at, held)
         # Larger joint steps between neighbouring nodes of the scan are a change of posture [rad].
         found &= np.abs(q - before).max(axis=1) < 1.2
         joints[own[found], k] = q[found]
+
+
+def _work_joint(task: FreedomTask) -> int:
+    """Return the joint (from 0) whose link carries the work, -1 where the base does."""
+    work = task.robot.tool.seen_from
+    return -1 if work is None else work.joint - 1
+
+
+def _turning_angles(task: FreedomTask, nodes: np.ndarray) -> list[np.ndarray]:
+    """Return angles (K,) [rad] of the joint of the work at nodes with which it turns.
+
+    One for the tool's place about its axis at rest in the cell, one for the direction of the feed.
+    """
+    joint, work = _work_joint(task), task.robot.tool.seen_from
+    if work is None or task.robot.prismatic[joint]:
+        return []
+    axis = work.rotation.T @ task.robot.tree.bodies[joint].axis
+    place, _ = task.path.stated_poses(nodes)
+    place = place + work.rotation.T @ work.offset
+    across = np.linalg.svd(axis[None])[2][1:]
+    across[1] = np.cross(axis, across[0])
+    found: list[np.ndarray] = []
+    for arrow in (place, np.gradient(place, nodes, axis=0)):
+        x, y = across @ arrow.T
+        angle = -np.unwrap(np.arctan2(y, x))
+        # Less than half a turn is found from the motion that turns the joints least.
+        if np.ptp(angle) > np.pi and all(np.ptp(angle - each) > _SAME_ANGLE for each in found):
+            found.append(angle)
+    return found
 
 
 def _unwound(q: np.ndarray) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
@@ -13,8 +13,8 @@ import scipy
 from stiffopt.dimensions import DIMENSIONS
 from stiffopt.errors import InputFileError, ProblemError
 from stiffopt.files import read_table
-from stiffopt.problem.branches import middle_of_ranges, within_limits
-from stiffopt.problem.freedom_choice import choose_freedom
+from stiffopt.problem.branches import within_limits
+from stiffopt.problem.freedom_choice import ChosenFreedom, choose_freedom
 from stiffopt.problem.freedom_task import POSE_JOINTS, FreedomTask
 from stiffopt.problem.joint_lists import JointLists
 from stiffopt.problem.limit import Limits
@@ -32,6 +32,7 @@ from stiffopt.problem.schema import (
     SegmentSection,
 )
 from stiffopt.problem.tool_path import (
+    FittedPath,
     ToolPath,
     ToolSegment,
     fit_tool_path,
@@ -68,12 +69,13 @@ def on_positioner(robot: Robot, link: str, process_force: Sequence[float]) -> Ro
     Raises `ProblemError`: the link does not move, or the tool moves it; or what is given in axes of
     the base.
     """
-    held = [each.name for each in robot.held if each.why == "not on the way to the tool"]
+    held = [each.name for each in robot.held]
     if link in frames.link_names(robot.model) and link not in frames.moving_link_names(robot.model):
         raise ProblemError(
             f"the link {link!r} does not move"
-            + (f": {', '.join(held)} are held. Name the joints that move it in [[joint]] sections "
-               "of the robot file." if held else ". Leave path.frame.link out.")
+            + (f": {', '.join(held)} are held. Give the joints that move it [[joint]] sections of "
+               "the robot file, and take them out of `lock`." if held
+               else ". Leave path.frame.link out.")
         )  # fmt: skip
     work = frames.link_frame(robot.model, link)
     if robot.tool.joint in supporting_joints(robot.model, work.joint):
@@ -95,11 +97,17 @@ def on_positioner(robot: Robot, link: str, process_force: Sequence[float]) -> Ro
 
 
 def read_tool_path(
-    section: PathSection, joints: JointLists, limits: Limits, cell: Cell, kept: object = None
+    section: PathSection,
+    joints: JointLists,
+    limits: Limits,
+    cell: Cell,
+    kept: object = None,
+    timing: Callable[[ReadPath], float] | None = None,
 ) -> ReadPath:
     """Return the joint path of a tool path, its freedom chosen, with its error as a remark.
 
-    `kept` is the document of an earlier choice of the freedom.
+    `kept` is the document of an earlier choice of the freedom, `timing` the duration [s] of a
+    choice.
     """
     robot = joints.robot
     posture = section.near if section.start is None else section.start.near or section.near
@@ -110,50 +118,68 @@ def read_tool_path(
             path, forces, at, names = _table_path(section.table, section, joints.path, frame)
         else:
             path, forces, at, names = _segment_path(section, frame)
-        chosen: tuple[str, ...] = ()
-        choice = None
-        if section.freedom is None:
-            fitted = fit_tool_path(within_limits(robot, limits), path, near, section.tolerance)
-            chosen = (fitted.remark,) if fitted.remark else ()
-            if robot.n > POSE_JOINTS:
-                chosen += (
-                    f"The arm has {robot.n} joints, and a pose fixes {POSE_JOINTS}: from pose to "
-                    "pose they turn as little as possible. [path.freedom] chooses them for the "
-                    "least error or time.",
-                )
-        else:
+
+        def read(
+            path: ToolPath,
+            fitted: FittedPath,
+            remarks: tuple[str, ...] = (),
+            choice: dict[str, Any] | None = None,
+        ) -> ReadPath:
+            """Return a path that the arm follows, with its force and remarks."""
+            force, followed = _force_along(path, section.force, forces, at), fitted.joints
+            if force is not None and section.force is not None:
+                feeds = np.where(np.isfinite(path.speeds), path.speeds, 0.0)
+
+                def name(along: float) -> str:
+                    return names[
+                        int(np.clip(np.searchsorted(at, along, "right") - 1, 0, len(names) - 1))
+                    ]
+
+                check_path_force(robot, followed, force, float(feeds.max()), path.length, name)
+                if section.force.deflection_limit is not None:
+                    followed, remark = with_limited_deflection(
+                        robot,
+                        followed,
+                        force,
+                        section.force.deflection_limit,
+                        section.force.deflection_direction,
+                    )
+                    remarks = (*remarks, remark)
+            stops = f", with {len(path.stops)} stops" if len(path.stops) else ""
+            remark = (
+                f"The tool's path of {1e3 * path.length:.4g} mm{stops} is followed by a spline "
+                f"through {len(followed.knots)} joint waypoints, within "
+                f"{1e6 * fitted.error:.2g} µm."
+            )
+            return ReadPath(followed, force, (remark, *remarks), choice)
+
+        if section.freedom is not None:
             stated = _force_along(path, section.force, forces, at)
             axes = "path" if section.force is None else section.force.frame
             task = FreedomTask(robot, section.freedom, limits, path, frame[1], stated, axes)
-            start = middle_of_ranges(robot) if near is None else near
-            found = choose_freedom(task, start, section.tolerance, cell, kept)
-            path, fitted, choice = found.path, found.fitted, found.document
-            chosen = (found.remark,)
-        force, followed = _force_along(path, section.force, forces, at), fitted.joints
-        if force is not None and section.force is not None:
-            feeds = np.where(np.isfinite(path.speeds), path.speeds, 0.0)
 
-            def name(along: float) -> str:
-                return names[
-                    int(np.clip(np.searchsorted(at, along, "right") - 1, 0, len(names) - 1))
-                ]
+            def read_choice(found: ChosenFreedom) -> ReadPath:
+                return read(found.path, found.fitted, (found.remark,), found.document)
 
-            check_path_force(robot, followed, force, float(feeds.max()), path.length, name)
-            if section.force.deflection_limit is not None:
-                followed, remark = with_limited_deflection(
-                    robot,
-                    followed,
-                    force,
-                    section.force.deflection_limit,
-                    section.force.deflection_direction,
+            return read_choice(
+                choose_freedom(
+                    task,
+                    near,
+                    section.tolerance,
+                    cell,
+                    kept,
+                    None if timing is None else lambda found: timing(read_choice(found)),
                 )
-                chosen = (*chosen, remark)
-    stops = f", with {len(path.stops)} stops" if len(path.stops) else ""
-    remark = (
-        f"The tool's path of {1e3 * path.length:.4g} mm{stops} is followed by a spline through "
-        f"{len(fitted.joints.knots)} joint waypoints, within {1e6 * fitted.error:.2g} µm."
-    )
-    return ReadPath(followed, force, (remark, *chosen), choice)
+            )
+        fitted = fit_tool_path(within_limits(robot, limits), path, near, section.tolerance)
+        remarks: tuple[str, ...] = (fitted.remark,) if fitted.remark else ()
+        if robot.n > POSE_JOINTS:
+            remarks += (
+                f"The arm has {robot.n} joints, and a pose fixes {POSE_JOINTS}: from pose to "
+                "pose they turn as little as possible. [path.freedom] chooses them for the "
+                "least error or time.",
+            )
+        return read(path, fitted, remarks)
 
 
 def _force_along(

@@ -17,7 +17,8 @@ from stiffopt.command.simulation import PlannedMotion, rival_motions
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import InputFileError, shortened
 from stiffopt.folders import check_result, is_regular
-from stiffopt.problem.files import LoadedProblem, load_problem
+from stiffopt.path.load import load_problem
+from stiffopt.problem.files import LoadedProblem
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
 from stiffopt.result.archive import ARCHIVE_FILE, read_archive

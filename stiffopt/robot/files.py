@@ -288,7 +288,12 @@ def _joint_numbers(
                 # MuJoCo has no limits of velocity, and drives without limit.
                 values[key] = np.inf
             elif default is None:
-                raise InputError(f"is missing, and the URDF has no {fallback} for it. Give {key}.")
+                raise InputError(
+                    f"is missing, and the URDF has no {fallback} for it. Give {key} in a robot file"
+                    f" (`stiffopt init robot {path.name}` estimates it for one)."
+                    if path.suffix != ".toml"
+                    else f"is missing, and the URDF has no {fallback} for it. Give {key}."
+                )
             else:
                 values[key] = default
     return values

@@ -23,6 +23,10 @@ from stiffopt.starter.table_layouts import read_message_table
 
 # Factors of angles to rad.
 _RADIANS_PER_UNIT = {"": 1.0, "rad": 1.0, "deg": np.pi / 180.0, "mrad": 1e-3}
+# Factors of angular speeds to rad/s, and the ratio to the speed of the positions up to which a
+# column is in a unit.
+_SPEED_UNITS = {"rad/s": 1.0, "deg/s": np.pi / 180.0, "rpm": np.pi / 30.0, "mrad/s": 1e-3}
+_MAX_SPEED_RATIO = 1.25
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +61,6 @@ def read_timed_motion(path: Path, robot: Robot, rate: float | None = None) -> Ti
     names = _position_columns(path, table, clock, robot)
     values = np.column_stack([table[name] for name in names])
     time = table[clock] * guessing.SECONDS_PER_UNIT[unit]
-    velocity, acceleration = _rates(table, names, robot)
     # Loggers write a row twice; another position at the same instant is a fault.
     row = np.column_stack([time, values])
     new = np.append(True, (row[1:] != row[:-1]).any(axis=1))
@@ -66,17 +69,9 @@ def read_timed_motion(path: Path, robot: Robot, rate: float | None = None) -> Ti
     factor, told = _angle_factor(path, names, values, robot)
     factors = np.where(robot.prismatic, 1.0, factor)
     position = values * factors
-    if velocity is not None:
-        velocity = velocity[new] * factors
-        # Points of a joint trajectory may be too far apart to tell.
-        is_planned = names[0] == f"position[{robot.joint_names[0]}]"
-        if not is_planned and not are_derivatives(velocity, time, position):
-            velocity = None
-    if acceleration is not None:
-        acceleration = acceleration[new] * factors
-        if velocity is None or not are_derivatives(acceleration, time, velocity):
-            acceleration = None
-    reasons: tuple[str, ...] = (why, f"position: {', '.join(names)}; {told}")
+    rows = {name: column[new] for name, column in table.items()}
+    velocity, acceleration, used = _rates(rows, names, robot, time, position)
+    reasons: tuple[str, ...] = (why, f"position: {', '.join(names)}; {told}", *used)
     if not new.all():
         reasons += (f"{counted(int(np.sum(~new)), 'row')} that repeat the row before: left out",)
     return _checked_motion(path, robot, time, (position, velocity, acceleration), reasons)
@@ -161,20 +156,58 @@ def _angle_factor(
 
 
 def _rates(
-    table: Mapping[str, np.ndarray], positions: Sequence[str], robot: Robot
-) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Return velocities and accelerations of set points if those are the positions, else measured.
+    rows: Mapping[str, np.ndarray],
+    positions: Sequence[str],
+    robot: Robot,
+    time: np.ndarray,
+    position: np.ndarray,
+) -> tuple[np.ndarray | None, np.ndarray | None, tuple[str, ...]]:
+    """Return velocities and accelerations that belong to the positions, and what was found.
 
-    Accelerations without velocities are not looked for.
+    Those of set points if the positions are set points, else measured ones. Rates that are no
+    derivatives of the positions are None. Accelerations without velocities are not looked for.
     """
     planned = may_be_set_point(positions[0])
-    names = [name for name in table if may_be_set_point(name) == planned]
+    names = [name for name in rows if may_be_set_point(name) == planned]
     found = columns_of_kind(names, "velocity", robot.joint_names)
     if not found or not all(found[0]):
-        return None, None
-    velocity = np.column_stack([table[name] for name in found[0]])
+        return None, None, ()
+    velocity = np.column_stack([rows[name] for name in found[0]])
+    # Points of a joint trajectory may be too far apart to tell.
+    is_trajectory = positions[0] == f"position[{robot.joint_names[0]}]"
+    unit = "rad/s" if is_trajectory else _speed_unit(velocity, time, position, robot)
+    told = f"speed: {', '.join(found[0])}; "
+    if not unit:
+        return None, None, (f"{told}in no unit of the positions' speed, not used",)
+    told += f"in {unit}"
+    told += "" if is_trajectory else " by the steps of the positions"
+    factors = np.where(robot.prismatic, 1.0, _SPEED_UNITS[unit])
+    velocity = velocity * factors
+    if not is_trajectory and not are_derivatives(velocity, time, position):
+        return None, None, (f"{told}; measured, not used",)
     twice = acceleration_columns(names, robot.joint_names)
-    return velocity, np.column_stack([table[name] for name in twice]) if twice else None
+    acceleration = np.column_stack([rows[name] for name in twice]) * factors if twice else None
+    if acceleration is not None and not are_derivatives(acceleration, time, velocity):
+        acceleration = None
+    return velocity, acceleration, (told,)
+
+
+def _speed_unit(
+    velocity: np.ndarray, time: np.ndarray, position: np.ndarray, robot: Robot
+) -> str | None:
+    """Return the unit in which columns are the speed of the positions, None if in no known one."""
+    if robot.prismatic.all():
+        return "rad/s"
+    speed = (np.diff(position, axis=0) / np.diff(time)[:, None])[:, ~robot.prismatic]
+    stated = (0.5 * (velocity[1:] + velocity[:-1]))[:, ~robot.prismatic]
+    size = float(np.sum(stated * stated))
+    slope = float(np.sum(stated * speed)) / size if size > 0.0 else 0.0
+    fitting = (
+        unit
+        for unit, factor in _SPEED_UNITS.items()
+        if factor / _MAX_SPEED_RATIO < slope < factor * _MAX_SPEED_RATIO
+    )
+    return next(fitting, None)
 
 
 def _checked_motion(

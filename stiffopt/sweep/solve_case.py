@@ -82,8 +82,8 @@ def case_document(case: Case, found: CaseResult, seconds: float) -> dict[str, An
 
 def _solve_trajectory(case: Case, warm: bytes | None) -> _CaseEnd:
     from stiffopt.certificate.objective_value import is_maximised
+    from stiffopt.path.load import load_problem
     from stiffopt.problem.cycle_files import is_cycle
-    from stiffopt.problem.files import load_problem
     from stiffopt.result.store import result_document
     from stiffopt.solver.family import ProblemFamily, WarmStart
 

@@ -378,3 +378,25 @@ def test_result_keeps_the_choice_of_its_path(choose, tmp_path):
     write_result(solve(problem), tmp_path / "out", stated=problem)
     document = json.loads((tmp_path / "out" / "result.json").read_text())
     assert document["path_choice"]["joints"] == problem.path_choice["joints"]
+
+
+def test_the_fastest_of_optima_and_the_stated_path_is_taken(choose, tmp_path, monkeypatch):
+    """By their timings: those of estimates have another order."""
+    freedom = 'tool_axis_rotation = "20 deg"\nposture = "near"\nminimise = "duration"'
+    choose(freedom)
+    file = next(tmp_path.glob("*.toml"))
+    timed = []
+
+    def timing(problem):
+        timed.append(problem.path_choice.get("as_stated", False))
+        return 1.0 if timed[-1] else 2.0
+
+    stated = load_problem(file, timing=timing).problem
+    assert timed == [False] * (len(timed) - 1) + [True]
+    assert "nothing is used" in stated.remarks[-1]
+    assert set(stated.path_choice) == {"inputs_hash", "as_stated"}
+    chosen = load_problem(file, timing=lambda problem: 2.0 - len(problem.path_choice)).problem
+    assert "turns" in chosen.path_choice
+    monkeypatch.setattr(freedom_choice, "optimise_freedom", None)
+    again = load_problem(file, choice=stated.path_choice).problem
+    np.testing.assert_array_equal(again.path.coefficients, stated.path.coefficients)

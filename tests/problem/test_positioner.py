@@ -8,7 +8,7 @@ from stiffopt.certificate.assess import joint_windup
 from stiffopt.certificate.rigid_body import rigid_body_history, tool_positions
 from stiffopt.errors import InputError
 from stiffopt.path.path_timing import PathDemands, fastest_timing
-from stiffopt.problem import freedom_choice
+from stiffopt.problem import freedom_choice, freedom_scan
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.freedom_programme import optimise_freedom
 
@@ -45,12 +45,22 @@ objective = "duration"
 """
 
 
+OTHER_HALF = """[[path.segment]]
+type = "circ"
+through = [0.0, "-150 mm", 0.0]
+to = { position = ["150 mm", 0.0, 0.0] }
+
+"""
+
+
 @pytest.fixture
 def load(tmp_path):
-    def load(freedom="", *, link="table", named=True, push=0.0, tool="flange"):
+    def load(freedom="", *, link="table", named=True, push=0.0, tool="flange", whole=False):
         write_ur10_with_turntable(tmp_path, named)
         file = tmp_path / "problem.toml"
-        file.write_text(PROBLEM.format(freedom=freedom, link=link, push=push, tool=tool))
+        text = PROBLEM.format(freedom=freedom, link=link, push=push, tool=tool)
+        end = text.index("[[minimise]]")
+        file.write_text(text[:end] + (OTHER_HALF if whole else "") + text[end:])
         return load_problem(file).problem
 
     return load
@@ -89,6 +99,19 @@ def test_force_loads_the_table_by_its_reaction(load):
     moment = np.cross(body.tool, force)[:, 2]
     np.testing.assert_allclose(pushed, -moment, atol=1e-9)
     assert np.abs(moment).min() > 1.0
+
+
+@pytest.mark.slow
+def test_a_table_turns_once_under_a_circle_where_that_deflects_least(load, monkeypatch):
+    turned = load("[path.freedom]", whole=True)
+    table = turned.robot.joint_names.index("turn")
+    assert abs(turned.path(1.0)[table] - turned.path(0.0)[table]) == pytest.approx(
+        2.0 * np.pi, abs=0.5
+    )
+    monkeypatch.setattr(freedom_scan, "_turning_angles", lambda task, nodes: [])
+    swung = load("[path.freedom]", whole=True)
+    values = [each.path_choice["value"] for each in (turned, swung)]
+    assert values[0] < 0.9 * values[1]
 
 
 @pytest.mark.slow

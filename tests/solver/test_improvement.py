@@ -11,7 +11,7 @@ from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE as TOLERANCE
 from stiffopt.cli import run
 from stiffopt.errors import ProblemError
 from stiffopt.files import load_json, read_table
-from stiffopt.improvement.given_motion import GivenMotion
+from stiffopt.improvement.given_motion import GivenMotion, moving_pieces
 from stiffopt.improvement.improvement import LimitUse, improve
 from stiffopt.improvement.least_jerk import least_jerk_motion
 from stiffopt.path.limit_shares import LimitShares
@@ -87,6 +87,34 @@ def test_noise_of_samples_is_no_motion_at_the_ends_and_is_smoothed_away():
     off = given.smoothed(time) - positions
     assert np.sqrt(np.mean(off**2)) < 4e-5
     assert np.abs(given.smoothed(time, 3)).max() < 60.0
+
+
+@pytest.mark.parametrize(("step", "noise"), [(0.002, 2e-5), (0.004, 5e-5), (0.008, 2e-4)])
+def test_rest_in_which_samples_only_have_noise_is_left_out(step, noise):
+    _, positions = curved_motion(1.6, step)
+    pause = round(0.5 / step)
+    there = np.pad(positions, ((2 * pause, pause), (0, 0)), mode="edge")
+    whole = np.concatenate([there, np.pad(positions[::-1], ((0, 3 * pause), (0, 0)), mode="edge")])
+    noisy = whole + np.random.default_rng(5).normal(0.0, noise, whole.shape)
+    given, before, after = GivenMotion(step * np.arange(len(whole)), noisy).without_rest()
+    assert before == pytest.approx(1.0, abs=0.1)
+    assert after == pytest.approx(1.5, abs=0.1)
+    ends = given(np.array([0.0, given.duration]))
+    np.testing.assert_allclose(ends, whole[[0, -1]], rtol=0, atol=noise)
+    pieces = moving_pieces(given)
+    assert [each.dwell for each in pieces] == [pytest.approx(0.5, abs=0.2), 0.0]
+
+
+def test_a_slow_approach_is_no_rest_and_an_arm_at_rest_no_motion():
+    _, positions = curved_motion(1.0, 0.004)
+    slow = positions[-1] + np.arange(0.0, 1.0, 0.004)[:, None] * [0, 2e-3, 0, 0, -2e-3, 0]
+    rows = np.concatenate([positions, slow, np.repeat(slow[-1:], 250, axis=0)])
+    noise = np.random.default_rng(6).normal(0.0, 3e-5, rows.shape)
+    _, before, after = GivenMotion(0.004 * np.arange(len(rows)), rows + noise).without_rest()
+    assert before == 0.0
+    assert after == pytest.approx(1.0, abs=0.15)
+    with pytest.raises(ProblemError, match="at rest"):
+        GivenMotion(0.004 * np.arange(200), noise[:200]).without_rest()
 
 
 def test_planned_samples_that_start_with_full_jerk_are_not_charged_with_a_smoothed_one():
@@ -167,7 +195,7 @@ def test_a_motion_that_exceeds_a_limit_is_not_told_as_improved():
 def test_motion_that_ends_in_flight_is_refused():
     time, positions = curved_motion(1.5, 0.01)
     with pytest.raises(ProblemError, match="ends while joint 1 moves"):
-        GivenMotion(time[:80], positions[:80])
+        GivenMotion(time[:80], positions[:80]).without_rest()
 
 
 def test_answer_names_the_cause_of_a_longer_motion():
@@ -175,6 +203,7 @@ def test_answer_names_the_cause_of_a_longer_motion():
     found = SimpleNamespace(
         kept=True,
         retimed=True,
+        is_timed_anew=False,
         compensation=object(),
         plan=plan,
         path_deviation=0.0,

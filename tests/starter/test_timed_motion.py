@@ -152,9 +152,15 @@ def test_velocities_of_a_table_are_taken_where_they_are_those_of_its_positions(a
     for name, rates, accelerations, taken in (
         ("planned", velocities, twice, (True, True)),
         ("measured", velocities + noise, twice, (False, False)),
-        ("other", np.degrees(velocities), np.degrees(twice), (False, False)),
+        ("degrees", np.degrees(velocities), np.degrees(twice), (True, True)),
+        ("other", 3.0 * velocities, 3.0 * twice, (False, False)),
         ("filtered", velocities, 0.8 * twice, (True, False)),
     ):
         path = write_table(tmp_path / f"{name}.csv", header, time, positions, rates, accelerations)
         read = read_timed_motion(path, arm)
         assert (read.velocity is not None, read.acceleration is not None) == taken, name
+        if read.velocity is not None:
+            sizes = [np.ptp(each, axis=0) for each in (read.velocity, velocities)]
+            np.testing.assert_allclose(*sizes, rtol=1e-3)
+        unit = {"degrees": "in deg/s by", "other": "in no unit"}.get(name, "in rad/s by")
+        assert any(each.startswith("speed: qd1") and unit in each for each in read.reasons)

@@ -68,11 +68,13 @@ def answer(found: Improvement) -> str:
         why = refusal or f"The plan exceeds {worst[0].describe()}."
         return f"No motion that keeps every limit was found. {why}"
     how = "The timing is as given"
+    if found.compensation is None:
+        how = "Timing and places are as given, but for noise"
     if found.retimed:
         how = "The motion is slowed "
         how += "where it exceeds a limit" if found.given.exceeded else "for the lead of the motors"
-        if found.plan.duration < found.given.assessment.duration:
-            how = "The motion is timed anew"
+    if found.is_timed_anew:
+        how = "The motion is timed anew"
     lead = "" if found.compensation is None else "; the motors lead the links by the wind-up"
     return (
         f"{how}{lead}. The tool stays within {si(found.path_deviation, 'm', 2)} of the given path, "
@@ -84,8 +86,9 @@ def faults(found: Improvement) -> list[str]:
     """Return what the given motion does wrong, one sentence each."""
     robot = found.problem.robot
     told = [
-        f"{robot.joint_names[use.joint - 1]}: {use.quantity} of {_value(found, use)} is "
-        f"{use.share:.3g} times the limit, at {use.time:.3f} s."
+        f"{robot.joint_names[use.joint - 1]}: {use.quantity} of "
+        f"{_with_unit(found, use, use.value)} is {use.share:.3g} times the limit, at "
+        f"{use.time:.3f} s."
         for use in found.given.uses
         if use.share > 1.0 + CERTIFICATE_TOLERANCE
     ]
@@ -101,6 +104,9 @@ def faults(found: Improvement) -> list[str]:
         for each in found.given.exceeded
         if each.limit in ("start_acceleration", "end_acceleration")
     ]
+    if found.given.uses and not told:
+        limited = dict.fromkeys(use.quantity for use in found.given.uses)
+        told.append(f"It keeps every limit of the joints: {', '.join(limited)}.")
     both = found.given.both
     if both is not None:
         told.append(f"The tool leaves its path by up to {si(both.peak, 'm', 3)} in flight.")
@@ -113,14 +119,16 @@ def faults(found: Improvement) -> list[str]:
                     f"does not settle to {band} within a second."
                     if settled is None
                     else f"stays within {band} after {1e3 * settled:.0f} ms."
+                    if settled
+                    else f"stays within {band} from there on."
                 )
             )
     return told
 
 
-def _value(found: Improvement, use: LimitUse) -> str:
+def _with_unit(found: Improvement, use: LimitUse, value: float) -> str:
     prismatic = bool(found.problem.robot.prismatic[use.joint - 1])
-    return f"{use.value:.4g} {joint_unit(JOINT_LIMITS[use.quantity], prismatic)}"
+    return f"{value:.4g} {joint_unit(JOINT_LIMITS[use.quantity], prismatic)}"
 
 
 def limit_section(found: Improvement) -> ReportSection:
@@ -133,10 +141,10 @@ def limit_section(found: Improvement) -> ReportSection:
             (
                 found.problem.robot.joint_names[use.joint - 1],
                 use.quantity,
-                _value(found, use),
+                _with_unit(found, use, use.value),
                 f"{use.time:.3f} s",
-                f"{own.value:.4g}",
-                f"{use.limit:.4g}",
+                _with_unit(found, use, own.value),
+                _with_unit(found, use, use.limit),
                 f"{100.0 * use.share:.0f} % → {100.0 * own.share:.0f} %",
             )
         )
@@ -185,8 +193,6 @@ def notes(found: Improvement) -> list[str]:
         told.append(
             f"Left to the lead of the motors where it needs them: up to {left} of the limits."
         )
-    if found.given.both is None:
-        told.append("The arm is rigid or cannot be simulated: no tool error, no lead.")
     if found.compensation is not None:
         told += [f"Uncertain: {each}" for each in found.compensation.uncertainty]
         if found.compensation.ahead:
@@ -243,8 +249,9 @@ def limits_figure(found: Improvement) -> Figure:
     return figure
 
 
-def print_improvement(found: Improvement, folder: Path) -> None:
-    """Print headline, faults of the given motion, the tool errors and the report's path."""
+def print_improvement(found: Improvement, folder: Path, reasons: Sequence[str]) -> None:
+    """Print headline, faults of the given motion, notes, the tool errors and the report's path."""
     print_lines([headline(found), answer(found), *faults(found)])
+    print_lines([f"Note: {each}" for each in [*reasons, *found.notes]])
     print_section(error_section(found))
     print_lines([f"Report: {folder / 'report.html'}"])
