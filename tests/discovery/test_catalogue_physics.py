@@ -332,6 +332,19 @@ def test_time_delay_shifts_torque(delay: float):
     np.testing.assert_array_equal(one, late.drive_torque * (np.arange(6) == 2))
 
 
+@pytest.mark.parametrize("step", [1e-3, 0.01])
+@pytest.mark.parametrize("constant", [2e-3, 0.05])
+def test_reading_filter_is_a_first_order_lag_at_any_sampling_rate(constant: float, step: float):
+    time, rate = np.arange(0.0, 4.0, step), 9.0
+    wave = np.sin(rate * time)[:, None] * np.ones(6)
+    run = replace(ROBOT, time=time, dt=step, drive_torque=wave)
+    filtered = effect("reading_filter").term(run, [constant], [constant]).drive_torque
+    gain, behind = 1.0 / np.hypot(1.0, constant * rate), np.arctan(constant * rate)
+    expected = gain * np.sin(rate * time - behind) - np.sin(rate * time)
+    settled = time > 1.0
+    np.testing.assert_allclose(filtered[settled, 0], expected[settled], atol=1e-3)
+
+
 @pytest.mark.parametrize("bend", [1.0, 1.5, 10.0])
 def test_gravity_spring_reports_stiffness_at_rest_angle(bend: float):
     signals = ROBOT.of_joint(4)
