@@ -161,6 +161,8 @@ READING_FILTER = Effect(
         Shape("about", "s", (1e-3, 5e-3, 0.02, 0.08), 0.0, MAX_CLOCK_OFFSET, 1e-4, reported=False),
     ),
     linear_about=True,
+    # Of a short filter only its delay shows, which a bus has as well.
+    log_prior=lambda constants: -2.0,
     separate="Change speed quickly, then hold it: behind a delay torque changes as fast as the"
     " motion, behind a filter it creeps to its value.",
 )
