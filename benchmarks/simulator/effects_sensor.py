@@ -114,6 +114,25 @@ def joint_delay(world: World, joint: int, severity: float, rng: np.random.Genera
     return Outcome(parameters={"d": delay})
 
 
+@effect("sensor", "robot", drawn=False)
+def reading_filter(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
+    """The torques of all joints pass a filter of first order before they are recorded."""
+    constant = 8e-3 * severity * spread(rng)
+
+    def read(signals: Signals) -> None:
+        # Torques are straight lines between the samples.
+        kept = np.exp(-signals.step / constant)
+        late = constant / signals.step * (1.0 - kept)
+        filtered = signals.torque.copy()
+        for k in range(1, filtered.shape[1]):
+            before, now = signals.torque[:, k - 1], signals.torque[:, k]
+            filtered[:, k] = kept * filtered[:, k - 1] + (1.0 - late) * now + (late - kept) * before
+        signals.torque[...] = filtered
+
+    world.sensors.append(read)
+    return Outcome(parameters={"T": constant})
+
+
 @effect("sensor", "robot")
 def encoder_skew(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
     """What the link encoders say is older than its time stamp."""

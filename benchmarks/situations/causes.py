@@ -113,7 +113,7 @@ def conceal(  # noqa: C901, PLR0912  one kind a case
             return Truth("torques late", ("time_delay",), None, {"d": world.delays})
         case "filtered":
             world.lag = 0.04
-            return Truth("torques filtered", ("time_delay",))
+            return Truth("torques filtered", ("reading_filter",), None, {"T": world.lag})
         case "gain":
             eps = float(rng.choice([-0.12, 0.12]))
             world.gains = 1.0 + eps * here

@@ -55,8 +55,10 @@ class World:
             late = round(delays[k] / STEP)
             read[:, k] = np.concatenate([np.repeat(read[:1, k], late), read[:, k]])[: len(read)]
         if self.lag:
+            kept = np.exp(-STEP / self.lag)
+            within = 0.5 * (read[1:] + read[:-1])
             for k in range(1, len(read)):
-                read[k] = read[k - 1] + (read[k] - read[k - 1]) * STEP / self.lag
+                read[k] = kept * read[k - 1] + (1.0 - kept) * within[k - 1]
         read = read + rng.normal(0.0, 0.006 * peak + 1e-9, read.shape)
         if self.leak:
             to, source, share = self.leak

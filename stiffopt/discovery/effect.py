@@ -245,6 +245,9 @@ class Effect:
     # True where its wind-up lags the load: the tangent stiffness is then that under a sudden change
     # of load.
     lags: bool = False
+    # (signals, amplitudes, shapes) -> change of its deflection with that between motor and link
+    # (K,), at most 0: friction beside the spring, which depends on that deflection itself.
+    deflection_slope: Callable[[Any, Values, Values], Any] | None = None
     # True where its parameter "limit" is the largest torque of the joint's drive.
     limits_drive: bool = False
     # True if it acts at times that the recorded torques alone tell, such as from grasp to release.

@@ -18,14 +18,15 @@ from stiffopt.discovery.identifiable import (
     select_unseen,
     widen_for_changes,
 )
-from stiffopt.discovery.judging.carried_parts import find_carried_parts
 from stiffopt.discovery.judging.episodes import (
     Episode,
+    episodes_of_force,
     find_episodes,
     mask_episodes,
     mask_load_changes,
     training_tracks,
 )
+from stiffopt.discovery.judging.temporary_loads import find_temporary_load
 from stiffopt.discovery.progress import Say
 from stiffopt.discovery.search.search import SearchResult, search
 from stiffopt.discovery.settings import Settings
@@ -53,7 +54,7 @@ class TrainingSearch:
 
     def run(self, training: Training) -> tuple[Training, SearchResult, tuple[Episode, ...]]:
         """Search, and return the runs searched, the result, and contact intervals left out."""
-        training = self._with_carried_parts(training)
+        training, pushed = self._with_temporary_loads(training)
         comparison = training.comparison()
         # Contacts that show already beside the nominal model are excluded from the first search.
         # Torque that a drive at its limit is asked for in vain looks like one.
@@ -68,22 +69,33 @@ class TrainingSearch:
         if training.runs[0].vibration is not None and not (result.stopped or result.hurried):
             training, result = self._retry_quasi_static(training, result)
         training, result, later = self._exclude_contacts(training, result)
-        return training, result, (*touched, *later)
+        return training, result, (*pushed, *touched, *later)
 
-    def _with_carried_parts(self, training: Training) -> Training:
-        """Return the training runs with the intervals in which the arm carries a part."""
+    def _with_temporary_loads(self, training: Training) -> tuple[Training, tuple[Episode, ...]]:
+        """Return the training runs without intervals in which something pushes, and these.
+
+        Runs know when the arm carries a part, which stays a part of the comparison.
+        """
+        pushed: tuple[Episode, ...] = ()
         commanded = self.recordings.signals.commanded
         if commanded or training.runs[0].at_rest or isinstance(self.recordings, StatePair):
-            return training
-        found = find_carried_parts(training.robot, training.runs)
-        if not any(found):
-            return training
-        runs = [run.name for run, own in zip(training.runs, found, strict=True) if own]
-        self.say(f"a part is carried for a while ({', '.join(runs)})")
-        recorded = zip(training.recorded, found, strict=True)
-        return self._prepare(
-            training, [mask_load_changes(replace(run, carried=own)) for run, own in recorded]
-        )
+            return training, pushed
+        for _ in range(1 + MAX_CONTACT_ROUNDS):
+            load = find_temporary_load(training.robot, training.runs)
+            if load is None:
+                break
+            if load.is_part:
+                pairs = list(zip(training.recorded, load.intervals, strict=True))
+                runs = ", ".join(run.name for run, own in pairs if own)
+                self.say(f"a part is carried for a while ({runs})")
+                carrying = [mask_load_changes(replace(run, carried=own)) for run, own in pairs]
+                return self._prepare(training, carrying), pushed
+            new = episodes_of_force(load, training.recorded)
+            if not new:
+                break
+            self.say(_describe_exclusion(new))
+            training, pushed = self._prepare_without(training, new), (*pushed, *new)
+        return training, pushed
 
     def _retry_quasi_static(
         self, training: Training, result: SearchResult

@@ -12,6 +12,32 @@ from stiffopt.discovery.user_effects import sample_signals
 ROBOT = sample_signals()
 
 
+def loaded(signals, load):
+    """Signals of a motor that winds up under a load while its link stands."""
+    windup = signals.constants.windup(load)
+    still = np.zeros_like(load)
+    places = {"motor_position": windup, "link_position": still}
+    return replace(signals, spring_torque=load, windup=windup, **places)
+
+
+@pytest.mark.parametrize("exponent", [0.0, 1.0, 3.0])
+def test_hysteresis_slope_is_that_of_its_wind_up(exponent):
+    """A sample moved by little: the past stays, and the friction of sliders that hold grows."""
+    load = np.concatenate([np.linspace(-9.0, 9.0, 300), np.linspace(9.0, 4.0, 80)])
+    signals = loaded(sample_signals(count=4).of_joint(4), load)
+    hysteresis, values, moved = effect("hysteresis"), ([1.3], [3e-4, exponent]), 1e-9
+    slopes = hysteresis.deflection_slope(signals, *values)
+    assert np.all(slopes <= 0.0)
+    for k in (40, 150, 260, 310, 370):
+        ends = []
+        for step in (-moved, moved):
+            motor = signals.motor_position.copy()
+            motor[k:] += step
+            own = replace(signals, motor_position=motor)
+            ends.append(float(hysteresis.term(own, *values).deflection[k]))
+        assert (ends[1] - ends[0]) / (2.0 * moved) == pytest.approx(slopes[k], rel=1e-4, abs=1e-9)
+
+
 @pytest.mark.parametrize("exponent", [0.0, 1.0, 3.0])
 def test_hysteresis_matches_sliders_parallel_to_spring(exponent):
     signals = sample_signals(count=1500, dt=0.002).of_joint(4)
@@ -48,7 +74,7 @@ def test_hysteresis_matches_sliders_parallel_to_spring(exponent):
 def test_hysteresis_is_continuous_at_reducer_corners():
     signals = sample_signals(count=4001, dt=0.002).of_joint(4)
     load = np.linspace(6.0, 8.0, 4001)
-    signals = replace(signals, spring_torque=load, windup=signals.constants.windup(load))
+    signals = loaded(signals, load)
     found = np.asarray(effect("hysteresis").term(signals, [1.3], [1e-5, 1.0]).deflection)
     jump = 1.3 * (1.0 / 1.6e4 - 1.0 / 2.5e4)
     assert np.abs(np.diff(found[1000:])).max() < 1e-3 * jump
@@ -60,7 +86,7 @@ def test_hysteresis_loops_close_where_they_began():
 
     def end(turns):
         load = np.concatenate([np.linspace(a, b, 200) for a, b in pairwise(turns)])
-        own = replace(signals, spring_torque=load, windup=signals.constants.windup(load))
+        own = loaded(signals, load)
         return float(effect("hysteresis").term(own, [1.3], [3e-4, 1.5]).deflection[-1])
 
     assert end([0.0, 4.0, 2.5, 3.5, 2.5, 4.0, 5.0]) == pytest.approx(end([0.0, 5.0]), rel=1e-9)
@@ -330,6 +356,19 @@ def test_time_delay_shifts_torque(delay: float):
     own = replace(ROBOT, drive_torque=wave, link=2)
     one = effect("joint_delay").term(own, [delay], [delay]).drive_torque
     np.testing.assert_array_equal(one, late.drive_torque * (np.arange(6) == 2))
+
+
+@pytest.mark.parametrize("step", [1e-3, 0.01])
+@pytest.mark.parametrize("constant", [2e-3, 0.05])
+def test_reading_filter_is_a_first_order_lag_at_any_sampling_rate(constant: float, step: float):
+    time, rate = np.arange(0.0, 4.0, step), 9.0
+    wave = np.sin(rate * time)[:, None] * np.ones(6)
+    run = replace(ROBOT, time=time, dt=step, drive_torque=wave)
+    filtered = effect("reading_filter").term(run, [constant], [constant]).drive_torque
+    gain, behind = 1.0 / np.hypot(1.0, constant * rate), np.arctan(constant * rate)
+    expected = gain * np.sin(rate * time - behind) - np.sin(rate * time)
+    settled = time > 1.0
+    np.testing.assert_allclose(filtered[settled, 0], expected[settled], atol=1e-3)
 
 
 @pytest.mark.parametrize("bend", [1.0, 1.5, 10.0])

@@ -218,7 +218,14 @@ def test_effects_of_torque_sensors_and_of_unstated_gains_are_not_sought(
     checks = effect_checks(resolved, joint_facts(resolved, runs), len(runs))
     possible = {each.effect.name for each in checks if each.possible}
     assert "coulomb" in possible
-    assert not possible & {"clock_drift", "crosstalk", "joint_delay", "time_delay", "torque_gain"}
+    assert not possible & {
+        "clock_drift",
+        "crosstalk",
+        "joint_delay",
+        "reading_filter",
+        "time_delay",
+        "torque_gain",
+    }
 
 
 def _swap(columns: Columns) -> Columns:

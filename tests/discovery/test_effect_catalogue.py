@@ -70,6 +70,7 @@ REPORTED = {
     "encoder_offset": {"off": "rad"},
     "time_delay": {"d": "s"},
     "joint_delay": {"d": "s"},
+    "reading_filter": {"T": "s"},
     "saturation": {"limit": "N m"},
     "reading_limit": {"limit": "N m"},
     "clock_drift": {"e": "", "d": "s"},

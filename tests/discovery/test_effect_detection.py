@@ -82,6 +82,7 @@ TRIALS = (
     Trial("joint_zero", 2, 31, "small3"),
     Trial("crosstalk", 2, 32, "small3"),
     Trial("joint_delay", 1, 43),
+    Trial("reading_filter", None, 44, severity=4.0),
     Trial("tool_force", None, 33, "small3"),
     Trial("turning_tool_force", None, 34, "small3"),
 )

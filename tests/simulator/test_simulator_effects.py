@@ -76,6 +76,7 @@ OUTER = {
 # Balance -> joints (from 1) where something shows; the rest has to stay silent.
 OTHERS: dict[str, dict[str, set[int]]] = {
     "time_delay": {"motor": {1, 2}, "total": {1, 2}},
+    "reading_filter": {"motor": {1, 2}, "total": {1, 2}},
     "clock_drift": {"motor": {1, 2}, "total": {1, 2}},
     "run_clock": {"motor": {1, 2}, "total": {1, 2}},
     "common_gain_drift": {"motor": {1, 2}, "total": {1, 2}},

@@ -108,7 +108,7 @@ Constants = Any
 
 
 def first_order_lag(values: np.ndarray, kept: float) -> np.ndarray:
-    """Return the first-order lag of a signal (K,); a step keeps the share `kept`.
+    """Return the first-order lag of signals (K, ...); a step keeps the share `kept`.
 
     x_k = kept x_k-1 + (1 - kept) values_k from values_0 on, by bidiagonal equations.
     """

@@ -1,7 +1,8 @@
 """Wind-up that depends on the side or the history of the load: backlash and hysteresis.
 
-Both depend on the nominal spring torque and need no measured torque. Hysteresis is that of contacts
-that slide one after the other (Iwan 1966): a loop closes where it began, as of all dry contacts.
+Both need no measured torque. Hysteresis is that of contacts that slide one after the other (Iwan
+1966): a loop closes where it began, as of all dry contacts. Their friction acts beside the spring:
+it depends on the deflection itself, so that the load grows with it however steep the friction is.
 """
 
 from __future__ import annotations
@@ -61,30 +62,45 @@ def hysteresis_term(signals: JointSignals, amplitudes: Values, shapes: Values) -
     D' is the mean slope over the height of a usual loop: D(s - h y) - D(s) jumps at the corners of
     a reducer, and no link motion is consistent with a jump.
     """
-    side = _presliding_friction(signals.windup, *shapes)
+    side, _ = _presliding_friction(signals, *shapes)
+    return Term(deflection=-amplitudes[0] * _mean_compliance(signals) * side)
+
+
+def hysteresis_slope(signals: JointSignals, amplitudes: Values, shapes: Values) -> np.ndarray:
+    """Return how the added wind-up changes with that between motor and link (K,), negative."""
+    _, slope = _presliding_friction(signals, *shapes)
+    return np.asarray(-amplitudes[0] * _mean_compliance(signals) * slope)
+
+
+def _mean_compliance(signals: JointSignals) -> np.ndarray:
     torque, height = signals.spring_torque, _loop_height(signals.constants)
     ends = [signals.constants.windup(torque + end) for end in (-height, height)]
-    slope = (ends[1] - ends[0]) / (2.0 * height)
-    return Term(deflection=-amplitudes[0] * slope * side)
+    return np.asarray((ends[1] - ends[0]) / (2.0 * height))
 
 
-def _presliding_friction(windup: np.ndarray, reach: float, exponent: float) -> np.ndarray:
-    """Return friction over its limit (K,): sliders in parallel that yield one after the other.
+def _presliding_friction(
+    signals: JointSignals, reach: float, exponent: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return friction over its limit (K,), and its slope by the travel of motor against link.
 
-    All have the same stiffness; their limits are spread over the reach by a power: 0 for a single
-    slider, 1 for an even spread, more for a steep rise and a long way to the limit.
+    Sliders in parallel yield one after the other. All have the same stiffness; their limits are
+    spread over the reach by a power: 0 for a single slider, 1 for an even spread, more for a steep
+    rise and a long way to the limit.
     """
+    windup = signals.motor_position - signals.link_position
     limits = reach * ((np.arange(_SLIDER_COUNT) + 0.5) / _SLIDER_COUNT) ** exponent
     travel = np.diff(windup, prepend=windup[:1])
     moving = np.flatnonzero(travel)
     turns = np.flatnonzero(np.diff(np.sign(travel[moving]))) + 1
     found, strain = np.zeros_like(windup), np.zeros(_SLIDER_COUNT)
+    held = np.ones_like(windup)
     for stretch in np.split(moving, turns) if moving.size else ():
         # In one direction no slider takes back what it has slid.
         strains = np.clip(strain + np.cumsum(travel[stretch])[:, None], -limits, limits)
         found[stretch], strain = strains.mean(axis=1) / limits.mean(), strains[-1]
+        held[stretch] = np.mean(np.abs(strains) < limits, axis=1)
     last = np.maximum.accumulate(np.where(travel != 0.0, np.arange(len(travel)), 0))
-    return np.asarray(found[last])
+    return found[last], held[last] / limits.mean()
 
 
 def _loop_height(constants: JointConstants) -> float:
@@ -161,6 +177,7 @@ HYSTERESIS = Effect(
     needs=("windup", "moves", "reverses"),
     reference="Iwan1966",
     term=hysteresis_term,
+    deflection_slope=hysteresis_slope,
     amplitudes=(Amplitude("h", "N m", _loop_height, 0.0, 3.0),),
     shapes=(
         Shape("s", "rad", (1e-4, 3e-4, 1e-3), 2e-5, 5e-3),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from stiffopt.discovery.catalogue.common import first_order_lag
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term, Values
 from stiffopt.discovery.signals import RobotSignals
 
@@ -45,6 +46,16 @@ def joint_delay_term(signals: RobotSignals, amplitudes: Values, shapes: Values) 
     late = np.zeros_like(drive)
     late[:, own] = amplitudes[0] * shift_slope(drive[:, own], signals.dt, shapes[0])
     return Term(drive_torque=late)
+
+
+def reading_filter_term(signals: RobotSignals, amplitudes: Values, shapes: Values) -> Term:
+    """Return the first-order lag of all torques less these, linear in T about the shape."""
+    drive, ratio = signals.drive_torque, max(shapes[0], _SHORTEST_SHIFT) / signals.dt
+    kept = np.exp(-1.0 / ratio)
+    # Between samples torques are straight lines, not steps: the lag is T at any sampling rate.
+    within = (kept / (1.0 - kept) - ratio) * np.diff(drive, axis=0, prepend=drive[:1])
+    lag = first_order_lag(drive + within, kept)
+    return Term(drive_torque=amplitudes[0] * (lag - drive) / (ratio * signals.dt))
 
 
 def shift_samples(values: np.ndarray, samples: np.ndarray | float) -> np.ndarray:
@@ -131,6 +142,31 @@ JOINT_DELAY = Effect(
     " every torque shows the same.",
 )
 
+READING_FILTER = Effect(
+    name="reading_filter",
+    family="sensor",
+    scope="robot",
+    equation="tau += y - tau, y + T*dy/dt = tau",
+    signature="motor torques of all joints late and rounded where they change fast",
+    title="filtered torque",
+    phrase="torque readings pass a filter with a time constant of {T}",
+    remedy="Record torques without the filter, or the positions with the same one: first order,"
+    " time constant {T}.",
+    needs=("torque", "torque_sensor", "moves"),
+    confused_with=("time_delay", "viscous"),
+    reads_torque=True,
+    term=reading_filter_term,
+    amplitudes=(Amplitude("T", "s", 5e-3, 0.0, 40.0),),
+    shapes=(
+        Shape("about", "s", (1e-3, 5e-3, 0.02, 0.08), 0.0, MAX_CLOCK_OFFSET, 1e-4, reported=False),
+    ),
+    linear_about=True,
+    # Of a short filter only its delay shows, which a bus has as well.
+    log_prior=lambda constants: -2.0,
+    separate="Change speed quickly, then hold it: behind a delay torque changes as fast as the"
+    " motion, behind a filter it creeps to its value.",
+)
+
 COMMAND_DELAY = Effect(
     name="command_delay",
     family="sensor",
@@ -201,4 +237,4 @@ RUN_CLOCK = Effect(
     separate="Repeat the run with one clock for all signals: a cause in the robot stays.",
 )
 
-TIMING = (TIME_DELAY, JOINT_DELAY, COMMAND_DELAY, CLOCK_DRIFT, RUN_CLOCK)
+TIMING = (TIME_DELAY, JOINT_DELAY, READING_FILTER, COMMAND_DELAY, CLOCK_DRIFT, RUN_CLOCK)

@@ -160,7 +160,13 @@ def relative_compliance(run: PreparedRun, extension: Extension) -> np.ndarray:
         sign = np.where(np.arange(len(steps)) % 2, -1.0, 1.0)
         sign[0] = _FIRST_STEP_SHARE
         softer += _added_compliance(run, Extension(effects=lagging), sign[:, None] * steps)
-    return softer
+    slope = np.zeros_like(softer)
+    for each in effects:
+        joint, own = each.located.joint, each.effect.deflection_slope
+        if own is not None and joint is not None and each.located.acts_in(run.name):
+            shapes = each.located.shapes
+            slope[:, joint] += own(run.of_joint(joint), each.amplitudes, shapes)
+    return softer / (1.0 - slope)
 
 
 def _added_compliance(run: PreparedRun, extension: Extension, steps: np.ndarray) -> np.ndarray:

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from stiffopt.discovery.comparison.channel_rows import ChannelNoise
 from stiffopt.discovery.comparison.comparison import Comparison, Fit
+from stiffopt.discovery.judging.temporary_loads import TemporaryLoad
 from stiffopt.discovery.prediction import Prediction, Predictor, residuals
 from stiffopt.discovery.signals import RobotConstants, RobotSignals
 from stiffopt.recording.channel import DEVIATION_PER_MAD
@@ -188,7 +189,7 @@ def find_episodes(
             _find_stretches(track, np.where(quiet, 0.0, strength))
             for track, strength in zip(tracks, strengths, strict=True)
         ]
-        if not any(found) or _is_too_frequent(tracks, found):
+        if not any(found) or _is_too_frequent([track.time for track in tracks], found):
             return ()
         known = _UndisturbedStates(tracks, found, others)
         wrong = quiet | ~known.understood
@@ -239,13 +240,13 @@ def _find_stretches(track: ResidualTrack, strength: np.ndarray) -> list[Stretch]
     return found
 
 
-def _is_too_frequent(tracks: Sequence[ResidualTrack], found: Sequence[list[Stretch]]) -> bool:
-    """True if stretches are too many or too long for contacts."""
-    if sum(map(bool, found)) > max(1.0, _MAX_AFFECTED_RUNS * len(tracks)):
+def _is_too_frequent(times: Sequence[np.ndarray], found: Sequence[Sequence[Stretch]]) -> bool:
+    """True if stretches are too many or too long for contacts in runs of these times (K,)."""
+    if sum(map(bool, found)) > max(1.0, _MAX_AFFECTED_RUNS * len(times)):
         return True
     return any(
-        sum(end - begin for begin, end in own) > _MAX_RUN_SHARE * float(np.ptp(track.time))
-        for track, own in zip(tracks, found, strict=True)
+        sum(end - begin for begin, end in own) > _MAX_RUN_SHARE * float(np.ptp(time))
+        for time, own in zip(times, found, strict=True)
     )
 
 
@@ -346,6 +347,25 @@ def _build_episode(track: ResidualTrack, strength: np.ndarray, stretch: Stretch)
         end=float(above[-1]) if above.size else stretch[1],
         joints=tuple(j + 1 for j in joints),
         sizes=tuple(float(sizes[j] if strong[j] else sizes[n + j]) for j in joints),
+    )
+
+
+def episodes_of_force(load: TemporaryLoad, runs: Sequence[RecordedRun]) -> tuple[Episode, ...]:
+    """Return the contact intervals of a force; none where they are too frequent for contacts."""
+    if _is_too_frequent([run.time for run in runs], load.intervals):
+        return ()
+    changed = np.flatnonzero(load.torques > load.noise)
+    return tuple(
+        Episode(
+            run=run.name,
+            role=run.role,
+            begin=begin,
+            end=end,
+            joints=tuple((changed + 1).tolist()),
+            sizes=tuple(load.torques[changed].tolist()),
+        )
+        for run, own in zip(runs, load.intervals, strict=True)
+        for begin, end in own
     )
 
 

@@ -10,7 +10,6 @@ import numpy as np
 from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
-from stiffopt.discovery.judging.carried_parts import find_known_part
 from stiffopt.discovery.judging.episodes import (
     Episode,
     ResidualTrack,
@@ -22,6 +21,7 @@ from stiffopt.discovery.judging.episodes import (
 from stiffopt.discovery.judging.explained_shares import ExtensionPart, MismatchShares
 from stiffopt.discovery.judging.noise_ceiling import BlackBox, NoiseCeiling
 from stiffopt.discovery.judging.refutation import Refutation
+from stiffopt.discovery.judging.temporary_loads import find_known_part
 from stiffopt.discovery.prediction import (
     Predictor,
     RunProof,

@@ -1,4 +1,4 @@
-"""Parts grasped and released within runs: when, how heavy, and none where others act."""
+"""Parts grasped and released within runs, and pushes: when, how heavy, none where others act."""
 
 from __future__ import annotations
 
@@ -6,11 +6,17 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
-from own_machines import GANTRY, Log
+from own_machines import GANTRY, SCARA, Log
 
 from stiffopt.discovery.diagnose import diagnose
-from stiffopt.discovery.judging.carried_parts import find_carried_parts, find_known_part
+from stiffopt.discovery.judging.episodes import episodes_of_force
+from stiffopt.discovery.judging.temporary_loads import (
+    TemporaryLoad,
+    find_known_part,
+    find_temporary_load,
+)
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import prepare_training
 from stiffopt.recording.recording_set import load_recordings
@@ -49,23 +55,56 @@ def rubbing(logs: list[Log]) -> None:
         log["tau"][late, 2] += 8.0 * np.tanh(log["v"][late, 2] / 0.01)
 
 
-def intervals(folder: Path) -> tuple:
+def found_in(folder: Path) -> TemporaryLoad | None:
     training = prepare_training(load_recordings(folder), Settings())
-    return find_carried_parts(training.robot, training.runs)
+    return find_temporary_load(training.robot, training.runs)
 
 
 @pytest.mark.parametrize("mass", [MASS, 0.3])
 def test_intervals_of_a_part_are_found(mass: float, tmp_path: Path) -> None:
-    found = intervals(GANTRY.write(tmp_path / "set", carrying(mass, CARRIED)))
-    for run, own in enumerate(found):
+    found = found_in(GANTRY.write(tmp_path / "set", carrying(mass, CARRIED)))
+    assert found is not None
+    assert found.is_part
+    for run, own in enumerate(found.intervals):
         assert np.allclose(own, CARRIED.get(run, ()), atol=0.1)
+
+
+def test_a_force_at_the_hand_for_a_while_is_a_contact(tmp_path: Path) -> None:
+    """Beside masses that are two and a half times as large as stated, which hide it."""
+    model, force = pin.buildModelFromXML(SCARA.urdf), np.array([6.0, -4.0, 0.0])
+    data = model.createData()
+
+    def push(logs: list[Log]) -> None:
+        for log in logs:
+            log["tau"] *= 2.5
+        log = logs[1]
+        for k in np.flatnonzero((log["t"] > 2.0) & (log["t"] < 3.5)):
+            lever = pin.computeJointJacobian(model, data, log["q"][k], 3)
+            pin.forwardKinematics(model, data, log["q"][k])
+            log["tau"][k] -= (data.oMi[3].rotation @ lever[:3]).T @ force
+
+    folder = SCARA.write(tmp_path / "set", push)
+    found = found_in(folder)
+    assert found is not None
+    assert not found.is_part
+    first, (interval,), third = found.intervals
+    assert not (*first, *third)
+    assert np.allclose(interval, (2.0, 3.5), atol=0.1)
+    runs = prepare_training(load_recordings(folder), Settings()).recorded
+    (episode,) = episodes_of_force(found, runs)
+    assert (episode.run, episode.begin, episode.end) == ("run_2", *interval)
+    assert episode.joints[:2] == (1, 2)
 
 
 @pytest.mark.parametrize(
     "change", [lambda logs: None, pushed(0, 20.0), rubbing], ids=["nothing", "push", "friction"]
 )
-def test_something_else_for_a_while_is_no_part(change, tmp_path: Path) -> None:
-    assert not any(intervals(GANTRY.write(tmp_path / "set", change)))
+def test_something_else_for_a_while_is_no_load(change, tmp_path: Path) -> None:
+    """Friction that grows in all runs may look like a force: too often for a contact."""
+    folder = GANTRY.write(tmp_path / "set", change)
+    training = prepare_training(load_recordings(folder), Settings())
+    found = find_temporary_load(training.robot, training.runs)
+    assert found is None or not (found.is_part or episodes_of_force(found, training.recorded))
 
 
 def test_part_is_named_with_its_mass_and_times_and_held_out_runs_follow(tmp_path: Path) -> None:
