@@ -20,6 +20,8 @@ from stiffopt.closed_loop.simulation import (
 # Iterations at most, and the decrease of the squared deviations that ends them: expected of a step,
 # or reached.
 _MAX_ITERATIONS, _LEAST_DECREASE = 24, 0.1
+# Decrease over what derivatives foresee from which they need not be simulated anew.
+_FOLLOWED_SHARE = 0.5
 # Levenberg-Marquardt damping over the curvature: at first, and least after a step that failed. It
 # vanishes with steps that succeed: what stated values alone tell, as the scale of all torques, has
 # a curvature far below that of the motion, and any damping by the latter holds it. Where no stated
@@ -100,6 +102,15 @@ class SimulatedPoint:
     residual: np.ndarray
     slopes: np.ndarray
     bounded: bool = True  # squares of simulated positions and derivatives can be summed
+
+    def followed_to(self, residual: np.ndarray, step: np.ndarray) -> SimulatedPoint:
+        """Return the point after a step (m,), its derivatives changed by what they missed there.
+
+        The least change that follows the step (Broyden, Mathematics of Computation 19, 1965).
+        """
+        missed = np.nan_to_num(residual - self.residual - self.slopes @ step)
+        change = missed[..., None] * (step / (step @ step))
+        return SimulatedPoint(residual, self.slopes + change)
 
     def require_bounded(self) -> SimulatedPoint:
         """Return this; raise `FloatingPointError` if the simulation diverges."""
@@ -295,6 +306,7 @@ class LoopFit:
         leaves does not let the prior rule.
         """
         damping, repeated = _FIRST_DAMPING, np.full(self._loop.n, np.inf)
+        exact = True
         for number in range(_MAX_ITERATIONS):
             largest = 1e3 * float(np.sqrt(np.nanmean(point.residual**2)))
             say(f"simulate from commands: step {number + 1}, residual {largest:.2f} mrad")
@@ -306,17 +318,27 @@ class LoopFit:
             while decrease <= 0.0:
                 moved = self._moved(parameters, hessian, gradient, damping)
                 step = (moved.values - parameters.values)[self.places] / self._size
-                if -step @ (2.0 * gradient + hessian @ step) < _LEAST_DECREASE:
-                    return parameters, point
-                decrease = self._decrease(parameters, moved, point, self.simulate(moved), noise)
+                expected = -float(step @ (2.0 * gradient + hessian @ step))
+                if expected < _LEAST_DECREASE:
+                    break
+                ahead = self.simulate(moved)
+                decrease = self._decrease(parameters, moved, point, ahead, noise)
                 if decrease > 0.0:
+                    parameters, point = moved, point.followed_to(ahead.residual, step)
                     damping = max(0.1 * damping, self._least_damping)
-                else:
+                elif exact:
                     damping = max(10.0 * damping, _FIRST_DAMPING)
-            parameters, point = moved, self.evaluate(moved).require_bounded()
-            if decrease < _LEAST_DECREASE:
-                break
-        return parameters, point
+                else:
+                    break
+            if exact and decrease <= 0.0:
+                return parameters, point
+            ended = exact and decrease < _LEAST_DECREASE
+            exact = decrease < max(_FOLLOWED_SHARE * expected, _LEAST_DECREASE)
+            if exact:
+                point = self.evaluate(parameters).require_bounded()
+            if ended:
+                return parameters, point
+        return parameters, point if exact else self.evaluate(parameters).require_bounded()
 
     def covariance(
         self, parameters: Parameters, point: SimulatedPoint
