@@ -13,7 +13,9 @@ from stiffopt.closed_loop.parameters import Parameters
 from stiffopt.closed_loop.simulation import (
     STRETCH_SECONDS,
     CommandedRun,
-    divide_runs,
+    Judged,
+    divide,
+    judged_rows,
     simulate_stretches,
 )
 
@@ -146,7 +148,12 @@ class LoopFit:
         self.places = np.append(self._free, len(deviations) - 1)
         self._size = np.maximum(deviations[self.places], 1e-12)
         self._step = float(np.median(np.concatenate([np.diff(run.time) for run in runs])))
-        self._stretches, self._leads, self._ends = divide_runs(runs, self._step)
+        self._judge(judged_rows(runs, self._step))
+
+    def _judge(self, parts: Sequence[Judged]) -> None:
+        """Judge some rows of the runs."""
+        self._stretches, self._leads = divide(parts, self._step)
+        self._ends = np.cumsum([part.end - part.first for part in parts])[:-1]
 
     def polish(self, start: Parameters, say: Callable[[str], object]) -> Polished:
         """Return the fit that begins with some parameters."""
@@ -224,14 +231,16 @@ class LoopFit:
         return 0.5 * float(np.log(np.nanmean(point.residual**2, axis=0)).sum())
 
     def restrict(self, parameters: Parameters, joint: int) -> None:
-        """Keep the stretches in which a joint leaves most, of the duration of a leading fit."""
+        """Judge the stretches in which a joint leaves most, of the duration of a leading fit."""
         residual = self.simulate(parameters).require_bounded().residual[:, joint]
-        squares = [np.nanmean(own**2) for own in self._by_stretch(residual)]
-        count = max(1, round(LEADING_SECONDS / self._loop.n / STRETCH_SECONDS))
-        kept = sorted(np.argsort(squares)[::-1][:count])
-        self._stretches = [self._stretches[k] for k in kept]
-        self._leads = [self._leads[k] for k in kept]
-        self._ends = self._stretch_ends
+        means = np.array([np.nanmean(own**2) for own in self._by_stretch(residual)])
+        pairs = list(zip(self._stretches, self._leads, strict=True))
+        parts = [Judged(own.run, own.begin + lead, own.end + 1) for own, lead in pairs]
+        rows = np.array([part.end - part.first for part in parts])
+        order = np.argsort(means)[::-1]
+        most = LEADING_SECONDS / self._loop.n / self._step
+        count = max(1, int(np.searchsorted(np.cumsum(rows[order]), most)))
+        self._judge([parts[k] for k in sorted(order[:count])])
 
     @property
     def _stretch_ends(self) -> np.ndarray:
@@ -358,11 +367,20 @@ class LoopFit:
         moved = inverse @ np.einsum("kjm,kj->m", weighted, np.nan_to_num(finer) / noise)
         error = np.sqrt(np.nanmean((finer - point.slopes @ moved) ** 2, axis=0))
         scores = np.einsum("kjm,kj->km", weighted, np.nan_to_num(point.residual) / noise)
-        pulls = np.array([part.sum(axis=0) for part in self._by_stretch(scores)])
+        pulls = self._pulls(scores)
         spread = np.var(pulls @ inverse, axis=0) * len(pulls) ** 2 / max(len(pulls) - 1, 1)
         wider = np.sqrt(np.maximum(spread / np.diag(inverse), 1.0))
         whole = wider[:, None] * inverse * wider + np.outer(moved, moved)
         return np.asarray(self._size[:, None] * whole * self._size), error
+
+    def _pulls(self, scores: np.ndarray) -> np.ndarray:
+        """Return sums of scores (K, m) over times that are independent of one another."""
+        found: dict[tuple[int, int], np.ndarray] = {}
+        for part, own in zip(self._by_stretch(scores), self._stretches, strict=True):
+            time = own.run.time[[own.end, 0]]
+            key = id(own.run), int((time[0] - time[1]) / STRETCH_SECONDS)
+            found[key] = found.get(key, 0.0) + part.sum(axis=0)
+        return np.array(list(found.values()))
 
     def _share_delay(
         self, found: Parameters, covariance: np.ndarray

@@ -203,7 +203,10 @@ class LoopSearch:
     ) -> tuple[ClosedLoopModel, Extension]:
         """Return the fit without some effects if its misfit rises by less than allowed."""
         rest = replace(found, effects=tuple(e for e in found.effects if e not in spare))
-        simpler = self._fit(rest) if len(rest.effects) < len(found.effects) else None
+        fewer = len(rest.effects) < len(found.effects)
+        # A wrong limit has strained all other values.
+        strained = any(each.effect.limits_drive for each in spare)
+        simpler = self._fit(rest, before=None if strained else model) if fewer else None
         if simpler is not None and simpler.misfit < model.misfit + allowed:
             return simpler, rest
         return model, found
@@ -299,13 +302,18 @@ class LoopSearch:
     def _model(self, found: Extension, added: Sequence[Finding]) -> Extension:
         return found.plus(Extension(effects=tuple(each.estimated for each in added)))
 
-    def _fit(self, found: Extension, added: Sequence[Finding] = ()) -> ClosedLoopModel | None:
+    def _fit(
+        self,
+        found: Extension,
+        added: Sequence[Finding] = (),
+        before: ClosedLoopModel | None = None,
+    ) -> ClosedLoopModel | None:
         if isinstance(self.recordings, StatePair):
             return None  # one simulation is none of two states
         self.say("simulate the training runs from their commands")
         constants = self.training.constants
         model = extended_model(self.recordings, constants, self._model(found, added))
-        return fit_positions(self.recordings, self.runs, model, self.estimated, self.say)
+        return fit_positions(self.recordings, self.runs, model, self.estimated, self.say, before)
 
     def _best(self, model: ClosedLoopModel, whole: Extension, place: int) -> Finding | None:
         """Return the likeliest effect that a joint of the robot (from 0) lacks, with its rivals."""
