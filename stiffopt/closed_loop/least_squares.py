@@ -13,9 +13,9 @@ from stiffopt.closed_loop.parameters import Parameters
 from stiffopt.closed_loop.simulation import (
     STRETCH_SECONDS,
     CommandedRun,
-    Judged,
-    divide,
-    judged_rows,
+    RunRows,
+    divide_rows,
+    rows_after_leads,
     simulate_stretches,
 )
 
@@ -148,11 +148,11 @@ class LoopFit:
         self.places = np.append(self._free, len(deviations) - 1)
         self._size = np.maximum(deviations[self.places], 1e-12)
         self._step = float(np.median(np.concatenate([np.diff(run.time) for run in runs])))
-        self._judge(judged_rows(runs, self._step))
+        self._judge(rows_after_leads(runs, self._step))
 
-    def _judge(self, parts: Sequence[Judged]) -> None:
+    def _judge(self, parts: Sequence[RunRows]) -> None:
         """Judge some rows of the runs."""
-        self._stretches, self._leads = divide(parts, self._step)
+        self._stretches, self._leads = divide_rows(parts, self._step)
         self._ends = np.cumsum([part.end - part.first for part in parts])[:-1]
 
     def polish(self, start: Parameters, say: Callable[[str], object]) -> Polished:
@@ -235,7 +235,7 @@ class LoopFit:
         residual = self.simulate(parameters).require_bounded().residual[:, joint]
         means = np.array([np.nanmean(own**2) for own in self._by_stretch(residual)])
         pairs = list(zip(self._stretches, self._leads, strict=True))
-        parts = [Judged(own.run, own.begin + lead, own.end + 1) for own, lead in pairs]
+        parts = [RunRows(own.run, own.begin + lead, own.end + 1) for own, lead in pairs]
         rows = np.array([part.end - part.first for part in parts])
         order = np.argsort(means)[::-1]
         most = LEADING_SECONDS / self._loop.n / self._step
@@ -425,10 +425,9 @@ class LoopFit:
         """Return the distances from the prior, of Student's distribution, and their slopes."""
         away = (parameters.values - self._prior.values)[self.places] / self._size
         distance = np.sign(away) * np.sqrt(_PRIOR_FREEDOM * np.log1p(away**2 / _PRIOR_FREEDOM))
-        moved = np.where(away == 0.0, 1.0, away)
-        return distance, moved / (1.0 + away**2 / _PRIOR_FREEDOM) / np.where(
-            away == 0.0, 1.0, distance
-        )
+        here = distance == 0.0  # or so near that its square is none
+        share = np.where(here, 1.0, away) / np.where(here, 1.0, distance)
+        return distance, share / (1.0 + away**2 / _PRIOR_FREEDOM)
 
     def _normal_equations(
         self, parameters: Parameters, point: SimulatedPoint, noise: np.ndarray
@@ -443,7 +442,10 @@ class LoopFit:
         self, parameters: Parameters, hessian: np.ndarray, gradient: np.ndarray, damping: float
     ) -> Parameters:
         """Return the parameters after one bounded step."""
-        factor = np.linalg.cholesky(hessian + damping * np.diag(np.diag(hessian)))
+        try:
+            factor = np.linalg.cholesky(hessian + damping * np.diag(np.diag(hessian)))
+        except np.linalg.LinAlgError as error:  # derivatives beyond what numbers resolve
+            raise FloatingPointError("the simulation diverges") from error
         bounds = parameters.bounds
         left = (bounds - parameters.values[:, None])[self.places] / self._size[:, None]
         found = lsq_linear(

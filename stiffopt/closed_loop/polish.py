@@ -139,7 +139,8 @@ def limit_gain(
 ) -> float:
     """Return by how much the log residuals sink with the best limit of a joint (from 0).
 
-    A drive has no torque above its limit: a level that cuts some of it has no limit below.
+    A drive gives no torque above its limit: where the highest level makes the simulation worse, the
+    limit is not below it.
     """
     fit = LoopFit(loop, runs, prior, np.ones_like(prior.values))
     without, tried = _tried_limits(loop, prior, joint)

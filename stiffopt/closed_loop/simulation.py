@@ -52,7 +52,7 @@ class Stretch:
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class RunRows:
     """Rows of a run from `first` until `end` that are judged; those before lead into them."""
 
     run: CommandedRun
@@ -60,13 +60,13 @@ class Judged:
     end: int
 
 
-def judged_rows(runs: Sequence[CommandedRun], step: float) -> list[Judged]:
+def rows_after_leads(runs: Sequence[CommandedRun], step: float) -> list[RunRows]:
     """Return the judged rows of every run: all but those that lead into it."""
     lead = round(_LEAD_SECONDS / step)
-    return [Judged(run, min(lead, len(run.time) // 4), len(run.time)) for run in runs]
+    return [RunRows(run, min(lead, len(run.time) // 4), len(run.time)) for run in runs]
 
 
-def divide(parts: Sequence[Judged], step: float) -> tuple[list[Stretch], list[int]]:
+def divide_rows(parts: Sequence[RunRows], step: float) -> tuple[list[Stretch], list[int]]:
     """Return stretches of judged rows, as many as fill calls of a step, and the leads of each."""
     lead, longest = (round(seconds / step) for seconds in (_LEAD_SECONDS, STRETCH_SECONDS))
     counts = np.array([part.end - part.first for part in parts])
@@ -74,7 +74,8 @@ def divide(parts: Sequence[Judged], step: float) -> tuple[list[Stretch], list[in
     pieces = np.maximum(POINTS * calls * counts // counts.sum(), 1).astype(int)
     stretches, leads = [], []
     for part, own in zip(parts, pieces, strict=True):
-        edges = np.linspace(part.first, part.end, min(own, (part.end - part.first) // 2) + 1)
+        own = min(own, max((part.end - part.first) // 2, 1))
+        edges = np.linspace(part.first, part.end, own + 1)
         for first, end in pairwise(np.round(edges).astype(int).tolist()):
             begin = max(first - lead, 0)
             stretches.append(Stretch(part.run, begin, end - 1, part.run.velocity[begin]))

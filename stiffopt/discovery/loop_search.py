@@ -392,17 +392,26 @@ class LoopSearch:
         robot, physics, _ = robot_in_loop(recordings, known, none)
         loop = CommandedArm(robot.tree, model.loop.law, model.loop.middle, physics)
         count = len(model.loop.physics.amplitudes.names)
-        keys = [key for key, _ in physics.amplitudes.names[count:]]
-        groups = [[k for k, key in enumerate(keys) if key == each.key] for each in candidates]
+        names = physics.amplitudes.names[count:]
+        groups = [[k for k, (key, _) in enumerate(names) if key == each.key] for each in candidates]
         assert model.polished is not None
         try:
-            return score_amplitudes(loop, self._fitted_runs, model.polished, groups, place)
+            scores = score_amplitudes(loop, self._fitted_runs, model.polished, groups, place)
         except FloatingPointError:
             if len(candidates) < 2:
                 return [None] * len(candidates)
             middle = len(candidates) // 2
             halves = candidates[:middle], candidates[middle:]
             return [own for half in halves for own in self._scores(model, whole, half, place)]
+        found: list[Score | None] = []
+        for each, group, score in zip(none, groups, scores, strict=True):
+            # Amplitudes that are no torque of an instant, as of friction that is lost, are none.
+            amplitudes = np.zeros(len(each.amplitudes))
+            if score is not None:
+                amplitudes[[names[k][1] for k in group]] = score.amplitudes
+                score = replace(score, amplitudes=tuple(amplitudes.tolist()))
+            found.append(score)
+        return found
 
     def _limit(self, model: ClosedLoopModel, whole: Extension, place: int) -> Finding | None:
         """Return a limit of the drive of a joint of the robot (from 0), if the runs show one.
