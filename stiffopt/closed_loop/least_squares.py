@@ -13,13 +13,17 @@ from stiffopt.closed_loop.parameters import Parameters
 from stiffopt.closed_loop.simulation import (
     STRETCH_SECONDS,
     CommandedRun,
-    divide_runs,
+    RunRows,
+    divide_rows,
+    rows_after_leads,
     simulate_stretches,
 )
 
 # Iterations at most, and the decrease of the squared deviations that ends them: expected of a step,
 # or reached.
 _MAX_ITERATIONS, _LEAST_DECREASE = 24, 0.1
+# Decrease over what derivatives foresee from which they need not be simulated anew.
+_FOLLOWED_SHARE = 0.5
 # Levenberg-Marquardt damping over the curvature: at first, and least after a step that failed. It
 # vanishes with steps that succeed: what stated values alone tell, as the scale of all torques, has
 # a curvature far below that of the motion, and any damping by the latter holds it. Where no stated
@@ -101,6 +105,15 @@ class SimulatedPoint:
     slopes: np.ndarray
     bounded: bool = True  # squares of simulated positions and derivatives can be summed
 
+    def followed_to(self, residual: np.ndarray, step: np.ndarray) -> SimulatedPoint:
+        """Return the point after a step (m,), its derivatives changed by what they missed there.
+
+        The least change that follows the step (Broyden, Mathematics of Computation 19, 1965).
+        """
+        missed = np.nan_to_num(residual - self.residual - self.slopes @ step)
+        change = missed[..., None] * (step / (step @ step))
+        return SimulatedPoint(residual, self.slopes + change)
+
     def require_bounded(self) -> SimulatedPoint:
         """Return this; raise `FloatingPointError` if the simulation diverges."""
         if not self.bounded:
@@ -135,7 +148,12 @@ class LoopFit:
         self.places = np.append(self._free, len(deviations) - 1)
         self._size = np.maximum(deviations[self.places], 1e-12)
         self._step = float(np.median(np.concatenate([np.diff(run.time) for run in runs])))
-        self._stretches, self._leads, self._ends = divide_runs(runs, self._step)
+        self._judge(rows_after_leads(runs, self._step))
+
+    def _judge(self, parts: Sequence[RunRows]) -> None:
+        """Judge some rows of the runs."""
+        self._stretches, self._leads = divide_rows(parts, self._step)
+        self._ends = np.cumsum([part.end - part.first for part in parts])[:-1]
 
     def polish(self, start: Parameters, say: Callable[[str], object]) -> Polished:
         """Return the fit that begins with some parameters."""
@@ -213,14 +231,16 @@ class LoopFit:
         return 0.5 * float(np.log(np.nanmean(point.residual**2, axis=0)).sum())
 
     def restrict(self, parameters: Parameters, joint: int) -> None:
-        """Keep the stretches in which a joint leaves most, of the duration of a leading fit."""
+        """Judge the stretches in which a joint leaves most, of the duration of a leading fit."""
         residual = self.simulate(parameters).require_bounded().residual[:, joint]
-        squares = [np.nanmean(own**2) for own in self._by_stretch(residual)]
-        count = max(1, round(LEADING_SECONDS / self._loop.n / STRETCH_SECONDS))
-        kept = sorted(np.argsort(squares)[::-1][:count])
-        self._stretches = [self._stretches[k] for k in kept]
-        self._leads = [self._leads[k] for k in kept]
-        self._ends = self._stretch_ends
+        means = np.array([np.nanmean(own**2) for own in self._by_stretch(residual)])
+        pairs = list(zip(self._stretches, self._leads, strict=True))
+        parts = [RunRows(own.run, own.begin + lead, own.end + 1) for own, lead in pairs]
+        rows = np.array([part.end - part.first for part in parts])
+        order = np.argsort(means)[::-1]
+        most = LEADING_SECONDS / self._loop.n / self._step
+        count = max(1, int(np.searchsorted(np.cumsum(rows[order]), most)))
+        self._judge([parts[k] for k in sorted(order[:count])])
 
     @property
     def _stretch_ends(self) -> np.ndarray:
@@ -295,6 +315,7 @@ class LoopFit:
         leaves does not let the prior rule.
         """
         damping, repeated = _FIRST_DAMPING, np.full(self._loop.n, np.inf)
+        exact = True
         for number in range(_MAX_ITERATIONS):
             largest = 1e3 * float(np.sqrt(np.nanmean(point.residual**2)))
             say(f"simulate from commands: step {number + 1}, residual {largest:.2f} mrad")
@@ -306,17 +327,27 @@ class LoopFit:
             while decrease <= 0.0:
                 moved = self._moved(parameters, hessian, gradient, damping)
                 step = (moved.values - parameters.values)[self.places] / self._size
-                if -step @ (2.0 * gradient + hessian @ step) < _LEAST_DECREASE:
-                    return parameters, point
-                decrease = self._decrease(parameters, moved, point, self.simulate(moved), noise)
+                expected = -float(step @ (2.0 * gradient + hessian @ step))
+                if expected < _LEAST_DECREASE:
+                    break
+                ahead = self.simulate(moved)
+                decrease = self._decrease(parameters, moved, point, ahead, noise)
                 if decrease > 0.0:
+                    parameters, point = moved, point.followed_to(ahead.residual, step)
                     damping = max(0.1 * damping, self._least_damping)
-                else:
+                elif exact:
                     damping = max(10.0 * damping, _FIRST_DAMPING)
-            parameters, point = moved, self.evaluate(moved).require_bounded()
-            if decrease < _LEAST_DECREASE:
-                break
-        return parameters, point
+                else:
+                    break
+            if exact and decrease <= 0.0:
+                return parameters, point
+            ended = exact and decrease < _LEAST_DECREASE
+            exact = decrease < max(_FOLLOWED_SHARE * expected, _LEAST_DECREASE)
+            if exact:
+                point = self.evaluate(parameters).require_bounded()
+            if ended:
+                return parameters, point
+        return parameters, point if exact else self.evaluate(parameters).require_bounded()
 
     def covariance(
         self, parameters: Parameters, point: SimulatedPoint
@@ -336,11 +367,20 @@ class LoopFit:
         moved = inverse @ np.einsum("kjm,kj->m", weighted, np.nan_to_num(finer) / noise)
         error = np.sqrt(np.nanmean((finer - point.slopes @ moved) ** 2, axis=0))
         scores = np.einsum("kjm,kj->km", weighted, np.nan_to_num(point.residual) / noise)
-        pulls = np.array([part.sum(axis=0) for part in self._by_stretch(scores)])
+        pulls = self._pulls(scores)
         spread = np.var(pulls @ inverse, axis=0) * len(pulls) ** 2 / max(len(pulls) - 1, 1)
         wider = np.sqrt(np.maximum(spread / np.diag(inverse), 1.0))
         whole = wider[:, None] * inverse * wider + np.outer(moved, moved)
         return np.asarray(self._size[:, None] * whole * self._size), error
+
+    def _pulls(self, scores: np.ndarray) -> np.ndarray:
+        """Return sums of scores (K, m) over times that are independent of one another."""
+        found: dict[tuple[int, int], np.ndarray] = {}
+        for part, own in zip(self._by_stretch(scores), self._stretches, strict=True):
+            time = own.run.time[[own.end, 0]]
+            key = id(own.run), int((time[0] - time[1]) / STRETCH_SECONDS)
+            found[key] = found.get(key, 0.0) + part.sum(axis=0)
+        return np.array(list(found.values()))
 
     def _share_delay(
         self, found: Parameters, covariance: np.ndarray
@@ -385,10 +425,9 @@ class LoopFit:
         """Return the distances from the prior, of Student's distribution, and their slopes."""
         away = (parameters.values - self._prior.values)[self.places] / self._size
         distance = np.sign(away) * np.sqrt(_PRIOR_FREEDOM * np.log1p(away**2 / _PRIOR_FREEDOM))
-        moved = np.where(away == 0.0, 1.0, away)
-        return distance, moved / (1.0 + away**2 / _PRIOR_FREEDOM) / np.where(
-            away == 0.0, 1.0, distance
-        )
+        here = distance == 0.0  # or so near that its square is none
+        share = np.where(here, 1.0, away) / np.where(here, 1.0, distance)
+        return distance, share / (1.0 + away**2 / _PRIOR_FREEDOM)
 
     def _normal_equations(
         self, parameters: Parameters, point: SimulatedPoint, noise: np.ndarray
@@ -403,7 +442,10 @@ class LoopFit:
         self, parameters: Parameters, hessian: np.ndarray, gradient: np.ndarray, damping: float
     ) -> Parameters:
         """Return the parameters after one bounded step."""
-        factor = np.linalg.cholesky(hessian + damping * np.diag(np.diag(hessian)))
+        try:
+            factor = np.linalg.cholesky(hessian + damping * np.diag(np.diag(hessian)))
+        except np.linalg.LinAlgError as error:  # derivatives beyond what numbers resolve
+            raise FloatingPointError("the simulation diverges") from error
         bounds = parameters.bounds
         left = (bounds - parameters.values[:, None])[self.places] / self._size[:, None]
         found = lsq_linear(

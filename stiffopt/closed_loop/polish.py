@@ -25,6 +25,7 @@ def polish(
     say: Callable[[str], object] = lambda _: None,
     *,
     scaled: bool = True,
+    start: Parameters | None = None,
 ) -> Polished:
     """Fit the parameters that have a deviation to the positions of some runs.
 
@@ -35,7 +36,7 @@ def polish(
 
     `prior`: expected values, with which the fit begins; `deviations` (p,): one standard deviation
     of each, 0 fixes a parameter; `say`: called with a sentence at every iteration; `scaled`: see
-    `LoopFit`.
+    `LoopFit`; `start`: values to begin with in place of a fit of the leading parameters.
 
     Raises
     ------
@@ -43,9 +44,9 @@ def polish(
         The simulation diverges with the prior.
     """
     prior = _begin_limits(loop, runs, prior, deviations)
-    begun = polish_leading(loop, runs, prior, deviations, say, scaled=scaled)
-    fit = LoopFit(loop, runs, prior, deviations, scaled=scaled)
-    return fit.polish(begun.parameters, say)
+    if start is None:
+        start = polish_leading(loop, runs, prior, deviations, say, scaled=scaled).parameters
+    return LoopFit(loop, runs, prior, deviations, scaled=scaled).polish(start, say)
 
 
 def _begin_limits(
@@ -136,10 +137,17 @@ def score_amplitudes(
 def limit_gain(
     loop: CommandedArm, runs: Sequence[CommandedRun], prior: Parameters, joint: int
 ) -> float:
-    """Return by how much the log residuals sink with the best limit of a joint (from 0)."""
+    """Return by how much the log residuals sink with the best limit of a joint (from 0).
+
+    A drive gives no torque above its limit: where the highest level makes the simulation worse, the
+    limit is not below it.
+    """
     fit = LoopFit(loop, runs, prior, np.ones_like(prior.values))
     without, tried = _tried_limits(loop, prior, joint)
-    none, *misfits = (fit.misfit(replace(prior, values=own)) for own in (without, *tried))
+    highest = np.arange(1, 1 + len(tried)) % len(_LIMIT_FACTORS) == 0
+    none, *misfits = (fit.misfit(replace(prior, values=own)) for own in (without, *tried[highest]))
+    if min(misfits) <= none:
+        misfits += [fit.misfit(replace(prior, values=own)) for own in tried[~highest]]
     return none - min(misfits)
 
 

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
 from stiffopt.actuator.law import mean_command
 from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.parameters import Parameters
+from stiffopt.interpreter.batched import POINTS
 
-# Duration of a stretch that is judged, and of the motion before it that forgets the state that it
-# began with, several times the settling of a servo [s].
+# Longest duration of a stretch that is judged, and of the motion before it that forgets the state
+# that it began with, several times the settling of a servo [s].
 STRETCH_SECONDS, _LEAD_SECONDS = 2.0, 0.5
 # Longest step of the integrator [s]: a servo's own motion takes ten or more of them.
 _MAX_STEP = 1e-3
@@ -49,25 +51,36 @@ class Stretch:
     velocity: np.ndarray  # (n,) at the beginning [rad/s]
 
 
-def divide_runs(
-    runs: Sequence[CommandedRun], step: float
-) -> tuple[list[Stretch], list[int], np.ndarray]:
-    """Return stretches of runs, the rows that lead into each, and the judged rows until each run.
+@dataclass(frozen=True, eq=False)
+class RunRows:
+    """Rows of a run from `first` until `end` that are judged; those before lead into them."""
 
-    Every row is judged once, but those that lead into a run.
-    """
-    lead, rows = (round(seconds / step) for seconds in (_LEAD_SECONDS, STRETCH_SECONDS))
-    stretches, leads, counts = [], [], []
-    for run in runs:
-        count = len(run.time)
-        own = min(lead, count // 4)
-        for first in range(own, count - 1, max(rows, 2)):
-            begin = first - own
-            end = min(first + max(rows, 2), count) - 1
-            stretches.append(Stretch(run, begin, end, run.velocity[begin]))
-            leads.append(own)
-        counts.append(count - own)
-    return stretches, leads, np.cumsum(counts)[:-1]
+    run: CommandedRun
+    first: int
+    end: int
+
+
+def rows_after_leads(runs: Sequence[CommandedRun], step: float) -> list[RunRows]:
+    """Return the judged rows of every run: all but those that lead into it."""
+    lead = round(_LEAD_SECONDS / step)
+    return [RunRows(run, min(lead, len(run.time) // 4), len(run.time)) for run in runs]
+
+
+def divide_rows(parts: Sequence[RunRows], step: float) -> tuple[list[Stretch], list[int]]:
+    """Return stretches of judged rows, as many as fill calls of a step, and the leads of each."""
+    lead, longest = (round(seconds / step) for seconds in (_LEAD_SECONDS, STRETCH_SECONDS))
+    counts = np.array([part.end - part.first for part in parts])
+    calls = np.ceil(counts.sum() / (POINTS * max(longest, 2)))
+    pieces = np.maximum(POINTS * calls * counts // counts.sum(), 1).astype(int)
+    stretches, leads = [], []
+    for part, own in zip(parts, pieces, strict=True):
+        own = min(own, max((part.end - part.first) // 2, 1))
+        edges = np.linspace(part.first, part.end, own + 1)
+        for first, end in pairwise(np.round(edges).astype(int).tolist()):
+            begin = max(first - lead, 0)
+            stretches.append(Stretch(part.run, begin, end - 1, part.run.velocity[begin]))
+            leads.append(first - begin)
+    return stretches, leads
 
 
 @dataclass(frozen=True, eq=False)

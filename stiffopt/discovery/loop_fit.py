@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -201,8 +202,11 @@ def fit_loop(
     leading: bool = False,
     tree: BodyTree | None = None,
     physics: LoopPhysics | None = None,
+    start: Parameters | None = None,
 ) -> tuple[CommandedArm, Polished] | None:
     """Fit a closed loop to training runs, beginning with a prior; or the leading parameters alone.
+
+    `start`: values to begin with in place of a fit of the leading parameters.
 
     None where a joint has no gain, which would not be held, or no command, and where the simulation
     diverges with the prior.
@@ -218,7 +222,7 @@ def fit_loop(
     limited = limit_motion(commanded)
     # Masses that nobody vouches for do not tell the scale of torques better than an estimated gain.
     scaled = recordings.tolerance.mass is not None or loop.law.estimated is None
-    fit = polish_leading if leading else polish
+    fit = polish_leading if leading else partial(polish, start=start)
     try:
         found = fit(loop, limited, prior, deviations, say, scaled=scaled)
     except FloatingPointError:

@@ -203,7 +203,10 @@ class LoopSearch:
     ) -> tuple[ClosedLoopModel, Extension]:
         """Return the fit without some effects if its misfit rises by less than allowed."""
         rest = replace(found, effects=tuple(e for e in found.effects if e not in spare))
-        simpler = self._fit(rest) if len(rest.effects) < len(found.effects) else None
+        fewer = len(rest.effects) < len(found.effects)
+        # A wrong limit has strained all other values.
+        strained = any(each.effect.limits_drive for each in spare)
+        simpler = self._fit(rest, before=None if strained else model) if fewer else None
         if simpler is not None and simpler.misfit < model.misfit + allowed:
             return simpler, rest
         return model, found
@@ -299,13 +302,18 @@ class LoopSearch:
     def _model(self, found: Extension, added: Sequence[Finding]) -> Extension:
         return found.plus(Extension(effects=tuple(each.estimated for each in added)))
 
-    def _fit(self, found: Extension, added: Sequence[Finding] = ()) -> ClosedLoopModel | None:
+    def _fit(
+        self,
+        found: Extension,
+        added: Sequence[Finding] = (),
+        before: ClosedLoopModel | None = None,
+    ) -> ClosedLoopModel | None:
         if isinstance(self.recordings, StatePair):
             return None  # one simulation is none of two states
         self.say("simulate the training runs from their commands")
         constants = self.training.constants
         model = extended_model(self.recordings, constants, self._model(found, added))
-        return fit_positions(self.recordings, self.runs, model, self.estimated, self.say)
+        return fit_positions(self.recordings, self.runs, model, self.estimated, self.say, before)
 
     def _best(self, model: ClosedLoopModel, whole: Extension, place: int) -> Finding | None:
         """Return the likeliest effect that a joint of the robot (from 0) lacks, with its rivals."""
@@ -384,17 +392,26 @@ class LoopSearch:
         robot, physics, _ = robot_in_loop(recordings, known, none)
         loop = CommandedArm(robot.tree, model.loop.law, model.loop.middle, physics)
         count = len(model.loop.physics.amplitudes.names)
-        keys = [key for key, _ in physics.amplitudes.names[count:]]
-        groups = [[k for k, key in enumerate(keys) if key == each.key] for each in candidates]
+        names = physics.amplitudes.names[count:]
+        groups = [[k for k, (key, _) in enumerate(names) if key == each.key] for each in candidates]
         assert model.polished is not None
         try:
-            return score_amplitudes(loop, self._fitted_runs, model.polished, groups, place)
+            scores = score_amplitudes(loop, self._fitted_runs, model.polished, groups, place)
         except FloatingPointError:
             if len(candidates) < 2:
                 return [None] * len(candidates)
             middle = len(candidates) // 2
             halves = candidates[:middle], candidates[middle:]
             return [own for half in halves for own in self._scores(model, whole, half, place)]
+        found: list[Score | None] = []
+        for each, group, score in zip(none, groups, scores, strict=True):
+            # Amplitudes that are no torque of an instant, as of friction that is lost, are none.
+            amplitudes = np.zeros(len(each.amplitudes))
+            if score is not None:
+                amplitudes[[names[k][1] for k in group]] = score.amplitudes
+                score = replace(score, amplitudes=tuple(amplitudes.tolist()))
+            found.append(score)
+        return found
 
     def _limit(self, model: ClosedLoopModel, whole: Extension, place: int) -> Finding | None:
         """Return a limit of the drive of a joint of the robot (from 0), if the runs show one.

@@ -122,8 +122,11 @@ def fit_positions(
     model: ExtendedModel | None = None,
     estimated: Parameters | None = None,
     say: Say = lambda _: None,
+    before: ClosedLoopModel | None = None,
 ) -> ClosedLoopModel | None:
     """Fit a simulation from commands to training runs, beginning with the findings of a model.
+
+    `before`: a fit of the same runs with more findings; what it made of joints is begun with.
 
     Joints whose gain gives torque no scale begin with the drives of `estimated`. Amplitudes of the
     findings are fitted with all else.
@@ -144,7 +147,8 @@ def fit_positions(
             place = begun.place(name)
             begun.values[place] = np.where(unscaled, estimated.of(name), begun.of(name))
     begun.values[:] = np.clip(begun.values, *begun.bounds.T)
-    found = fit_loop(recordings, runs, begun, say, tree=robot.tree, physics=physics)
+    start = None if before is None else _joints_of(before, begun, physics)
+    found = fit_loop(recordings, runs, begun, say, tree=robot.tree, physics=physics, start=start)
     if found is None:
         return None
     loop, fitted = found
@@ -163,6 +167,17 @@ def fit_positions(
         expected_deviations=fitted.expected_deviations,
         ratios=_ratios_to_gain(loop.law, fitted),
     )
+
+
+def _joints_of(before: ClosedLoopModel, begun: Parameters, physics: LoopPhysics) -> Parameters:
+    """Return parameters of joints, amplitudes and delay of a fit, with the bodies of another."""
+    own, values = before.fitted, begun.values.copy()
+    joints = slice(0, begun.bodies.start)
+    values[joints], values[-1] = own.values[joints], own.delay
+    names = before.loop.physics.amplitudes.names
+    known = dict(zip(names, own.values[own.amplitudes], strict=True))
+    values[begun.amplitudes] = [known[name] for name in physics.amplitudes.names]
+    return replace(begun, values=values)
 
 
 def _ratios_to_gain(law: ActuatorLaw, fitted: Polished) -> dict[str, tuple[np.ndarray, np.ndarray]]:

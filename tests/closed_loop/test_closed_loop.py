@@ -214,9 +214,9 @@ def test_noise_of_encoders_is_not_the_motion_that_held_commands_bend(loop: Comma
     fit = LoopFit(loop, [runs[0], still], prior, deviations)
     point = fit.evaluate(prior)
     own = point.residual[: len(point.residual) // 2]
-    alone = LoopFit(loop, runs[:1], prior, deviations)
+    twice, both = LoopFit(loop, [runs[0]] * 2, prior, deviations), np.vstack([own, own])
     np.testing.assert_allclose(
-        fit.encoder_noise(point), alone.encoder_noise(SimulatedPoint(own, own))
+        fit.encoder_noise(point), twice.encoder_noise(SimulatedPoint(both, both))
     )
     none = LoopFit(loop, [still], prior, deviations)
     assert np.isnan(none.encoder_noise(none.evaluate(prior))).all()
