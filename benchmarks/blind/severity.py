@@ -50,7 +50,6 @@ START = {
     "preload_loss": 0.85,
     "pulsing_load": 0.1,
     "quadratic_drag": 0.5,
-    "reading_filter": 0.2,
     "reading_limit": 0.2,
     "rotor_inertia": 0.9,
     "run_clock": 0.3,

@@ -87,9 +87,9 @@ def test_command_interrupted_early_returns_a_motion(tmp_path, monkeypatch, capsy
     path, out = write_problem(tmp_path), tmp_path / "out"
     plain = files.load_problem
 
-    def pressed(*arguments):
+    def pressed(*arguments, **options):
         signal.raise_signal(signal.SIGINT)
-        return plain(*arguments)
+        return plain(*arguments, **options)
 
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
