@@ -14,7 +14,8 @@ from stiffopt.closed_loop.parameters import Parameters
 from stiffopt.interpreter.batched import POINTS
 
 # Longest duration of a stretch that is judged, and of the motion before it that forgets the state
-# that it began with, several times the settling of a servo [s].
+# that it began with, several times the settling of a servo [s]. Of shorter stretches than half the
+# longest, the rest of that state would be a third of the residual of a fit that lacks nothing.
 STRETCH_SECONDS, _LEAD_SECONDS = 2.0, 0.5
 # Longest step of the integrator [s]: a servo's own motion takes ten or more of them.
 _MAX_STEP = 1e-3
@@ -67,14 +68,17 @@ def rows_after_leads(runs: Sequence[CommandedRun], step: float) -> list[RunRows]
 
 
 def divide_rows(parts: Sequence[RunRows], step: float) -> tuple[list[Stretch], list[int]]:
-    """Return stretches of judged rows, as many as fill calls of a step, and the leads of each."""
+    """Return stretches of judged rows and the leads of each.
+
+    As many as fill calls of a step, from half the longest duration to that.
+    """
     lead, longest = (round(seconds / step) for seconds in (_LEAD_SECONDS, STRETCH_SECONDS))
     counts = np.array([part.end - part.first for part in parts])
     calls = np.ceil(counts.sum() / (POINTS * max(longest, 2)))
     pieces = np.maximum(POINTS * calls * counts // counts.sum(), 1).astype(int)
     stretches, leads = [], []
     for part, own in zip(parts, pieces, strict=True):
-        own = min(own, max((part.end - part.first) // 2, 1))
+        own = min(own, max(2 * (part.end - part.first) // max(longest, 4), 1))
         edges = np.linspace(part.first, part.end, own + 1)
         for first, end in pairwise(np.round(edges).astype(int).tolist()):
             begin = max(first - lead, 0)

@@ -261,6 +261,8 @@ def _run_diagnosis(
     )
     found = extension_of_estimate(parameters, findings)
     whole = _with_found(found, base)
+    fitted_effects = {each.located.key: each for each in found.effects}
+    findings = tuple(replace(f, estimated=fitted_effects[f.located.key]) for f in findings)
     if unexplained is None and not findings and not opened.at_rest:
         unexplained = steps.run(BURSTS, lambda: find_bursts(training, found))
     new = [s for s in selected if not s.located.calibrated]
