@@ -53,6 +53,7 @@ from stiffopt.discovery.judging.unexplained import (
     judge_channels,
 )
 from stiffopt.discovery.law_search.find import LawSearch, find_laws, located_tables
+from stiffopt.discovery.laws.law import LAW_FAMILY
 from stiffopt.discovery.loop_search import (
     FittedLoop,
     LoopSearch,
@@ -217,8 +218,6 @@ def _run_diagnosis(
     )
     training, result, touched = searches.run(training)
     steps = OptionalSteps(result, say)
-    if settings.cutoff is None:  # bands that were asked for hold
-        training = _with_prediction_bands(training, result, steps)
     simulation = LoopSearch(
         recordings=recordings,
         training=training,
@@ -263,6 +262,8 @@ def _run_diagnosis(
     whole = _with_found(found, base)
     fitted_effects = {each.located.key: each for each in found.effects}
     findings = tuple(replace(f, estimated=fitted_effects[f.located.key]) for f in findings)
+    if settings.cutoff is None:  # bands that were asked for hold
+        training = _with_prediction_bands(training, found, steps)
     if unexplained is None and not findings and not opened.at_rest:
         unexplained = steps.run(BURSTS, lambda: find_bursts(training, found))
     new = [s for s in selected if not s.located.calibrated]
@@ -401,9 +402,7 @@ def _estimate_parameters(
     return drop_insignificant(selected, fitted if plain else refined)
 
 
-def _with_prediction_bands(
-    training: Training, result: SearchResult, steps: OptionalSteps
-) -> Training:
+def _with_prediction_bands(training: Training, found: Extension, steps: OptionalSteps) -> Training:
     """Return the training runs with the bands of predictions, unless these are fixed.
 
     Those of a model hold, poses at rest have none, and vibration follows the band of the fit.
@@ -411,8 +410,10 @@ def _with_prediction_bands(
     fixed = training.settings.predict is not None or training.robot.vibrates
     if fixed or training.recorded[0].at_rest:
         return training
-    found = result.comparison.extension_of(result.fit)
-    bands = steps.run(BANDS, lambda: choose_prediction_bands(training, found))
+    # Laws of what the model leaves in the band of the fit say nothing of wider ones.
+    known = [each for each in found.effects if each.effect.family != LAW_FAMILY]
+    plain = replace(found, effects=tuple(known))
+    bands = steps.run(BANDS, lambda: choose_prediction_bands(training, plain))
     if bands is None:
         return training
     each = ", ".join(f"{j}: {band:g}" for j, band in enumerate(bands, start=1))

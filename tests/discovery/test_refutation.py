@@ -16,7 +16,7 @@ from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.conclusions import refutable_channels
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.diagnosis import Diagnosis
-from stiffopt.discovery.judging.refutation import _likelihood_of_gain
+from stiffopt.discovery.judging.refutation import _best_within, _likelihood_of_gain
 from stiffopt.report.diagnosis.mismatch import refutation_sentences
 
 
@@ -87,3 +87,22 @@ def test_findings_of_single_runs_are_not_tested() -> None:
     ]
     findings: list[Any] = [SimpleNamespace(located=e, channel="torque_2") for e in located]
     assert list(refutable_channels(findings)) == [located[1].key]
+
+
+def test_values_that_predict_best_are_sought_in_their_likely_region() -> None:
+    """Within 95 % of the posterior: of one value two deviations, of many more."""
+    draw = np.random.default_rng(5)
+    columns = draw.normal(size=(50, 2))
+    for far in (0.5, 40.0):
+        residual = columns @ np.array([far, -far])
+        rows = np.column_stack([residual, columns])
+        found = _best_within(rows.T @ rows)
+        if far < 1.0:
+            np.testing.assert_allclose(found, [far, -far], rtol=1e-6)
+        else:
+            assert np.linalg.norm(found) == pytest.approx(np.sqrt(5.991), rel=1e-3)
+            angles = np.linspace(0.0, 2.0 * np.pi, 721)
+            ring = np.sqrt(5.991) * np.array([np.cos(angles), np.sin(angles)])
+            best = np.min(np.sum((residual[:, None] - columns @ ring) ** 2, axis=0))
+            assert np.sum((residual - columns @ found) ** 2) <= best * (1.0 + 1e-4)
+    assert np.all(_best_within(np.diag([1.0, 0.0])) == 0.0)
