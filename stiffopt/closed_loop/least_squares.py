@@ -22,7 +22,7 @@ from stiffopt.closed_loop.simulation import (
 # Iterations at most, and the decrease of the squared deviations that ends them: expected of a step,
 # or reached.
 _MAX_ITERATIONS, _LEAST_DECREASE = 24, 0.1
-# Decrease over what derivatives foresee from which they need not be simulated anew.
+# Decrease over that foreseen by derivatives, from which they need not be simulated anew.
 _FOLLOWED_SHARE = 0.5
 # Levenberg-Marquardt damping over the curvature: at first, and least after a step that failed. It
 # vanishes with steps that succeed: what stated values alone tell, as the scale of all torques, has
@@ -106,7 +106,7 @@ class SimulatedPoint:
     bounded: bool = True  # squares of simulated positions and derivatives can be summed
 
     def followed_to(self, residual: np.ndarray, step: np.ndarray) -> SimulatedPoint:
-        """Return the point after a step (m,), its derivatives changed by what they missed there.
+        """Return the point after a step (m,), its derivatives changed by their error there.
 
         The least change that follows the step (Broyden, Mathematics of Computation 19, 1965).
         """
@@ -444,7 +444,7 @@ class LoopFit:
         """Return the parameters after one bounded step."""
         try:
             factor = np.linalg.cholesky(hessian + damping * np.diag(np.diag(hessian)))
-        except np.linalg.LinAlgError as error:  # derivatives beyond what numbers resolve
+        except np.linalg.LinAlgError as error:  # derivatives beyond all resolution
             raise FloatingPointError("the simulation diverges") from error
         bounds = parameters.bounds
         left = (bounds - parameters.values[:, None])[self.places] / self._size[:, None]

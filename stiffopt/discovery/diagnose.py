@@ -362,7 +362,7 @@ def extension_of_estimate(estimate: Estimate, findings: Sequence[Finding] = ()) 
 
 
 def _with_found(found: Extension, base: ExtendedModel | None) -> Extension:
-    """Return the starting model with what was found."""
+    """Return the starting model with the effects found."""
     return found if base is None else base.extension.plus(found)
 
 
@@ -410,7 +410,7 @@ def _with_prediction_bands(training: Training, found: Extension, steps: Optional
     fixed = training.settings.predict is not None or training.robot.vibrates
     if fixed or training.recorded[0].at_rest:
         return training
-    # Laws of what the model leaves in the band of the fit say nothing of wider ones.
+    # Laws of the residual in the band of the fit say nothing of wider ones.
     known = [each for each in found.effects if each.effect.family != LAW_FAMILY]
     plain = replace(found, effects=tuple(known))
     bands = steps.run(BANDS, lambda: choose_prediction_bands(training, plain))

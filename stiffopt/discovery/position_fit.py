@@ -126,7 +126,7 @@ def fit_positions(
 ) -> ClosedLoopModel | None:
     """Fit a simulation from commands to training runs, beginning with the findings of a model.
 
-    `before`: a fit of the same runs with more findings; what it made of joints is begun with.
+    `before`: a fit of the same runs with more findings; its values of joints are begun with.
 
     Joints whose gain gives torque no scale begin with the drives of `estimated`. Amplitudes of the
     findings are fitted with all else.

@@ -2,7 +2,7 @@
 
 Findings are chosen and fitted by the training runs alone. Held-out runs support none: they may
 refute one. Values that training runs hardly determine may be far off in a faster motion, without a
-doubt about what was found: refuted is a finding that predicts worse with any of its likely values.
+doubt about the finding: refuted is a finding that predicts worse with any of its likely values.
 """
 
 from __future__ import annotations
