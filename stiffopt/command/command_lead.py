@@ -44,12 +44,11 @@ class CommandLead:
         if self.servo.leads_exactly:
             servo_share = 1.0
         if self.servo.leads_exactly or servo_share == 0.0:
-            motors = _mixed(self.link, self.motors, share, self.link)
+            motors = self._behind(share)
         else:
-            link, ahead = self._ahead_of_servo
-            motors = _mixed(link, ahead, share, ahead.link or link)
+            motors = self._ahead(share)
             if servo_share < 1.0:
-                held = self._held(_mixed(self.link, self.motors, share, self.link))
+                held = self._held(self._behind(share))
                 motors = _mixed(held, motors, servo_share, motors.link or held)
         return ExistingCommand(motors, self.spacing, share, servo_share)
 
@@ -59,16 +58,10 @@ class CommandLead:
 
         Least and largest share of the wind-up without the servo's lag, then with all of it.
         """
-        late = (
-            self._held(_mixed(self.link, self.motors, share, self.link)) for share in WINDUP_SHARES
-        )
+        behind = tuple(map(self._behind, WINDUP_SHARES))
         if self.servo.leads_exactly:
-            return tuple(late)
-        link, ahead = self._ahead_of_servo
-        return (
-            *late,
-            *(_mixed(link, ahead, share, ahead.link or link) for share in WINDUP_SHARES),
-        )
+            return behind
+        return (*map(self._held, behind), *map(self._ahead, WINDUP_SHARES))
 
     def weights(self, share: float, servo_share: float) -> np.ndarray:
         """Return the weights of the corners (2,) or (4,) in the command with some shares."""
@@ -78,6 +71,15 @@ class CommandLead:
         if self.servo.leads_exactly:
             return own
         return np.concatenate([(1.0 - servo_share) * own, servo_share * own])
+
+    def _behind(self, share: float) -> Trajectory:
+        """Return the motors with a share of the wind-up, without the servo's lag."""
+        return _mixed(self.link, self.motors, share, self.link)
+
+    def _ahead(self, share: float) -> Trajectory:
+        """Return the motors with a share of the wind-up and all of the servo's lag."""
+        link, ahead = self._ahead_of_servo
+        return _mixed(link, ahead, share, ahead.link or link)
 
     @functools.cached_property
     def _ahead_of_servo(self) -> tuple[Trajectory, Trajectory]:
@@ -90,11 +92,8 @@ class CommandLead:
 
     def _held(self, motors: Trajectory) -> Trajectory:
         """Return motors that rest until commands that lead the servo end."""
-        if self.servo.leads_exactly:
-            return motors
-        end = self._ahead_of_servo[0].duration
-        link = self.link.held_for(end - self.link.duration)
-        return replace(motors.held_for(end - motors.duration), link=link)
+        _, ahead = self._ahead_of_servo
+        return replace(motors.held_for(ahead.duration - motors.duration), link=ahead.link)
 
 
 def _mixed(begin: Trajectory, end: Trajectory, share: float, carried: Trajectory) -> Trajectory:

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from stiffopt.result.assessment import DriveHistory, Violation
     from stiffopt.result.simulation import SimulatedMotion
 
-# Shares of the nominal wind-up that are tried: errors are within 1 % of the least between them.
+# Shares of the nominal wind-up that are tried: stiffness is not known to a hundredth.
 _TRIED_SHARES = np.linspace(*WINDUP_SHARES, 11)
 # Shares of the servo's known lag that are led: less where the whole exceeds a limit.
 _SERVO_LEAD_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
@@ -173,12 +173,12 @@ class CommandSearch:
         for lead in map(self._lead_of, self._spacings):
             within = _LeadWithinLimits(self, lead)
             if not within.servo_shares:
-                made = lead.command(1.0, 0.0)
+                made = within.command(1.0, 0.0)
                 excess = self.excess_beyond_plan(made.motors)
                 beyond = (excess, made) if excess < beyond[0] else beyond
                 continue
             self._progress(self._motion.name)
-            arms = arms or self._worst_arms(lead.command(1.0, within.servo_shares[0]).motors)
+            arms = arms or self._worst_arms(within.command(1.0, within.servo_shares[0]).motors)
             for peaks, made in within.ranked(self._many, arms, kept[0]):
                 # The trial grid may miss excesses shorter than its step, as of the jerk at an end.
                 excess = self.excess_beyond_plan(made.motors)
@@ -188,9 +188,10 @@ class CommandSearch:
                 least = (excess, made) if excess < least[0] else least
         if of_kept is not None and kept[1] is not None:
             # Other arms are the worst of it: shares are chosen again with these.
-            arms += self._worst_arms(kept[1].motors)
+            arms = [*arms, *self._worst_arms(kept[1].motors)]
             for peaks, made in of_kept.ranked(self._many, arms):
-                if self.excess_beyond_plan(made.motors) <= CERTIFICATE_TOLERANCE:
+                excess = 0.0 if made is kept[1] else self.excess_beyond_plan(made.motors)
+                if excess <= CERTIFICATE_TOLERANCE:
                     kept = peaks, made
                     break
         found = kept[1] or least[1] or beyond[1]
@@ -291,6 +292,8 @@ class _LeadWithinLimits:
 
     def __init__(self, search: CommandSearch, lead: CommandLead) -> None:
         self._search, self._lead, corners = search, lead, lead.corners
+        # One object for the same shares: what is known of it is kept by object.
+        self.command = functools.cache(lead.command)
         self._times = np.linspace(0.0, corners[0].duration, _TRIAL_SAMPLES)
         _, self._loads = drive_history(search.problem, corners[0], self._times)
         self._corners = np.array([[each(self._times, k) for k in range(4)] for each in corners])
@@ -310,7 +313,7 @@ class _LeadWithinLimits:
         peaks = many.mixed_peaks(corners, arms, weights, below)
         for k in np.argsort(peaks, kind="stable"):
             if peaks[k] < below and self._keeps_limits(*shares[k]):
-                yield float(peaks[k]), self._lead.command(*shares[k])
+                yield float(peaks[k]), self.command(*shares[k])
 
     def _keeps_limits(self, share: float, servo_share: float) -> bool:
         moves = np.tensordot(self._lead.weights(share, servo_share), self._corners, 1)

@@ -258,7 +258,7 @@ def _run_diagnosis(
     limits = steps.run(
         LIMITS, lambda: detection_limits(Scorer(result.comparison, located), sought, result.effects)
     )
-    found = extension_of_estimate(parameters, findings)
+    found = steps.finish(lambda: extension_of_estimate(parameters, findings))
     whole = _with_found(found, base)
     fitted_effects = {each.located.key: each for each in found.effects}
     findings = tuple(replace(f, estimated=fitted_effects[f.located.key]) for f in findings)

@@ -15,6 +15,7 @@ from stiffopt.elastic.smooth_motion import smooth_motion
 from stiffopt.errors import ProblemError
 from stiffopt.improvement.least_jerk import least_jerk_motion
 from stiffopt.problem.pose_following import fit_joint_path
+from stiffopt.recording.channel import DEVIATION_PER_MAD, true_intervals
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.trajectory import JointMotion, Trajectory
 
@@ -27,8 +28,6 @@ _SMOOTHED_INTERVALS, _MIN_SPACING = 4.0, 0.01
 _MAX_SPACING, _MAX_NOISE_RATIO, _SAMPLE_RESOLUTION = 0.16, 1.2, 2e-7
 # Range of a joint at rest over the standard deviation of its noise, beside the path's tolerance.
 _REST_NOISES = 5.0
-# Standard deviation over median of the sizes of normal noise; the median counts no misfit at bends.
-_MEDIAN_TO_SIGMA = 1.4826
 # Window in which the speed at the ends is taken [s]; motions of fewer rows are points to pass.
 _END_WINDOW, _MIN_JUDGED_ROWS = 0.02, 20
 # Speed at the ends over the largest one from which a motion does not begin or end at rest.
@@ -157,14 +156,15 @@ class GivenMotion:
         band = np.full(position.shape[1], _PATH_TOLERANCE)
         if self._has_noise:
             off = np.abs(self.smoothed(self.times) - self(self.times))
-            band += _REST_NOISES * _MEDIAN_TO_SIGMA * np.median(off, axis=0)
+            # The median counts no misfit at bends.
+            band += _REST_NOISES * DEVIATION_PER_MAD * np.median(off, axis=0)
         half = int(np.ceil(0.5 * _MIN_DWELL / time[1]))
         reach = maximum_filter1d(position, 2 * half + 1, axis=0)
         reach -= minimum_filter1d(position, 2 * half + 1, axis=0)
         still = (reach <= band).all(axis=1)
         # Windows that reach beyond the ends are no whole ones.
         still[:half], still[count - half :] = still[half], still[count - half - 1]
-        runs = [(a, b) for a, b in _runs(still) if b > a]
+        runs = [(a, b - 1) for a, b in true_intervals(still) if b - 1 > a]
         same = [(np.abs(position[b] - position[a]) <= band).all() for a, b in runs]
         return [(float(time[a]), float(time[b])) for a, b in itertools.compress(runs, same)]
 
@@ -234,12 +234,6 @@ def moving_pieces(given: GivenMotion) -> list[MotionPiece]:
         _piece(given.plan, begin, end, dwell)
         for (begin, end), dwell in zip(moves, [*dwells, 0.0], strict=True)
     ]
-
-
-def _runs(mask: np.ndarray) -> list[tuple[int, int]]:
-    """Return first and last index of each run of True."""
-    edges = np.diff(np.concatenate([[0], mask.astype(int), [0]]))
-    return list(zip(np.flatnonzero(edges > 0), np.flatnonzero(edges < 0) - 1, strict=True))
 
 
 def _piece(motion: JointMotion, begin: float, end: float, dwell: float) -> MotionPiece:

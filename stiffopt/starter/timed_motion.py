@@ -20,12 +20,16 @@ from stiffopt.robot.robot import Robot
 from stiffopt.starter import guessing
 from stiffopt.starter.column_names import acceleration_columns, columns_of_kind
 from stiffopt.starter.table_layouts import read_message_table
+from stiffopt.units import to_si
 
 # Factors of angles to rad.
 _RADIANS_PER_UNIT = {"": 1.0, "rad": 1.0, "deg": np.pi / 180.0, "mrad": 1e-3}
 # Factors of angular speeds to rad/s, and the ratio to the speed of the positions up to which a
 # column is in a unit.
-_SPEED_UNITS = {"rad/s": 1.0, "deg/s": np.pi / 180.0, "rpm": np.pi / 30.0, "mrad/s": 1e-3}
+_SPEED_UNITS = {
+    **{unit: to_si(f"1 {unit}", "angular velocity") for unit in ("rad/s", "deg/s", "rpm")},
+    "mrad/s": 1e-3,
+}
 _MAX_SPEED_RATIO = 1.25
 
 

@@ -7,6 +7,7 @@ doubt about the finding: refuted is a finding that predicts worse with any of it
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -111,11 +112,15 @@ class Refutation:
         run = predictor.run
         duration = float(run.time[-1] - run.time[0])
         part = part_numbers(run.time, max(1, round(duration / STRETCH_DURATION)))
-        (whole,) = predictor.predict_each([(*start, self._whole)])
+        models = [self._whole]
+        for own in self._tested.values():
+            models += [own.without, *own.moved]
+        predictions = predictor.predict_each([(*start, each) for each in models])
+        whole = next(predictions)
         found: dict[_Key, list[_StretchSums]] = {}
         for key, own in self._tested.items():
-            models = [(*start, each) for each in (own.without, *own.moved)]
-            each = residuals(run, predictor.velocity, whole, *predictor.predict_each(models))
+            others = itertools.islice(predictions, 1 + len(own.moved))
+            each = residuals(run, predictor.velocity, whole, *others)
             found[key] = list(own.sums)
             for kind, joint, used, (beside, without, *moved) in each:
                 if (kind, joint + 1) == own.channel:
