@@ -183,7 +183,10 @@ class GivenMotion:
             last = int(np.searchsorted(times, rests[-1][0]))
             position[last] = position[last:].mean(axis=0)
         if first >= last:
-            raise ProblemError("the motion holds an arm at rest: no joint moves beyond its noise.")
+            raise ProblemError(
+                "the motion holds an arm at rest: no joint moves beyond its noise. Give one in "
+                "which a joint moves."
+            )
         kept = slice(first, last + 1)
         velocity, acceleration = (None if each is None else each[kept] for each in self._rows[1:])
         cut = GivenMotion(
