@@ -61,8 +61,6 @@ _INSIGNIFICANT_CHANCE = float(2.0 * special.ndtr(-FINDING_DEVIATIONS))
 # Folds by which probabilities are judged: of six, gains near the noise change by a factor of two
 # with the limits of the folds.
 _PROBABILITY_FOLDS = 24
-# P-value of an effect without a determined value: as likely as not.
-_UNDETERMINED_P_VALUE = 0.5
 
 
 def build_findings(
@@ -86,7 +84,7 @@ def build_findings(
     gains = [left_out_gains(comparison, each, begin, _PROBABILITY_FOLDS) for begin in begins]
     findings = []
     for index, (selected, *own) in enumerate(zip(kept, *gains, strict=True)):
-        if selected.located.calibrated and parameters.min_deviations(index) < UNSTATED_DEVIATIONS:
+        if selected.located.calibrated and parameters.deviations(index) < UNSTATED_DEVIATIONS:
             continue
         located, effect = selected.located, selected.located.effect
         # Friction and rotors exist, whatever else acts there; an offset may be the mean of any law.
@@ -103,15 +101,7 @@ def build_findings(
             )
             for name, (value, sd) in values.items()
         )
-        # A law is told as a function: its values may make up for one another.
-        sized = (
-            parameters.function_p_value(index)
-            if effect.family == LAW_FAMILY
-            else parameters.size_p_value(index, located.constants(constants))
-        )
-        if sized is None:
-            sized = 0.0 if any(each.determined for each in reported) else _UNDETERMINED_P_VALUE
-        chance = max(parameters.p_value(index), sized)
+        chance = parameters.p_value(index)
         # The mean of few runs differs between two states by chance, at any of the joints and in
         # any effect of its family.
         alike = sum(each.family == effect.family for each in CATALOGUE)
@@ -135,6 +125,7 @@ def build_findings(
                 where=effect.signature,
                 channel=channel_name(selected.channel, n),
                 variance_explained=own[0].explained,
+                size_deviation=1.0 / parameters.deviations(index),
             )
         )
     return tuple(findings)

@@ -25,6 +25,7 @@ FINDING = {
     "link": (*TEXT, *NULL),
     "run": (*TEXT, *NULL),
     "variance_explained": NUMBER,
+    "size_deviation": (*NUMBER, *NULL),
     "held_out_ratio": (*NUMBER, *NULL),
     "confused_with": (list,),
 }

@@ -51,9 +51,8 @@ def test_p_value_without_effect_is_rarely_small(amplitudes):
         mean, between = _of_mean(rng.normal(size=(RUNS, amplitudes)))
         estimate = _estimate(mean, 1e-6 * np.eye(amplitudes), between)
         chances.append(estimate.p_value(0))
-    # The smaller of two tests: at most twice as often as each.
-    assert np.mean(np.array(chances) < 0.05) < 0.1
-    assert np.mean(np.array(chances) < 0.005) < 0.02
+    assert np.mean(np.array(chances) < 0.05) < 0.08
+    assert np.mean(np.array(chances) < 0.005) < 0.015
 
 
 @pytest.mark.parametrize("amplitudes", [1, 6])
@@ -71,7 +70,7 @@ def test_p_value_uses_larger_covariance():
     assert _estimate(values, unsure, sure).p_value(0) > 0.3
 
 
-def test_p_value_holds_shapes():
+def test_p_value_is_that_of_the_function_of_an_amplitude_and_a_shape():
     """An amplitude and a shape that only their product determines."""
     along, across = np.array([1.0, -1.0]), np.array([1.0, 1.0])
     spread = np.outer(along, along) + 1e-4 * np.outer(across, across)
@@ -79,8 +78,10 @@ def test_p_value_holds_shapes():
         _estimate(np.ones(1), spread, spread),
         covariance=1e-6 * np.eye(2),
         added=np.zeros((2, 2)),
+        squares=np.ones((2, 2)),
         shape_sizes=((1.0,),),
     )
+    assert estimate.deviations(0) == pytest.approx(50.0)
     assert estimate.p_value(0) < 1e-4
 
 
@@ -131,30 +132,6 @@ def test_prior_of_reported_values_is_that_of_amplitudes_and_initial_shapes() -> 
     assert estimate.prior_deviations(0, constants)["tp"] == pytest.approx(expected)
 
 
-def test_a_finding_is_told_from_zero_by_its_sizes_and_not_by_its_places() -> None:
-    """A drag falls with its amplitude, the torque that a lost preload still carries does not."""
-
-    def chance(name: str, shapes: tuple[float, ...], sd: float) -> float | None:
-        effects = [LocatedEffect(effect=effect(name), joint=0, shapes=shapes)]
-        count = len(effects[0].effect.amplitudes)
-        values, shared = np.ones(count), sd**2 * np.eye(count + len(shapes))
-        estimate = replace(
-            _estimate(values, shared, shared),
-            covariance=shared,
-            common=0.0 * shared,
-            added=0.0 * shared,
-            effects=with_amplitudes(effects, values, [np.ones(count)]),
-            shape_sizes=(np.ones(len(shapes)),),
-        )
-        return estimate.size_p_value(0, JOINT)
-
-    sure, doubted = (chance("viscous", (), sd) for sd in (0.05, 2.0))
-    assert sure is not None
-    assert doubted is not None
-    assert sure < 1e-6 < 0.5 < doubted
-    assert chance("preload_loss", (0.1, 0.5), 0.05) is None
-
-
 def test_a_function_is_told_where_the_values_that_describe_it_are_not_each():
     """Of two columns that are nearly one, the sum is told and the shares are not."""
     rng = np.random.default_rng(3)
@@ -169,13 +146,14 @@ def test_a_function_is_told_where_the_values_that_describe_it_are_not_each():
         effect=SimpleNamespace(amplitudes=("A", "B")),
     )
     found = estimate_parameters(comparison, [located])
-    assert found.amplitude_deviations(0) < 10.0
+    sd = np.sqrt(np.diag(found.covariance))
+    assert np.all(np.abs(found.values) < 10.0 * sd)
     # Both priors have unit deviation: the columns' sum counts as one value.
     size = np.sum((columns @ values) ** 2)
     linear = np.trace(columns.T @ columns @ found.covariance)
-    assert found.function_deviations(0) <= np.sqrt(size / linear) * (1.0 + 1e-9)
-    assert found.function_deviations(0) > 50.0
-    assert found.function_p_value(0) < 1e-12
+    assert found.deviations(0) <= np.sqrt(size / linear) * (1.0 + 1e-9)
+    assert found.deviations(0) > 50.0
+    assert found.p_value(0) < 1e-4
 
 
 def test_a_function_is_as_uncertain_as_it_spreads_between_runs():
@@ -195,4 +173,4 @@ def test_a_function_is_as_uncertain_as_it_spreads_between_runs():
     kept = [run != own for own in range(4)]
     left_out = [float(column[k] @ target[k] / (column[k] @ column[k])) for k in kept]
     sd = np.sqrt(3.0) * np.std(left_out)
-    assert found.function_deviations(0) == pytest.approx(amplitude[0] / sd, rel=0.02)
+    assert found.deviations(0) == pytest.approx(amplitude[0] / sd, rel=0.02)

@@ -31,8 +31,7 @@ def drop_insignificant(
 
     `estimated` -> supported findings among the given ones, and their estimate.
 
-    Calibrated values are kept: they exist without doubt. A change between two states needs an
-    amplitude that is determined by itself.
+    Calibrated values are kept: they exist without doubt.
     """
     while True:
         kept, parameters = estimated(selected)
@@ -48,11 +47,7 @@ def _excess_deviations(selected: Selected, parameters: Estimate, index: int) -> 
     located = selected.located
     if located.calibrated:
         return 0.0
-    sure = parameters.min_deviations(index)
-    if located.effect.only_in:
-        # A change is told by its value: a form with a value that may be zero is no change.
-        sure = min(sure, parameters.amplitude_deviations(index))
-    return sure - FINDING_DEVIATIONS
+    return parameters.deviations(index) - FINDING_DEVIATIONS
 
 
 def add_scale_deviation(parameters: Estimate, selected: Sequence[Selected]) -> Estimate:

@@ -282,7 +282,7 @@ class _State:
                     outcome.best,
                     beside.square,
                     own,
-                    significant=self._have_significant_sizes(own),
+                    significant=self._are_significant(own),
                 ):
                     self.effects, self._dropped = others, replaced
                     return outcome
@@ -290,20 +290,11 @@ class _State:
                 return None
         return search_channel(beside)
 
-    def _have_significant_sizes(self, findings: Sequence[Selected]) -> bool:
-        """Return False where one of the findings is as likely zero as not by its reported sizes.
-
-        Values that make up for one another are no explanation, however well they fit together.
-        """
+    def _are_significant(self, findings: Sequence[Selected]) -> bool:
+        """Return False where one of the findings is as likely zero as not."""
         estimate = estimate_parameters(self.comparison, self.effects)
-        chances = [
-            estimate.size_p_value(
-                self.effects.index(each.located),
-                each.located.constants(self.comparison.constants),
-            )
-            for each in findings
-        ]
-        return all(c is None or null_probability(c) < 1.0 - NAMED_PROBABILITY for c in chances)
+        chances = [estimate.p_value(self.effects.index(each.located)) for each in findings]
+        return all(null_probability(each) < 1.0 - NAMED_PROBABILITY for each in chances)
 
     def add(self, outcome: ChannelLaw) -> FoundLaw | None:
         """Fit a law beside the effects; None where they leave it nothing."""
@@ -471,4 +462,4 @@ def _is_determined(
     Sharp forms in a few samples gain evidence with an amplitude that is anything.
     """
     estimate = estimate_parameters(comparison, effects)
-    return estimate.function_deviations(list(effects).index(law)) >= CONFIRMED_DEVIATIONS
+    return estimate.deviations(list(effects).index(law)) >= CONFIRMED_DEVIATIONS

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
 # Relative step of numerical derivatives.
 _DIFFERENCE_STEP = 1e-4
-# Share of its amplitudes by which a reported value is told to be a size.
-_SMALL_SHARE = 1e-3
 # Prior standard deviation of a shape over its size: wide, so that only the data count.
 _SHAPE_PRIOR = 10.0
 # Fewer stretches give no jackknife estimate.
@@ -132,93 +130,39 @@ class Estimate:
         slopes = np.column_stack([difference(_DIFFERENCE_STEP * step) for step in np.diag(steps)])
         return {name: float(value) for name, value in report(inputs).items()}, slopes
 
-    def p_value(self, index: int) -> float:
-        """Return the p-value of one effect: probability of amplitudes as large without it.
-
-        The largest of the linear model's (chi-square) and the jackknives', each the smaller of
-        Hotelling's test and Student's for the most significant amplitude, Bonferroni corrected;
-        with shapes held and free. Shapes have no meaning without the effect: an amplitude that is
-        uncertain only together with them may still be significant.
-        """
-        rows, _ = self._parameter_rows(index)
-        k = len(self.sizes[index])
-        values = self.values[rows[:k]]
-        linear = _conditional_covariance((self.covariance + self.added)[np.ix_(rows, rows)], k)
-        chances = [float(special.chdtrc(k, _deviations_from_zero(values, linear)[0] ** 2))]
-        for spread, parts in self._jackknives(index):
-            own = (spread + self.added)[np.ix_(rows, rows)]
-            # Each shape that is held costs one part.
-            ways = [
-                (own[:k, :k], parts),
-                (_conditional_covariance(own, k), parts - (len(rows) - k)),
-            ]
-            chances.append(min(_jackknife_p_value(values, *way) for way in ways if way[1] > 1))
-        return max(chances)
-
-    def size_p_value(self, index: int, constants: Constants) -> float | None:
-        """Return the p-value of the reported sizes of one effect; None where it reports none.
-
-        A size is a value that falls with the amplitudes; a place, a factor or a ratio is none.
-        """
-        found = self.effects[index]
-        smaller = tuple(_SMALL_SHARE * amplitude for amplitude in found.amplitudes)
-        small = found.located.effect.parameters(smaller, found.located.shapes, constants)
-        ratios = [
-            abs(value) / sd
-            for name, (value, sd) in self.parameters(index, constants).items()
-            if sd > 0.0 and abs(small[name]) <= 2.0 * _SMALL_SHARE * abs(value)
-        ]
-        if not ratios:
-            return None
-        return min(1.0, 2.0 * len(ratios) * float(special.ndtr(-max(ratios))))
-
-    def amplitude_deviations(self, index: int) -> float:
-        """Return the largest ratio of an amplitude to its standard deviation, all else free."""
-        rows, _ = self._parameter_rows(index)
-        own = rows[: len(self.sizes[index])]
-        known = [np.diag(each)[own] for each in self._covariances(index)]
-        sd = np.sqrt(np.max(known, axis=0))
-        return float(np.max(np.abs(self.values[own]) / np.maximum(sd, 1e-300)))
-
-    def function_deviations(self, index: int) -> float:
+    def deviations(self, index: int) -> float:
         """Return the size of what an effect adds over its standard deviation, all else free.
 
         Root mean squares over all rows. Values that make up for one another may be uncertain, each
         by itself, where the function that they describe is not.
         """
+        return min(size for size, _ in self._function_deviations(index))
+
+    def p_value(self, index: int) -> float:
+        """Return the p-value of one effect: probability of a function as large without it.
+
+        The largest of all covariance estimates; of a jackknife by Student's distribution.
+        """
+        return max(
+            2.0 * float(special.ndtr(-size) if parts is None else special.stdtr(parts - 1, -size))
+            for size, parts in self._function_deviations(index)
+        )
+
+    def _function_deviations(self, index: int) -> list[tuple[float, int | None]]:
+        """Return an effect's deviations from zero by covariance, with the parts of jackknives."""
         rows, _ = self._parameter_rows(index)
         k = len(self.sizes[index])
         values, squares = self.values[rows[:k]], self.squares[np.ix_(rows, rows)]
-        known = [np.sum(squares * each[np.ix_(rows, rows)]) for each in self._covariances(index)]
-        return float(np.sqrt(values @ squares[:k, :k] @ values / max(*known, 1e-300)))
-
-    def function_p_value(self, index: int) -> float:
-        """Return the p-value of the size of what an effect adds."""
-        return 2.0 * float(special.ndtr(-self.function_deviations(index)))
-
-    def min_deviations(self, index: int) -> float:
-        """Return the least significance of one effect over all covariance estimates [sigma].
-
-        For each estimate the largest of all amplitudes together or the best one, shapes free or
-        held.
-        """
-        rows, _ = self._parameter_rows(index)
-        k = len(self.sizes[index])
-        values = self.values[rows[:k]]
-        least = math.inf
-        for matrix in self._covariances(index):
-            own = matrix[np.ix_(rows, rows)]
-            ways = [
-                _deviations_from_zero(values, each)
-                for each in (own[:k, :k], _conditional_covariance(own, k))
-            ]
-            least = min(least, max(max(t / math.sqrt(k), single) for t, single in ways))
-        return least
-
-    def _covariances(self, index: int) -> list[np.ndarray]:
-        """Return all covariance estimates (r, r) that hold for an effect."""
-        known = (self.covariance, *(each for each, _ in self._jackknives(index)))
-        return [each + self.added for each in known]
+        square = float(values @ squares[:k, :k] @ values)
+        return [
+            (
+                math.sqrt(
+                    square / max(np.sum(squares * (each + self.added)[np.ix_(rows, rows)]), 1e-300)
+                ),
+                parts,
+            )
+            for each, parts in ((self.covariance, None), *self._jackknives(index))
+        ]
 
     def _jackknives(self, index: int) -> list[tuple[np.ndarray, int]]:
         """Return jackknife covariances and their numbers of parts; one run has none between runs.
@@ -361,17 +305,6 @@ def _small_sample_factor(parts: int) -> float:
     return float(special.stdtrit(parts - 1, _UPPER_QUANTILE) / special.ndtri(_UPPER_QUANTILE))
 
 
-def _jackknife_p_value(values: np.ndarray, covariance: np.ndarray, parts: int) -> float:
-    """Return the p-value of values (k,) with a covariance estimated from so many parts."""
-    k = len(values)
-    together, single = _deviations_from_zero(values, covariance)
-    chance = min(1.0, 2.0 * k * float(special.stdtr(parts - 1, -single)))
-    if parts > k:
-        ratio = together**2 * (parts - k) / (k * (parts - 1))
-        chance = min(chance, float(special.fdtrc(k, parts - k, ratio)))
-    return chance
-
-
 def null_probability(chance: float, odds: float = 1.0) -> float:
     """Return the least posterior probability of the null hypothesis at some prior odds for it.
 
@@ -379,13 +312,6 @@ def null_probability(chance: float, odds: float = 1.0) -> float:
     """
     bound = 1.0 if chance >= 1.0 / math.e else -math.e * float(special.xlogy(chance, chance))
     return odds * bound / (1.0 + odds * bound)
-
-
-def _deviations_from_zero(values: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
-    """Return the significance of values (k,) together, and of the most significant one [sigma]."""
-    square = float(values @ np.linalg.lstsq(covariance, values)[0])
-    sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    return math.sqrt(max(square, 0.0)), float(np.max(np.abs(values) / sd))
 
 
 def _shape_slope(

@@ -110,9 +110,11 @@ def _state_row(each: Statement) -> tuple[str, ...]:
 
 
 def _describe_explained(finding: Finding) -> str:
-    """Return the share that a finding explains, and its change of the held-out residual."""
+    """Return the share that a finding explains, its size, and its change of held-out residuals."""
     channel = words.channel_words(finding.channel)
     text = f"{100 * finding.variance_explained:.0f} % of {channel}"
+    if finding.size_deviation is not None:
+        text += f"\nsize ± {100 * finding.size_deviation:.2g} %"
     if finding.held_out_ratio is None:
         return text
     change = 100.0 * (finding.held_out_ratio - 1.0)
