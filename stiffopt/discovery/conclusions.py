@@ -212,6 +212,8 @@ def describe_next_experiment(
 
     Values that the nominal model does not state come last: they exist without doubt.
     """
+    if unexplained is not None and unexplained.held_out is not None:
+        return describe_next_recording(unexplained)
     if unexplained is not None and shares and not unexplained.brief:
         kind = Channel.read(unexplained.channels[0]).kind
         own = [each for each in shares if each.measured == kind]
@@ -242,6 +244,11 @@ _REPEAT_INSTRUCTIONS = {
 
 def describe_next_recording(unexplained: Unexplained) -> str:
     """Describe the recording that would show most about the unexplained residual."""
+    if unexplained.held_out is not None:
+        return (
+            f'Give {unexplained.held_out.run} the role "train" in recordings.toml and diagnose'
+            " again: no training run reaches that state. Keep a repeat of that motion held out."
+        )
     channel = Channel.read(unexplained.channels[0])
     repeats = []
     for regressor in unexplained.regressors:

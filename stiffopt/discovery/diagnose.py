@@ -35,6 +35,7 @@ from stiffopt.discovery.judging.added_uncertainty import (
     drop_insignificant,
     half_band_comparison,
 )
+from stiffopt.discovery.judging.beyond_training import describe_excess
 from stiffopt.discovery.judging.bursts import find_bursts
 from stiffopt.discovery.judging.detection_limits import detection_limits
 from stiffopt.discovery.judging.ensemble import recurrence
@@ -292,6 +293,8 @@ def _run_diagnosis(
         held_out.predict_all(recordings, say, hurried=bool(steps.stopped))
     except KeyboardInterrupt:
         steps.stopped.append(held_out.describe_interruption())
+    if not recordings.signals.commanded:
+        unexplained = unexplained or describe_excess(held_out.excess, recordings.n)
     simulated = steps.finish(lambda: simulate_held_out(recordings, loop))
     lasting = [each for each in asked if not each.only_in]
     tables = Extension(effects=tuple(t for each in laws.refused for t in located_tables(each)))

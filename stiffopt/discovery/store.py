@@ -286,6 +286,7 @@ def _unexplained_entry(unexplained: Unexplained) -> dict[str, Any]:
         "gain_heldout": unexplained.gain,
         **_pick(unexplained, "period", "ratio", "left", "brief"),
         "tool_force": None if unexplained.tool_force is None else vars(unexplained.tool_force),
+        "held_out": None if unexplained.held_out is None else vars(unexplained.held_out),
         "alone": None
         if unexplained.alone is None
         else {"run": unexplained.alone[0], "times_any_other": unexplained.alone[1]},

@@ -24,7 +24,7 @@ from stiffopt.recording.run import RecordedRun
 
 # Root mean square over the usual size of a channel that starts an interval, and that ends it; and
 # length of its window [s].
-_ONSET_RATIO, _DECAY_RATIO, _RMS_WINDOW = 5.0, 2.0, 0.3
+ONSET_RATIO, _DECAY_RATIO, _RMS_WINDOW = 5.0, 2.0, 0.3
 # Shorter intervals are bursts [s]; largest root mean square of a channel outside of intervals, over
 # its usual size, up to which contacts are distinguished.
 _MIN_DURATION, _MAX_BACKGROUND_RATIO = 0.25, 2.0
@@ -218,7 +218,7 @@ def _select_times(track: ResidualTrack, stretch: Stretch) -> np.ndarray:
 
 
 def _strong_channels(track: ResidualTrack, strength: np.ndarray, stretch: Stretch) -> np.ndarray:
-    return np.asarray(strength[_select_times(track, stretch)].max(axis=0) > _ONSET_RATIO)
+    return np.asarray(strength[_select_times(track, stretch)].max(axis=0) > ONSET_RATIO)
 
 
 def _find_stretches(track: ResidualTrack, strength: np.ndarray) -> list[Stretch]:
@@ -228,7 +228,7 @@ def _find_stretches(track: ResidualTrack, strength: np.ndarray) -> list[Stretch]
         on = np.concatenate([[False], channel > _DECAY_RATIO, [False]])
         edges = np.flatnonzero(np.diff(on.astype(int)))
         for first, last in zip(edges[::2], edges[1::2], strict=True):
-            if channel[first:last].max() > _ONSET_RATIO:
+            if channel[first:last].max() > ONSET_RATIO:
                 going[first + 1 : last + 1] = True
     edges = np.flatnonzero(np.diff(going.astype(int)))
     found: list[Stretch] = []

@@ -10,6 +10,7 @@ import numpy as np
 from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
+from stiffopt.discovery.judging.beyond_training import ChannelExcess, find_excess
 from stiffopt.discovery.judging.episodes import (
     Episode,
     ResidualTrack,
@@ -53,7 +54,8 @@ class HeldOutRuns:
     residual tracks of the training runs.
 
     `proofs`: without the contact intervals. `episodes`: contact intervals. `left`, `unusable`:
-    files of runs that were not predicted: not yet read, and without a joint's position.
+    files of runs that were not predicted: not yet read, and without a joint's position. `excess`:
+    residuals beyond those of all training runs.
     """
 
     def __init__(
@@ -72,6 +74,7 @@ class HeldOutRuns:
         self._opened: list[_PredictedRun] = []
         self.shares = MismatchShares(parts)
         self.refutation = refutation
+        self.excess: list[ChannelExcess] = []
         self.unusable: list[str] = []
 
     @property
@@ -132,6 +135,9 @@ class HeldOutRuns:
                 predictor.run = run = mask_episodes(run, [e for e in touched if not e.stays])
                 proof = compare_predictions(run, *compared)
                 touched = tuple(replace(e, nrmse_with=whole, nrmse_without=less) for e in touched)
+            passing = [each for each in touched if not each.stays]
+            if found := find_excess(track, self._known, passing):
+                self.excess.append(found)
             self._opened.append(_PredictedRun(file=entry.file, proof=proof, episodes=touched))
             say(f"calculate explained shares of {entry.file}")
             self.shares.add(predictor, training.before, self._found, proof)

@@ -40,6 +40,17 @@ _DOMINANT_RUN_RATIO = 5.0
 
 
 @dataclass(frozen=True)
+class HeldOutExcess:
+    """The part of a held-out run whose residual exceeds that of all training runs."""
+
+    run: str
+    # begin, end: times of the run [s].
+    begin: float
+    end: float
+    ratio: float  # largest residual over the noise
+
+
+@dataclass(frozen=True)
 class Unexplained:
     """Residual beyond the catalogue."""
 
@@ -57,6 +68,7 @@ class Unexplained:
     # any other run.
     alone: tuple[str, float] | None = None
     tool_force: ToolForce | None = None  # forces at the tool that explain it
+    held_out: HeldOutExcess | None = None  # of a held-out run alone: training leaves nothing
 
 
 ChannelOutcome = Literal["named", "nothing", "outside"]
@@ -92,8 +104,8 @@ def judge_channels(
         name, before = channel_name(c, n), float(result.calibrated[c])
         needed = before > UNEXPLAINED_RATIO * comparison.least[c]
         verdict: ChannelOutcome = "named" if needed and acted[c] else "nothing"
-        brief = unexplained is not None and unexplained.brief
-        if name in open_names and (brief or not acted[c] or _is_open(result, c)):
+        seen = unexplained is None or not (unexplained.brief or unexplained.held_out)
+        if name in open_names and (not seen or not acted[c] or _is_open(result, c)):
             verdict = "outside"
         found.append(
             ChannelVerdict(

@@ -282,6 +282,13 @@ def lawless_sentence(diagnosis: Diagnosis, channel: str) -> str:
 
 def _dependence_sentence(unexplained: Unexplained) -> str:
     channels = channels_in_words(unexplained.channels)
+    if unexplained.held_out is not None:
+        own = unexplained.held_out
+        return (
+            f"In {own.run}, which was held out, the residual of {channels} reaches"
+            f" {significant(own.ratio, 2)} times the noise between {own.begin:.2f} and"
+            f" {own.end:.2f} s, far more than in any training run."
+        )
     if unexplained.brief:
         return (
             f"The residual of {channels} is {unexplained.ratio:.2g} times the noise, in bursts:"
