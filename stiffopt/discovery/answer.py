@@ -204,7 +204,12 @@ def _with_rivals(each: Statement) -> str:
 def _name_parameters(diagnosis: Diagnosis, finding: Finding) -> dict[str, Parameter]:
     """Return the reported values by name, with units of a prismatic joint where it is one."""
     slides = is_prismatic(diagnosis, finding.located)
-    return {p.name: replace(p, unit=joint_unit(p.unit, slides)) for p in finding.parameters}
+    named = {p.name: replace(p, unit=joint_unit(p.unit, slides)) for p in finding.parameters}
+    first, size = finding.parameters[0], finding.size
+    if size is not None and not first.determined and first.unit == size.unit:
+        # Of values that only together are told the size of what they add is stated.
+        named[first.name] = replace(size, name=first.name, unit=joint_unit(size.unit, slides))
+    return named
 
 
 def missing_physics(diagnosis: Diagnosis, finding: Finding) -> str:

@@ -102,6 +102,7 @@ def build_findings(
             for name, (value, sd) in values.items()
         )
         chance = parameters.p_value(index)
+        size, size_sd = parameters.added_size(comparison, index, selected.channel)
         # The mean of few runs differs between two states by chance, at any of the joints and in
         # any effect of its family.
         alike = sum(each.family == effect.family for each in CATALOGUE)
@@ -125,7 +126,12 @@ def build_findings(
                 where=effect.signature,
                 channel=channel_name(selected.channel, n),
                 variance_explained=own[0].explained,
-                size_deviation=1.0 / parameters.deviations(index),
+                size=Parameter(
+                    name="root mean square",
+                    value=size,
+                    sd=size_sd,
+                    unit="N m" if selected.channel < n else "rad",
+                ),
             )
         )
     return tuple(findings)

@@ -90,9 +90,9 @@ class Finding:
     # Share, 0 to 1, of that channel's squared residual above noise that it removes in training runs
     # (or stretches) left out of the fit.
     variance_explained: float
-    # Standard deviation of the size of what it adds, over that size: values that make up for one
+    # Root mean square of what it adds to that channel in training runs: values that make up for one
     # another may be uncertain, each by itself, where their function is not. None: not estimated.
-    size_deviation: float | None = None
+    size: Parameter | None = None
     # Root mean square residual of that channel in held-out runs over that of a model fitted without
     # the finding; None where they do not tell.
     held_out_ratio: float | None = None

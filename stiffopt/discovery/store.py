@@ -168,7 +168,8 @@ def _finding_entry(statement: Statement, constants: RobotConstants) -> dict[str,
         "where": finding.where,
         "link": finding.link,
         "run": finding.located.run,
-        **_pick(finding, "variance_explained", "size_deviation", "channel", "held_out_ratio"),
+        **_pick(finding, "variance_explained", "channel", "held_out_ratio"),
+        "size": None if finding.size is None else _pick(finding.size, "value", "sd", "unit"),
         "confused_with": [
             _rival_entry(rival, constants)
             for rival in finding.rivals

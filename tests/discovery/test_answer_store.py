@@ -25,7 +25,7 @@ FINDING = {
     "link": (*TEXT, *NULL),
     "run": (*TEXT, *NULL),
     "variance_explained": NUMBER,
-    "size_deviation": (*NUMBER, *NULL),
+    "size": (dict, *NULL),
     "held_out_ratio": (*NUMBER, *NULL),
     "confused_with": (list,),
 }

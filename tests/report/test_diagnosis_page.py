@@ -90,6 +90,20 @@ def test_page_lists_the_findings(friction, tmp_path):
     assert {path.stem for path in tmp_path.glob("*.png")} == names
 
 
+def test_size_of_what_a_finding_adds_is_told(friction, tmp_path):
+    """Dry friction adds its torque to either direction; where no value is told, its size is."""
+    (finding,) = friction.findings
+    (first,) = finding.parameters
+    assert finding.size is not None
+    assert finding.size.value == pytest.approx(first.value, rel=0.15)
+    assert finding.size.sd / finding.size.value == pytest.approx(first.sd / first.value, rel=0.5)
+    size = pm(finding.size.value, finding.size.sd, "N m")
+    assert f"adds {size} rms" in page_of(friction, tmp_path).text
+    untold = replace(finding, parameters=(replace(first, sd=2.0 * first.value),))
+    told = headline(replace(friction, findings=(untold,)))
+    assert told == f"Joint 2: {size} more dry friction than the model"
+
+
 def test_changed_values_are_ordered_by_what_they_explain(friction, monkeypatch):
     """The value of the finding is first, however small; changes that read alike are left out."""
     first, *rest = changed_values(friction)

@@ -164,6 +164,20 @@ class Estimate:
             for each, parts in ((self.covariance, None), *self._jackknives(index))
         ]
 
+    def added_size(self, comparison: Comparison, index: int, channel: int) -> tuple[float, float]:
+        """Return the root mean square of what an effect adds, with its deviation [N m or rad].
+
+        `comparison`: of the training runs that were fitted. `channel`: torques of the joints, then
+        motor less link angles.
+        """
+        rows = comparison.rows
+        own = rows.channel == channel
+        columns = comparison.columns.effect_columns(self.effects[index].located)[own]
+        gains = np.array([run.low_pass.noise_gain for run in comparison.runs])[rows.run[own]]
+        added = gains * (columns @ self.values[self._amplitude_rows(index)])
+        size = float(np.sqrt(np.mean(added**2)) * rows.noise.stacked[channel])
+        return size, size / self.deviations(index)
+
     def _jackknives(self, index: int) -> list[tuple[np.ndarray, int]]:
         """Return jackknife covariances and their numbers of parts; one run has none between runs.
 

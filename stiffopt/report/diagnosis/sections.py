@@ -61,7 +61,11 @@ def _changes_section(diagnosis: Diagnosis) -> ReportSection:
 def finding_rows(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
     """Return a row of every finding, those without nominal value by kind and last."""
     _, unstated = words.new_and_unstated(diagnosis)
-    rows = [_state_row(each) for each in statements(diagnosis) if each.finding not in unstated]
+    rows = [
+        _state_row(diagnosis, each)
+        for each in statements(diagnosis)
+        if each.finding not in unstated
+    ]
     shown = [each for each in unstated if each.probability >= MIN_LISTED_PROBABILITY]
     return rows + [_unstated_row(diagnosis, own) for own in words.unstated_groups(shown)]
 
@@ -98,23 +102,25 @@ def mismatch_lines(diagnosis: Diagnosis) -> list[str]:
     return [line for line in lines if line]
 
 
-def _state_row(each: Statement) -> tuple[str, ...]:
+def _state_row(diagnosis: Diagnosis, each: Statement) -> tuple[str, ...]:
     finding = each.finding
     return (
         f"{each.place}: {finding.effect.title}",
         f"{each.probability}, {each.certainty}",
         "\n".join(each.values),
-        _describe_explained(finding),
+        _describe_explained(diagnosis, finding),
         "\n".join(each.rivals) or DASH,
     )
 
 
-def _describe_explained(finding: Finding) -> str:
+def _describe_explained(diagnosis: Diagnosis, finding: Finding) -> str:
     """Return the share that a finding explains, its size, and its change of held-out residuals."""
     channel = words.channel_words(finding.channel)
     text = f"{100 * finding.variance_explained:.0f} % of {channel}"
-    if finding.size_deviation is not None:
-        text += f"\nsize ± {100 * finding.size_deviation:.2g} %"
+    if finding.size is not None:
+        slides = is_prismatic(diagnosis, finding.located)
+        size = finding.size
+        text += f"\nadds {pm(size.value, size.sd, joint_unit(size.unit, slides))} rms"
     if finding.held_out_ratio is None:
         return text
     change = 100.0 * (finding.held_out_ratio - 1.0)
