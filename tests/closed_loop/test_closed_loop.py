@@ -94,6 +94,19 @@ def test_a_joint_that_friction_holds_does_not_creep(loop: CommandedArm) -> None:
     np.testing.assert_allclose(found.slopes, 0.0, atol=1e-4)
 
 
+def test_friction_that_falls_along_the_stroke_never_drives(loop: CommandedArm) -> None:
+    """Beyond the end of its slope there is none: a level below zero would push a joint along."""
+    without, sloped = true_parameters(), true_parameters()
+    for own in (without, sloped):
+        own.values[own.place("coulomb")] = 0.0
+    sloped.values[sloped.place("friction_slope")] = -0.5
+    run = recorded(5, 4.0)
+    run = replace(run, position=np.abs(run.position) + 0.2, command=np.abs(run.command) + 0.5)
+    found = [simulate(loop, run, own) for own in (without, sloped)]
+    assert min(each.min() for each in found) > 0.0
+    np.testing.assert_allclose(found[1], found[0], atol=1e-9)
+
+
 def test_friction_holds_within_its_levels_and_opposes_what_moves() -> None:
     """From rest: no motion within the levels, and the whole level against motion."""
     n, rng = 4, np.random.default_rng(0)
