@@ -92,13 +92,12 @@ def _pinned_sentence(value: OutsideValue) -> str:
 
 
 def _pinned_change(value: OutsideValue) -> str:
-    unit = _KIND_UNITS.get(value.name.kind, "")
-    size = (
-        f"{significant(value.change, 2)} ± {significant(value.sd, 1)} {unit}"
-        if unit
-        else f"{100.0 * value.change:+.2g} ± {100.0 * value.sd:.1g} %"
-    )
-    return f"the {_value_words(value.name)} would have to change by {size}"
+    words, unit = f"the {_value_words(value.name)} would have to", _KIND_UNITS.get(value.name.kind)
+    if unit is None and value.change < -1.0:
+        return f"{words} be below zero"
+    factor, unit = (100.0, "%") if unit is None else (1.0, unit)
+    size = f"{significant(factor * value.change, 2)} ± {significant(factor * value.sd, 1)} {unit}"
+    return f"{words} change by {size}"
 
 
 def _value_words(name: ValueName) -> str:
