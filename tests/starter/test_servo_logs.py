@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from small_arms import ROOT
 
 from stiffopt.cli import run
+from stiffopt.discovery.sanity.command_doubts import _doubt_swapped, find_lag
 from stiffopt.discovery.sanity.sensor_doubts import doubt_magnitudes
 from stiffopt.recording.recording_set import load_recordings
 from stiffopt.robot.files import load_robot
@@ -128,3 +130,24 @@ def test_guessed_limits_contradict_no_recording(tmp_path, capsys):
     assert run(["init", "recording", *logs, "--urdf", str(tmp_path / "arm.urdf"), "-o", out]) == 0
     assert run(["recording", "check", out]) == 0
     assert "look like degrees" not in capsys.readouterr().out
+
+
+def test_joints_that_stand_in_a_run_do_not_lead_their_commands():
+    """Logs of one joint at a time: commands that do not change have no lag."""
+    recordings = load_recordings(URDF.parent)
+    first = recordings.open(recordings.with_role("train")[0])
+    rows = len(first.time)
+    late = np.roll(first.position[:, 0], -6)  # the position is six rows later
+    runs = []
+    for joint in range(2):
+        command, position = np.zeros((2, rows, 2))
+        command[:, joint], position[:, joint] = late, first.position[:, 0]
+        position[:, 1 - joint] = 1e-4 * (np.arange(rows) % 2)
+        runs.append(replace(first, command=command, position=position))
+    (lags, weights) = find_lag(runs[0])
+    assert lags[0] == pytest.approx(6.0 * first.step, abs=1.5 * first.step)
+    assert weights[0] > 0.0
+    assert weights[1] == 0.0
+    assert not list(_doubt_swapped(recordings, runs, np.ones(2, dtype=bool)))
+    swapped = [replace(run, command=run.position, position=run.command) for run in runs]
+    assert len(list(_doubt_swapped(recordings, swapped, np.ones(2, dtype=bool)))) == 1
