@@ -176,7 +176,9 @@ class Balance:
     def _dry(self) -> ca.SX:
         """Dry friction (n,) of the drives by no load; none where its slope leads below that."""
         away = self.place[: self.n] - ca.DM(self.loop.middle)
-        return ca.fmax(self.own["coulomb"] + self.own["friction_slope"] * away, 0.0)
+        level = self.own["coulomb"] + self.own["friction_slope"] * away
+        # Not `fmax`, whose slope at none, where fits begin, is a half.
+        return ca.if_else(level < 0.0, 0.0, level)
 
     @cached_property
     def _drive(self) -> tuple[ca.SX, ca.SX, ca.SX]:

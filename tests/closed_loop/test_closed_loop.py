@@ -106,6 +106,14 @@ def test_friction_that_falls_along_the_stroke_never_drives(loop: CommandedArm) -
     found = [simulate(loop, run, own) for own in (without, sloped)]
     assert min(each.min() for each in found) > 0.0
     np.testing.assert_allclose(found[1], found[0], atol=1e-9)
+    # A fit begins with none: its slope there is that beside none.
+    free, whole = np.array([without.place("coulomb").start]), Stretch(run, 0, 100, np.ones(1))
+    slopes = []
+    for level in (0.0, 1e-9):
+        without.values[without.place("coulomb")] = level
+        slopes.append(simulate_stretches(loop, [whole], without, free)[0].slopes[:, 0, 0])
+    assert np.abs(slopes[0]).max() > 0.0
+    np.testing.assert_allclose(*slopes, rtol=1e-6, atol=1e-9)
 
 
 def test_a_fit_reads_the_motion_of_every_joint_not_the_rest_before_it() -> None:
