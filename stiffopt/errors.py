@@ -36,6 +36,10 @@ class InputFileError(InputError):
         super().__init__(f"{place}: {reason}")
 
 
+class NoNumbersError(InputFileError):
+    """A text file without a row of numbers: notes, names or events beside recordings."""
+
+
 class UnitError(InputError):
     """A quantity has a unit of the wrong kind, or none that is known."""
 

@@ -174,9 +174,11 @@ class Balance:
 
     @property
     def _dry(self) -> ca.SX:
-        """Dry friction (n,) of the drives by no load."""
+        """Dry friction (n,) of the drives by no load; none where its slope leads below that."""
         away = self.place[: self.n] - ca.DM(self.loop.middle)
-        return self.own["coulomb"] + self.own["friction_slope"] * away
+        level = self.own["coulomb"] + self.own["friction_slope"] * away
+        # Not `fmax`, whose slope at none, where fits begin, is a half.
+        return ca.if_else(level < 0.0, 0.0, level)
 
     @cached_property
     def _drive(self) -> tuple[ca.SX, ca.SX, ca.SX]:

@@ -15,7 +15,7 @@ from stiffopt.closed_loop.simulation import (
     CommandedRun,
     RunRows,
     divide_rows,
-    rows_after_leads,
+    moving_rows,
     simulate_stretches,
 )
 
@@ -29,9 +29,9 @@ _FOLLOWED_SHARE = 0.5
 # a curvature far below that of the motion, and any damping by the latter holds it. Where no stated
 # value tells that scale, it is held so: what a simulation does not follow exactly would drag it.
 _FIRST_DAMPING = 1e-3
-# Duration of all runs that the leading parameters are fitted to, and that scores read, times joints
-# [s].
-LEADING_SECONDS = 40.0
+# Duration of all runs that a fit judges at most, times joints: more adds but time [s]; and that the
+# leading parameters are fitted to, and scores read.
+MAX_FIT_SECONDS, LEADING_SECONDS = 120.0, 40.0
 # Degrees of freedom of the prior: what is expected holds within its deviation or is wrong, and a
 # wrong value is not held as if its deviation were known.
 _PRIOR_FREEDOM = 4.0
@@ -130,6 +130,7 @@ class LoopFit:
     """Normal equations of a fit in units of the prior's deviations.
 
     `scaled`: a stated value tells the scale of all torques; otherwise it stays where a fit begins.
+    `seconds`: duration of all runs that is judged, times joints [s].
     """
 
     def __init__(
@@ -140,15 +141,16 @@ class LoopFit:
         deviations: np.ndarray,
         *,
         scaled: bool = True,
+        seconds: float = MAX_FIT_SECONDS,
     ) -> None:
-        self._loop, self._runs, self._prior = loop, runs, prior
+        self._loop, self._prior = loop, prior
         self._least_damping = 0.0 if scaled else _FIRST_DAMPING
         # The delay is last and always derived by.
         self._free = np.flatnonzero(deviations[:-1] > 0.0)
         self.places = np.append(self._free, len(deviations) - 1)
         self._size = np.maximum(deviations[self.places], 1e-12)
         self._step = float(np.median(np.concatenate([np.diff(run.time) for run in runs])))
-        self._judge(rows_after_leads(runs, self._step))
+        self._judge(moving_rows(runs, self._step, seconds / loop.n))
 
     def _judge(self, parts: Sequence[RunRows]) -> None:
         """Judge some rows of the runs."""

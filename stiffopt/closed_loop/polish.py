@@ -11,7 +11,7 @@ import numpy as np
 from stiffopt.closed_loop.arm import CommandedArm
 from stiffopt.closed_loop.least_squares import LEADING_SECONDS, LoopFit, Polished, Score
 from stiffopt.closed_loop.parameters import Parameters
-from stiffopt.closed_loop.simulation import STRETCH_SECONDS, CommandedRun
+from stiffopt.closed_loop.simulation import CommandedRun
 
 # Limits of drives that a fit may begin with, over what filtered torques tell.
 _LIMIT_FACTORS = np.linspace(0.8, 1.6, 17)
@@ -32,7 +32,7 @@ def polish(
     Least squares with the prior, bounded, by Levenberg-Marquardt steps with exact derivatives. The
     residual of a servo repeats itself from row to row: its noise is raised by the number of rows
     that repeat one another, so that neither prior nor deviations are overruled by mere samples.
-    The leading parameters are fitted first, to fewer runs and without the others' derivatives.
+    The leading parameters are fitted first, to less motion and without the others' derivatives.
 
     `prior`: expected values, with which the fit begins; `deviations` (p,): one standard deviation
     of each, 0 fixes a parameter; `say`: called with a sentence at every iteration; `scaled`: see
@@ -95,9 +95,10 @@ def polish_leading(
     *,
     scaled: bool = True,
 ) -> Polished:
-    """Fit the leading parameters alone, to the beginnings of some runs."""
+    """Fit the leading parameters alone, to a part of the motion."""
     leading = np.where(prior.leading, deviations, 0.0)
-    return LoopFit(loop, _begin_runs(runs), prior, leading, scaled=scaled).polish(prior, say)
+    fit = LoopFit(loop, runs, prior, leading, scaled=scaled, seconds=LEADING_SECONDS)
+    return fit.polish(prior, say)
 
 
 def score_amplitudes(
@@ -149,11 +150,3 @@ def limit_gain(
     if min(misfits) <= none:
         misfits += [fit.misfit(replace(prior, values=own)) for own in tried[~highest]]
     return none - min(misfits)
-
-
-def _begin_runs(runs: Sequence[CommandedRun]) -> list[CommandedRun]:
-    """Return the beginnings of runs that the leading parameters are fitted to."""
-    joints = runs[0].position.shape[1]
-    count = max(1, min(len(runs), round(LEADING_SECONDS / joints / STRETCH_SECONDS)))
-    span = LEADING_SECONDS / joints / count
-    return [run.until(run.time[0] + span) for run in runs[:count]]

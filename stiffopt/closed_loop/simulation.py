@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -17,6 +17,7 @@ from stiffopt.interpreter.batched import POINTS
 # that it began with, several times the settling of a servo [s]. Of shorter stretches than half the
 # longest, the rest of that state would be a third of the residual of a fit that lacks nothing.
 STRETCH_SECONDS, _LEAD_SECONDS = 2.0, 0.5
+_GOLDEN_RATIO = 0.5 * (5.0**0.5 - 1.0)
 # Longest step of the integrator [s]: a servo's own motion takes ten or more of them.
 _MAX_STEP = 1e-3
 # Commands at the beginning of a run that bound its initial velocity [s], and steps in which this
@@ -34,12 +35,6 @@ class CommandedRun:
     command: np.ndarray
     position: np.ndarray
     velocity: np.ndarray  # (K, n) smoothed, to begin stretches of a fit with [rad/s]
-
-    def until(self, end: float) -> CommandedRun:
-        """Return the beginning of the run up to a time [s]."""
-        rows = slice(0, int(np.searchsorted(self.time, end, side="right")))
-        arrays = ("time", "command", "position", "velocity")
-        return replace(self, **{name: getattr(self, name)[rows] for name in arrays})
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +60,48 @@ def rows_after_leads(runs: Sequence[CommandedRun], step: float) -> list[RunRows]
     """Return the judged rows of every run: all but those that lead into it."""
     lead = round(_LEAD_SECONDS / step)
     return [RunRows(run, min(lead, len(run.time) // 4), len(run.time)) for run in runs]
+
+
+def moving_rows(runs: Sequence[CommandedRun], step: float, seconds: float) -> list[RunRows]:
+    """Return judged rows of a duration at most, of all runs, in which every joint moves.
+
+    Recordings begin at rest, and joints may move in turn: pieces are taken by how much of the usual
+    travel of a stretch they add to each joint. Of equal ones those far apart come first.
+    """
+    whole = rows_after_leads(runs, step)
+    if step * sum(part.end - part.first for part in whole) <= seconds:
+        return whole
+    size = max(round(STRETCH_SECONDS / step), 2)
+    pieces = [
+        RunRows(part.run, first, min(first + size, part.end))
+        for part in whole
+        for first in range(part.first, part.end, size)
+    ]
+    travel = np.array([np.ptp(own.run.position[own.first : own.end], axis=0) for own in pieces])
+    usual = np.sqrt(np.mean(travel**2, axis=0))
+    share = np.minimum(travel / np.where(usual > 0.0, usual, np.inf), 1.0)
+    # Fractions of multiples of the golden ratio are spread evenly, however many there are.
+    left = np.argsort(_GOLDEN_RATIO * np.arange(len(pieces)) % 1.0).tolist()
+    covered, chosen, rows = np.zeros(share.shape[1]), [], 0
+    while left and step * rows < seconds:
+        added = np.log1p(share[left] / (1.0 + covered)).sum(axis=1)
+        best = left.pop(int(np.argmax(added)))
+        covered += share[best]
+        chosen.append(best)
+        rows += pieces[best].end - pieces[best].first
+    return _joined([pieces[k] for k in sorted(chosen)])
+
+
+def _joined(pieces: Sequence[RunRows]) -> list[RunRows]:
+    """Return pieces of rows with those that follow one another in one."""
+    found = [pieces[0]]
+    for own in pieces[1:]:
+        last = found[-1]
+        if own.run is last.run and own.first == last.end:
+            found[-1] = RunRows(own.run, last.first, own.end)
+        else:
+            found.append(own)
+    return found
 
 
 def divide_rows(parts: Sequence[RunRows], step: float) -> tuple[list[Stretch], list[int]]:

@@ -51,10 +51,8 @@ _DEADBAND_DEVIATION = 5e-3
 _INERTIA_DEVIATION = 0.1
 # Scale of masses that nobody vouches for, one standard deviation, and parameters that go with it:
 # descriptions of real arms are off by up to a third, most of their bodies alike.
-_UNVOUCHED_MASS_SCALE = 0.2
+UNVOUCHED_MASS_SCALE = 0.2
 _SCALED_PARAMETERS = ("armature", "viscous", "coulomb", "friction_slope", "drag", "offset")
-# Motion of all training runs that a fit simulates at most, times joints [s]: more adds but time.
-_MAX_FIT_SECONDS = 120.0
 # Values of a robot that a set states, and the parameters that they are; a finding changes them by
 # more than so many of their tolerances.
 DRIVE_PARAMETERS = {"rotor_inertia": "armature", "viscous": "viscous", "coulomb": "coulomb"}
@@ -219,12 +217,11 @@ def fit_loop(
         return None
     loop = build_loop(recordings, commanded, tree or recordings.robot.tree, physics)
     prior, deviations = expect_parameters(recordings, commanded, loop, prior)
-    limited = limit_motion(commanded)
     # Masses that nobody vouches for do not tell the scale of torques better than an estimated gain.
     scaled = recordings.tolerance.mass is not None or loop.law.estimated is None
     fit = polish_leading if leading else partial(polish, start=start)
     try:
-        found = fit(loop, limited, prior, deviations, say, scaled=scaled)
+        found = fit(loop, commanded, prior, deviations, say, scaled=scaled)
     except FloatingPointError:
         return None
     if not (scaled or leading):
@@ -241,12 +238,6 @@ def _add_mass_scale(found: Polished, estimated: np.ndarray) -> Polished:
     own, spread = found.parameters, found.deviations.copy()
     for name in ("gain", *_SCALED_PARAMETERS):
         scaled = own.of(name) + (1.0 if name == "gain" else 0.0)
-        more = np.where(estimated, _UNVOUCHED_MASS_SCALE * scaled, 0.0)
+        more = np.where(estimated, UNVOUCHED_MASS_SCALE * scaled, 0.0)
         spread[own.place(name)] = np.hypot(spread[own.place(name)], more)
     return replace(found, deviations=spread)
-
-
-def limit_motion(runs: Sequence[CommandedRun]) -> list[CommandedRun]:
-    """Return the beginnings of runs, together of the duration that a fit needs at most."""
-    each = _MAX_FIT_SECONDS / (len(runs) * runs[0].position.shape[1])
-    return [run.until(run.time[0] + each) for run in runs]

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import erfc, expit, softmax
 
 from stiffopt.closed_loop.arm import CommandedArm
-from stiffopt.closed_loop.least_squares import Score
+from stiffopt.closed_loop.least_squares import MAX_FIT_SECONDS, Score
 from stiffopt.closed_loop.parameters import Parameters
 from stiffopt.closed_loop.polish import limit_gain, score_amplitudes
 from stiffopt.closed_loop.simulation import STRETCH_SECONDS, CommandedRun
@@ -33,7 +33,6 @@ from stiffopt.discovery.loop_effects import (
 from stiffopt.discovery.loop_fit import (
     commanded_run,
     is_commanded,
-    limit_motion,
 )
 from stiffopt.discovery.names import Channel
 from stiffopt.discovery.position_fit import ClosedLoopModel, fit_positions
@@ -350,13 +349,13 @@ class LoopSearch:
     @property
     def _stretch_count(self) -> float:
         """Number of stretches that a fit reads: within one residuals repeat one another."""
-        return sum(float(np.ptp(run.time)) for run in self._fitted_runs) / STRETCH_SECONDS
+        recorded = sum(float(np.ptp(run.time)) for run in self._fitted_runs)
+        return min(recorded, MAX_FIT_SECONDS / self.recordings.n) / STRETCH_SECONDS
 
     @property
     def _fitted_runs(self) -> list[CommandedRun]:
-        """Parts of the runs that a fit reads."""
-        each = [commanded_run(self.recordings, run) for run in self.runs if is_commanded(run)]
-        return limit_motion(each)
+        """Runs that a fit reads."""
+        return [commanded_run(self.recordings, run) for run in self.runs if is_commanded(run)]
 
     def _candidates(self, joint: int, taken: Sequence[LocatedEffect]) -> Iterator[LocatedEffect]:
         """Yield effects at a joint whose torque a formula of an instant gives."""

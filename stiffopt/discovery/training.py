@@ -32,6 +32,7 @@ from stiffopt.discovery.settings import (
 from stiffopt.discovery.signals import RobotConstants
 from stiffopt.discovery.thresholds import MAX_EFFECTS, MAX_EFFECTS_FREE
 from stiffopt.errors import InputFileError
+from stiffopt.formatting import significant
 from stiffopt.recording.nominal import Tolerance
 from stiffopt.recording.nominal_files import NO_RATIO
 from stiffopt.recording.recording_set import RecordingSet
@@ -300,9 +301,11 @@ def _describe_scale(recordings: RecordingSet) -> list[str]:
     law = recordings.actuator
     if law is None or law.scaled.any():
         return []
+    gains = ", ".join(significant(gain, 3) for gain in law.stiffness)
     return [
         "Weight and inertia do not tell the gain of any joint, so that torques derived from"
-        " commands have no scale: give kp in [actuator]."
+        " commands have no scale: give kp in [actuator]. A simulation follows the training runs"
+        f" best with kp = [{gains}]: with these, torques are in the scale of the nominal masses."
     ]
 
 

@@ -141,6 +141,15 @@ def are_whole(values: np.ndarray) -> bool:
     return bool(known.size and np.all(known == np.round(known)))
 
 
+def are_magnitudes(values: np.ndarray) -> bool:
+    """Return True for columns (K, n) without a sign: none is below zero, each that changes is zero.
+
+    A torque that never changes its direction does not end at zero.
+    """
+    changing = np.flatnonzero([_finite_range(column) > 0.0 for column in values.T])
+    return bool(len(changing)) and bool(np.all(np.nanmin(values[:, changing], axis=0) == 0.0))
+
+
 # Levels of a channel below which it rests on its largest value by rounding alone.
 _MIN_LIMITED_LEVELS = 8
 

@@ -303,7 +303,7 @@ def _none_if_unnamed(names: tuple[str, ...] | None) -> tuple[str, ...] | None:
 
 _SET_POINT_WORDS = ("target", "cmd", "command", "desired", "planned", "soll", "setpoint",
           "consigne", "consigna", "riferimento", "action", "actions", "goal", "leader",
-          "ctrl")  # fmt: skip
+          "ctrl", "control")  # fmt: skip
 # Prefixes of longer words: commanded, setpoints.
 _SET_POINT_PREFIXES = ("target", "command", "desired", "setpoint", "consign")
 _SOLL_PATTERN = r"soll(wert|pos|winkel|lage|stell|dreh|achs|gelenk|bahn|weg)"

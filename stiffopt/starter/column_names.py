@@ -33,7 +33,7 @@ _ACCELERATION_WORDS = ("acceleration", "accelerations", "accel", "acc", "qdd", "
 _OTHER_SIGNAL_WORDS = (
     *_ACCELERATION_WORDS, "temperature", "temp", "temperatur", "temperatures", "voltage",
     "voltages", "mode", "status", "error", "err", "ext", "external", "gravity",
-    "coriolis", "bias", "passive", "constraint", "applied", "contact",
+    "coriolis", "bias", "passive", "constraint", "applied", "contact", "enable", "enabled",
 )  # fmt: skip
 # Words that make a kind together.
 _PAIRS_BY_KIND = {"torque": (("actuator", "force"), ("actuator", "forces"))}
@@ -166,9 +166,10 @@ def order_by_joint(names: Sequence[str], joints: Sequence[str]) -> tuple[str, ..
         digits = [word for word in split_words(name) if word.isdigit()]
         if digits and int(digits[-1]) not in numbered:
             numbered[int(digits[-1])] = name
-    for first in (1, 0):
-        if all(k in numbered for k in range(first, first + n)):
-            return tuple(numbered[k] for k in range(first, first + n))
+    # Joints are counted from 0 where a column is: what follows them is a gripper.
+    first = 0 if 0 in numbered else 1
+    if all(k in numbered for k in range(first, first + n)):
+        return tuple(numbered[k] for k in range(first, first + n))
     return tuple(names) if len(names) == n else None
 
 

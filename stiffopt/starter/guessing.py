@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from stiffopt.errors import InputError
-from stiffopt.recording.channel import are_whole
+from stiffopt.recording.channel import are_magnitudes, are_whole
 from stiffopt.recording.channel_faults import MIN_CORRELATION, compare_velocity
 from stiffopt.recording.clock import are_unordered
 from stiffopt.recording.signals import may_be_set_point
@@ -85,17 +85,10 @@ def guess_columns(
     time = find_time_column(table) if rate is None else COUNTED_TIME
     if len(table[time]) < MIN_ROWS:
         raise InputError(f"a recording of {len(table[time])} row(s) shows no motion; record more.")
-    columns: dict[str, tuple[str, ...]] = {}
-    others: dict[str, list[tuple[str, ...]]] = {}
-    left = [name for name in table if name != time]
-    for kind in KINDS:
-        found = columns_of_kind(left, kind, robot.joint_names)
-        if found:
-            columns[kind], others[kind] = found[0], found[1:]
-            left = [name for name in left if name not in found[0]]
-    if "torque" not in columns and (commands := command_columns(left, robot.joint_names)):
-        columns["command"], others["command"] = commands[0], commands[1:]
-        left = [name for name in left if name not in commands[0]]
+    columns, others, told = _assign_columns(table, time, robot)
+    reasons += told
+    taken = {name for own in columns.values() for name in own}
+    left = [name for name in table if name != time and name not in taken]
     _require_kinds(columns, table, robot)
     if "velocity" in columns and _is_counted(_column_values(table, columns["position"])):
         reasons.append(
@@ -125,13 +118,12 @@ def guess_columns(
         units["command"], why = _guess_command_unit(columns, table)
         why += _ask_alternatives("command", others["command"])
         reasons.append(
-            f"command: {', '.join(columns['command'])}; set points by their names, {why}. No torque"
-            " is recorded: the law of [actuator] gives it from command and position"
+            f"command: {', '.join(columns['command'])}; set points by their names, {why}. The"
+            " law of [actuator] gives torque from command and position"
         )
     if left:
         reasons.append(f"not used: {', '.join(left[:20])}{', ...' if len(left) > 20 else ''}")
     step = _median_step(seconds)
-    taken = {name for own in columns.values() for name in own}
     asked = (name for each in others.values() for own in each for name in own if name not in taken)
     return GuessedColumns(
         time=time,
@@ -142,6 +134,31 @@ def guess_columns(
         asked=tuple(dict.fromkeys(asked)),
         at_rest=at_rest,
     )
+
+
+def _assign_columns(
+    table: Mapping[str, np.ndarray], time: str, robot: Robot
+) -> tuple[dict[str, tuple[str, ...]], dict[str, list[tuple[str, ...]]], list[str]]:
+    """Return the columns of each kind, other families that may be it, and reasons.
+
+    Commands are taken where no column is a torque.
+    """
+    columns: dict[str, tuple[str, ...]] = {}
+    others: dict[str, list[tuple[str, ...]]] = {}
+    reasons: list[str] = []
+    left = [name for name in table if name != time]
+    for kind in KINDS:
+        found = columns_of_kind(left, kind, robot.joint_names)
+        if found:
+            columns[kind], others[kind] = found[0], found[1:]
+            left = [name for name in left if name not in found[0]]
+    commands = command_columns(left, robot.joint_names)
+    if commands and "torque" in columns and (fault := _find_torque_fault(columns["torque"], table)):
+        unused = columns.pop("torque")
+        reasons.append(f"no torque: {', '.join(unused)}, {fault}; commands take its place")
+    if commands and "torque" not in columns:
+        columns["command"], others["command"] = commands[0], commands[1:]
+    return columns, others, reasons
 
 
 def _require_kinds(
@@ -158,6 +175,20 @@ def _require_kinds(
                 f" {', '.join(list(table)[:40])}. Name them like"
                 f" {_NAME_EXAMPLES[kind]}{commands}, or write [signals] of recordings.toml by hand."
             )
+
+
+def _find_torque_fault(names: Sequence[str], table: Mapping[str, np.ndarray]) -> str:
+    """Return why columns are no torques that a model could explain; "" where they may be."""
+    values = _column_values(table, names)
+    if np.all(np.fmax.reduce(values) == np.fmin.reduce(values)):
+        return "which never changes"
+    if are_magnitudes(values):
+        return "never negative: magnitudes without a sign"
+    said = {word for name in names for word in split_words(name)}
+    unnamed = not said & set(CURRENT_WORDS) and all(stated_unit(name) is None for name in names)
+    if unnamed and _is_counted(values, "torque"):
+        return "whole numbers: a drive's own count of its output"
+    return ""
 
 
 _NAME_EXAMPLES = {

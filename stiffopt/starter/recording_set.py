@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from stiffopt.errors import InputError, InputFileError
+from stiffopt.errors import InputError, InputFileError, NoNumbersError
 from stiffopt.recording.clock import MIN_POSES
 from stiffopt.recording.readers.columns import Table
 from stiffopt.recording.readers.read import RUN_ENDINGS, is_messages, read_tables
@@ -85,7 +85,7 @@ def _write_set(
     """Write the set of an arm whose files are in the folder `beside`."""
     robot = arm.robot
     files = _find_files(data)
-    tables, layout, garbled = _read_runs(files, robot)
+    tables, layout, told = _read_runs(files, robot, named=frozenset(data))
     files = list(tables)
     if rate is None and guessing.are_poses(tables[files[0]], robot):
         # One pose a row: the rows are numbered.
@@ -98,7 +98,7 @@ def _write_set(
     if layout:
         first = replace(first, reasons=(layout, *first.reasons))
     wanted = [first.time, *(c for columns in first.columns.values() for c in columns if c)]
-    notes = [*arm.notes, *garbled]
+    notes = [*arm.notes, *told]
     for path, table in tables.items():
         lacking = [name for name in wanted if name not in table]
         if lacking:
@@ -177,17 +177,34 @@ def _session_times(
     return begins, ["All runs are of one clock: session_time of each counts from the first."]
 
 
-def _read_runs(files: Sequence[Path], robot: Robot) -> tuple[dict[Path, Table], str, list[str]]:
-    """Return tables by file without garbled rows, why unnamed columns are so named, and notes."""
+def _read_runs(
+    files: Sequence[Path], robot: Robot, named: Container[Path]
+) -> tuple[dict[Path, Table], str, list[str]]:
+    """Return tables by file without garbled rows, why unnamed columns are so named, and notes.
+
+    Files that are not `named` but found in a folder need not be recordings.
+    """
     tables: dict[Path, Table] = {}
+    layout, notes, without = "", [], []
     for path in files:
         if is_messages(path):
             tables[path] = table_layouts.read_message_table(path, robot.joint_names)
             continue
-        for part, table in read_tables(path).items():
+        try:
+            parts = read_tables(path)
+        except NoNumbersError:
+            if path in named:
+                raise
+            without.append(path.name)
+            continue
+        for part, table in parts.items():
             own = path.with_name(f"{path.stem}_{part}{path.suffix}") if part else path
             tables[own] = table
-    layout, notes = "", []
+    if not tables:
+        raise InputFileError(files[0], "", "holds no row of numbers, nor do the files beside it.")
+    if without:
+        listed = ", ".join(dict.fromkeys(without))
+        notes.append(f"Files without rows of numbers are left out: {listed}.")
     tables = _join_by_folder(tables, robot)
     for path, table in tables.items():
         try:

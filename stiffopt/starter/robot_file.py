@@ -322,8 +322,10 @@ def _joint_lines(
     yield 'provenance = "estimated"'
     guesses = [name for name, key_ in (("torque", "effort"), ("speed", "velocity"))
                if not stated[key_]]  # fmt: skip
-    if "torque" in guesses:  # no limit of a simulated drive
-        yield 'estimated = ["torque_max"]'
+    limits = ("position_lower", "position_upper") if body.name in arm.unlimited else ()
+    estimated = [*limits, *(["torque_max"] if "torque" in guesses else [])]
+    if estimated:  # no limits of a simulated drive or of recordings
+        yield f"estimated = {toml_list(map(toml_string, estimated))}"
     yield f'source = "{arm.format}; {", ".join([*guesses, "acceleration"])} and jerk are guesses"'
 
 

@@ -28,23 +28,24 @@ from stiffopt.starter.column_names import (
 def join_signal_files(tables: Mapping[Path, Table], robot: Robot) -> dict[Path, Table]:
     """Join tables of one signal each, with equally many rows, to one run; others are kept.
 
-    The columns of a file are named after it, "tau[0]", in the order of the joints where their own
-    names tell it; those of a file of several signals keep their names. The clock is that of the
-    first file. Raises `InputFileError`: together they are a run, but differ in their rows.
+    Beside one table that is a run by itself, others are joined to it: commands beside states. The
+    columns of a file are named after it, "tau[0]", in the order of the joints where their own names
+    tell it; those of a file of several signals keep their names. The clock is that of the first
+    file, or of the run. Raises `InputFileError`: together they are a run, but differ in their rows.
     """
-    complete = any(
-        _holds_position_and_cause(list(table), robot)
-        or (is_unnamed(table) and len(table) > robot.n + 1)
-        for table in tables.values()
-    )
-    if complete or len(tables) < 2:
+    complete = [path for path, table in tables.items() if _is_complete(table, robot)]
+    if len(complete) > 1 or len(tables) < 2:
         return dict(tables)
     lengths = {path: len(next(iter(table.values()))) for path, table in tables.items()}
-    first = next(iter(tables))
+    first = next(iter(complete or tables))
     other = next((path for path, rows in lengths.items() if rows != lengths[first]), None)
-    joined: Table = {}
+    if complete and other is not None:
+        return dict(tables)
+    joined: Table = dict(tables[first]) if complete else {}
     for path, table in tables.items():
-        clock = list(table)[: len(table) % robot.n] if len(table) > 1 else []
+        if path in complete:
+            continue
+        clock = _clock_columns(table, robot)
         signals = [name for name in table if name not in clock]
         for name in clock:
             joined.setdefault("t" if is_unnamed(table) else name, table[name])
@@ -64,6 +65,19 @@ def join_signal_files(tables: Mapping[Path, Table], robot: Robot) -> dict[Path, 
             " or interpolate its signal at the times of the others."
         )  # fmt: skip
     return {first.parent / f"{first.parent.name}.npz": joined}
+
+
+def _clock_columns(table: Table, robot: Robot) -> list[str]:
+    """Return the columns of times; of columns without names, those before one a joint."""
+    if is_unnamed(table):
+        return list(table)[: len(table) % robot.n] if len(table) > 1 else []
+    return [name for name in table if set(split_words(name)) & set(TIME_WORDS)]
+
+
+def _is_complete(table: Table, robot: Robot) -> bool:
+    """Return True for a table that is a run by itself."""
+    unnamed = is_unnamed(table) and len(table) > robot.n + 1
+    return unnamed or _holds_position_and_cause(list(table), robot)
 
 
 def _holds_position_and_cause(names: list[str], robot: Robot) -> bool:

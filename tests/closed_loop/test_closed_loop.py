@@ -33,6 +33,7 @@ from stiffopt.closed_loop.polish import polish, score_amplitudes
 from stiffopt.closed_loop.simulation import (
     CommandedRun,
     Stretch,
+    moving_rows,
     simulate,
     simulate_stretches,
 )
@@ -92,6 +93,47 @@ def test_a_joint_that_friction_holds_does_not_creep(loop: CommandedArm) -> None:
     (found,) = simulate_stretches(loop, [whole], held, np.arange(2))
     np.testing.assert_allclose(found.position, 0.3, atol=1e-9)
     np.testing.assert_allclose(found.slopes, 0.0, atol=1e-4)
+
+
+def test_friction_that_falls_along_the_stroke_never_drives(loop: CommandedArm) -> None:
+    """Beyond the end of its slope there is none: a level below zero would push a joint along."""
+    without, sloped = true_parameters(), true_parameters()
+    for own in (without, sloped):
+        own.values[own.place("coulomb")] = 0.0
+    sloped.values[sloped.place("friction_slope")] = -0.5
+    run = recorded(5, 4.0)
+    run = replace(run, position=np.abs(run.position) + 0.2, command=np.abs(run.command) + 0.5)
+    found = [simulate(loop, run, own) for own in (without, sloped)]
+    assert min(each.min() for each in found) > 0.0
+    np.testing.assert_allclose(found[1], found[0], atol=1e-9)
+    # A fit begins with none: its slope there is that beside none.
+    free, whole = np.array([without.place("coulomb").start]), Stretch(run, 0, 100, np.ones(1))
+    slopes = []
+    for level in (0.0, 1e-9):
+        without.values[without.place("coulomb")] = level
+        slopes.append(simulate_stretches(loop, [whole], without, free)[0].slopes[:, 0, 0])
+    assert np.abs(slopes[0]).max() > 0.0
+    np.testing.assert_allclose(*slopes, rtol=1e-6, atol=1e-9)
+
+
+def test_a_fit_reads_the_motion_of_every_joint_not_the_rest_before_it() -> None:
+    """Two joints that rest at first, and then move in turn, one of them a tenth as long."""
+    time = np.arange(0.0, 120.0, 0.02)
+    spans = ((30.0, 90.0), (100.0, 106.0))
+    position = np.column_stack(
+        [np.sin(2.0 * time) * ((time > begin) & (time < end)) for begin, end in spans]
+    )
+    run = CommandedRun("turns", time, position, position, position)
+    parts = moving_rows([run, run], 0.02, 20.0)
+    rows = [time[part.first : part.end] for part in parts]
+    for begin, end in spans:
+        inside = [(own > begin) & (own < end) for own in rows]
+        assert sum(own.sum() for own in inside) * 0.02 > 4.0
+    moving = sum(((own > 30.0) & (own < 106.0)).sum() for own in rows)
+    assert moving > 0.9 * sum(map(len, rows))
+    assert 20.0 <= 0.02 * sum(map(len, rows)) <= 22.0
+    (whole,) = moving_rows([replace(run, time=time[:500])], 0.02, 20.0)
+    assert (whole.first, whole.end) == (25, 500)
 
 
 def test_friction_holds_within_its_levels_and_opposes_what_moves() -> None:

@@ -125,7 +125,7 @@ def test_a_gain_that_nothing_tells_is_said(tmp_path: Path) -> None:
     assert not resolved.actuator.scaled.any()
     assert np.isnan(runs[0].torque).all()
     assert any("only ratios" in note for note in notes)
-    with pytest.raises(InputError, match=r"give kp in \[actuator\]"):
+    with pytest.raises(InputError, match=r"give kp in \[actuator\].*best with kp = \["):
         prepare_training(resolved, Settings(), None, lambda _: None, runs)
 
 

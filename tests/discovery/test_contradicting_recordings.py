@@ -12,7 +12,12 @@ from own_machines import GANTRY, SCARA, Log
 from test_sanity_gate import doubted
 
 from stiffopt.discovery.diagnose import diagnose
-from stiffopt.discovery.sanity.gate import SanityGate, _is_odd, find_odd_runs
+from stiffopt.discovery.sanity.gate import (
+    SanityGate,
+    _doubt_single_runs,
+    _is_odd,
+    find_odd_runs,
+)
 from stiffopt.discovery.sanity.interpretations import Samples
 from stiffopt.discovery.training import open_training_runs
 from stiffopt.recording.recording_set import load_recordings
@@ -177,3 +182,14 @@ def test_a_joint_that_moves_in_one_direction_alone_makes_no_run_odd(reverses: bo
     last = searched(direction if reverses else np.abs(direction), 0.33)
     odd = find_odd_runs([searched(direction, 0.002), searched(direction, 0.001), last])
     assert [each.search for each in odd] == ([last[1]] if reverses else [])
+
+
+def test_a_reading_of_several_joints_in_one_run_is_compared_with_the_others():
+    """The other runs do not fit either: nothing is told of one."""
+    shares = np.array([0.6, 0.5, 0.01])
+    reading = SimpleNamespace(joints=(0, 1))
+    searches = [
+        (SimpleNamespace(name=name), SimpleNamespace(best=lambda: reading, strict=shares))
+        for name in ("one", "two")
+    ]
+    assert not list(_doubt_single_runs(None, searches, SimpleNamespace(strict=shares)))

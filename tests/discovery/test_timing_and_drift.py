@@ -16,13 +16,18 @@ from small_arms import ROOT
 
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.nuisance import OutsideValue
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.diagnosis import Diagnosis
 from stiffopt.discovery.names import ValueName
 from stiffopt.discovery.search.nominal_values import values_outside_tolerance
 from stiffopt.discovery.user_effects import sample_signals
 from stiffopt.errors import InputFileError
-from stiffopt.report.diagnosis.values_to_enter import value_sentences
+from stiffopt.report.diagnosis.values_to_enter import (
+    _pinned_change,
+    farthest_value,
+    value_sentences,
+)
 
 CASES = ROOT.parent / "shared" / "cases" / "diagnosis"
 ROBOT = sample_signals()
@@ -156,6 +161,30 @@ def test_value_beside_many_others_is_told_as_pinned() -> None:
     assert len(told) == 2
     assert all("Nominal value pinned at its tolerance: the" in each for each in told)
     assert any("friction of joint 2 would have to change by +19" in each for each in told)
+
+
+@pytest.mark.parametrize(
+    ("kind", "change", "told"),
+    [
+        ("coulomb", 1.9, "would have to change by +190 ± 10 %"),
+        ("coulomb", -2.3, "would have to be below zero"),
+        ("com", -2.3, "would have to change by -2.3 ± 0.1 m"),
+    ],
+)
+def test_a_value_that_would_be_negative_is_told_so(kind: str, change: float, told: str) -> None:
+    assert told in _pinned_change(OutsideValue(ValueName(kind, 1, "z"), change, 0.1, 0.3))
+
+
+def test_friction_that_a_simulation_fits_is_not_pinned_by_filtered_torques(monkeypatch) -> None:
+    outside = tuple(OutsideValue(ValueName(k, 1), 2.0, 0.1, 0.3) for k in ("coulomb", "mass"))
+    where = "stiffopt.report.diagnosis.values_to_enter.values_outside_tolerance"
+    monkeypatch.setattr(where, lambda *_: outside)
+    search = SimpleNamespace(comparison=None, effects=())
+    recorded, simulated = (
+        farthest_value(SimpleNamespace(closed_loop=loop, search=search)) for loop in (None, {})
+    )
+    assert "dry friction" in recorded
+    assert "mass" in simulated
 
 
 def test_drift_of_runs_vanishes_in_other_runs_and_on_average() -> None:

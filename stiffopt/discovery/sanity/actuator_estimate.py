@@ -12,7 +12,12 @@ from stiffopt.actuator.law import UNSTATED_GAIN_DEVIATION, ActuatorLaw
 from stiffopt.closed_loop.parameters import Parameters
 from stiffopt.discovery.comparison.filtering import SLOW_CUTOFF, filter_slow_motion
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.loop_fit import DRIVE_PARAMETERS, fit_loop, nominal_parameters
+from stiffopt.discovery.loop_fit import (
+    DRIVE_PARAMETERS,
+    UNVOUCHED_MASS_SCALE,
+    fit_loop,
+    nominal_parameters,
+)
 from stiffopt.discovery.progress import Say
 from stiffopt.discovery.sanity.command_doubts import doubt_commands
 from stiffopt.discovery.sanity.doubt import format_joints
@@ -208,10 +213,12 @@ def _refine_law(
     spread, attainable = (
         each[place][order] / factor for each in (fitted.deviations, fitted.attainable)
     )
-    # Beside masses that nobody vouches for, the residual may be their error.
-    own = spread if recordings.tolerance.mass is None else attainable
+    # Beside masses that nobody vouches for, the residual may be their error: a gain need not be
+    # better known than these.
+    vouched = recordings.tolerance.mass is not None
+    told = attainable <= _MAX_GAIN_DEVIATION if vouched else spread <= UNVOUCHED_MASS_SCALE
     spread = np.minimum(spread, _LOOSEST_TOLD * UNSTATED_GAIN_DEVIATION)
-    spread[own > _MAX_GAIN_DEVIATION] = UNSTATED_GAIN_DEVIATION
+    spread[~told] = UNSTATED_GAIN_DEVIATION
     refined = law
     if law.estimated is not None:
         refined = replace(

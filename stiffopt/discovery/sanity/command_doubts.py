@@ -174,12 +174,11 @@ def _doubt_swapped(
     recordings: RecordingSet, runs: Sequence[RecordedRun], moving: np.ndarray
 ) -> Iterator[Doubt]:
     """Doubt positions that lead their commands."""
-    lags = np.array([find_lag(run) for run in runs])
-    weights = np.array([len(run.time) for run in runs], dtype=float)
-    joint = weights @ lags / weights.sum()
+    lags, weights = np.array([find_lag(run) for run in runs]).transpose(1, 0, 2)
+    moved = moving & (weights.sum(axis=0) > 0.0)
+    joint = np.sum(lags * weights, axis=0)[moved] / weights.sum(axis=0)[moved]
     step = float(np.median([run.step for run in runs]))
-    lead = -float(np.median(joint[moving]))
-    if lead > _MIN_LEAD_ROWS * step:
+    if moved.any() and (lead := -float(np.median(joint))) > _MIN_LEAD_ROWS * step:
         names = recordings.signals
         yield Doubt(
             kind="swapped",
@@ -191,10 +190,13 @@ def _doubt_swapped(
 
 
 def find_lag(run: RecordedRun) -> np.ndarray:
-    """Return the lag (n,) of each position after its command [s], by correlation of their rates."""
+    """Return the lag of each position after its command [s], and its weight (2, n).
+
+    By the correlation of their rates; a joint that stands in the run has no weight.
+    """
     assert run.command is not None
     most = min(round(_MAX_LAG / run.step), len(run.time) // 4)
-    lags = np.zeros(run.n)
+    found = np.zeros((2, run.n))
     for j in range(run.n):
         series = []
         for values in (run.command[:, j], run.position[:, j]):
@@ -211,8 +213,9 @@ def find_lag(run: RecordedRun) -> np.ndarray:
             )
             for k in range(-most, most + 1)
         ]
-        lags[j] = (int(np.argmax(scores)) - most) * run.step
-    return lags
+        best = int(np.argmax(scores))
+        found[:, j] = (best - most) * run.step, max(scores[best], 0.0)
+    return found
 
 
 def _doubt_thinned(runs: Sequence[RecordedRun], moving: np.ndarray) -> Iterator[Doubt]:

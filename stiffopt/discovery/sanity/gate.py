@@ -17,6 +17,7 @@ from stiffopt.discovery.sanity.interpretations import SAMPLED, Samples, sample_r
 from stiffopt.discovery.sanity.sensor_doubts import (
     doubt_contacts_at_rest,
     doubt_dead_channels,
+    doubt_magnitudes,
     doubt_position_limits,
     doubt_repeated_torques,
     doubt_second_sensors,
@@ -96,6 +97,7 @@ class SanityGate:
             *_doubt_unscaled(recordings),
             *_doubt_set_points(recordings),
             *doubt_second_sensors(recordings, runs),
+            *doubt_magnitudes(runs),
             *doubt_repeated_torques(runs),
         ]
         explanation, search = None, self._explanation_search
@@ -163,6 +165,9 @@ class SanityGate:
     def _explanation_search(self) -> Explanations | None:
         if any(run.at_rest for run in self._runs):
             return None  # every alternative reading is judged by motion
+        law = self.recordings.actuator
+        if law is not None and law.estimated is not None:
+            return None  # torques by gains that the nominal weight told show no other reading
         # One short run grounds no refusal; several short ones that agree do.
         if len(self._runs) == 1 and self._runs[0].duration < _MIN_JUDGED_DURATION:
             return None
@@ -317,7 +322,7 @@ def _doubt_single_runs(
         if explanation is not None:
             others = (each.strict for _, each in searches if each is not search)
             # A model that fails in other runs too says nothing of this one.
-            if not any((own[explanation.joints] > _MIN_OPEN_SHARE).any() for own in others):
+            if not any((own[list(explanation.joints)] > _MIN_OPEN_SHARE).any() for own in others):
                 yield from _doubt_one_run(recordings, run.name, search, explanation)
 
 

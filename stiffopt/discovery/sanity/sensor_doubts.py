@@ -13,7 +13,7 @@ from stiffopt.discovery.sanity.doubt import Doubt, format_joints, limit_to_runs,
 from stiffopt.discovery.sanity.interpretations import DEGREE, MILLIMETRE, Samples
 from stiffopt.discovery.sanity.torque_fit import Motion, fit_gain
 from stiffopt.discovery.settings import MIN_MOVING_SPEED
-from stiffopt.recording.channel import are_whole, true_intervals
+from stiffopt.recording.channel import are_magnitudes, are_whole, true_intervals
 from stiffopt.recording.channel_faults import covered_range, moved_travel
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
@@ -28,10 +28,15 @@ FACTOR_TOLERANCE, _UNIT_TOLERANCE = 0.2, 0.1
 
 
 def doubt_position_limits(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> Iterator[Doubt]:
-    """Yield doubts about positions beyond limits: a unit if that explains all of them."""
+    """Yield doubts about positions beyond limits: a unit if that explains all of them.
+
+    Limits that are guesses of a robot file contradict no recording.
+    """
     lower = recordings.robot.position_lower[recordings.order]
     upper = recordings.robot.position_upper[recordings.order]
-    span = upper - lower
+    sources = recordings.robot.estimated()
+    guessed = {each.joint for each in sources if each.key == "position_lower"}
+    span = np.where([name in guessed for name in recordings.joints], np.inf, upper - lower)
     reach = np.full((2, recordings.n), np.nan)
     for run in runs:
         known = np.isfinite(run.position)
@@ -205,6 +210,17 @@ def doubt_dead_channels(
             evidence=f"The torque of {format_joints(dead)} does not follow the motion:"
             f" {'; '.join(parts)}. The channel is not connected, or not filled.",
             line=f"torque = [{', '.join(names)}] in [signals]",
+        )
+
+
+def doubt_magnitudes(runs: Sequence[RecordedRun]) -> Iterator[Doubt]:
+    """Yield a doubt about torques without a sign, as some drives report their current."""
+    if are_magnitudes(np.vstack([run.torque for run in runs])):
+        yield Doubt(
+            kind="torque sign",
+            evidence="The torques are never negative, each of them is 0 at times, whichever way the"
+            " joints move: magnitudes without a sign. Record signed currents, or commanded beside"
+            " measured positions.",
         )
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stiffopt.errors import InputFileError
+from stiffopt.errors import InputFileError, NoNumbersError
 from stiffopt.recording.readers.clocks import join_split_stamps, parse_stamps
 from stiffopt.recording.readers.columns import (
     MAX_ENTRIES,
@@ -49,7 +49,7 @@ def read_text_table(text: str, path: Path) -> Table:
     comments = [line for line in lines if line.lstrip()[:1] in "#%"]
     body = [line for line in lines if line.lstrip()[:1] not in "#%"]
     if not body:
-        raise InputFileError(path, "", "holds no numbers.")
+        raise NoNumbersError(path, "", "holds no numbers.")
     mark = _find_separator(body)
     return table_of_rows(
         [_split_cells(line, mark) for line in body],
@@ -67,7 +67,7 @@ def table_of_rows(rows: list[list[str]], comments: list[list[str]], path: Path) 
     first = next((k for k, row in enumerate(rows) if len(row) == width and _is_data(row)), None)
     if first is None:
         begins = f" It begins: {' '.join(rows[0])[:80]!r}." if rows else ""
-        raise InputFileError(path, "", f"holds no row of numbers.{begins}")
+        raise NoNumbersError(path, "", f"holds no row of numbers.{begins}")
     cells = rows[first:]
     names = _find_names(rows[:first], comments, width)
     if names is None:

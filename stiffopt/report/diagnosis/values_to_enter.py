@@ -8,6 +8,7 @@ from stiffopt.discovery.answer import missing_physics
 from stiffopt.discovery.comparison.inertial_parameters import nominal_bodies
 from stiffopt.discovery.comparison.nuisance import OutsideValue
 from stiffopt.discovery.diagnosis import Diagnosis, Finding
+from stiffopt.discovery.loop_fit import DRIVE_PARAMETERS
 from stiffopt.discovery.names import ValueName
 from stiffopt.discovery.sanity.doubt import format_numbers
 from stiffopt.discovery.search.nominal_values import values_outside_tolerance
@@ -46,8 +47,14 @@ def farthest_value(diagnosis: Diagnosis) -> str:
 
 
 def _values_outside(diagnosis: Diagnosis) -> tuple[OutsideValue, ...]:
-    """Return nominal values outside their tolerances that no finding accounts for."""
-    return values_outside_tolerance(diagnosis.search.comparison, diagnosis.search.effects)
+    """Return nominal values outside their tolerances that no finding accounts for.
+
+    Friction and rotors of a simulation from commands are told as it fits them: filtered position
+    errors take what friction does at reversals for another value.
+    """
+    simulated = () if diagnosis.closed_loop is None else DRIVE_PARAMETERS
+    outside = values_outside_tolerance(diagnosis.search.comparison, diagnosis.search.effects)
+    return tuple(each for each in outside if each.name.kind not in simulated)
 
 
 def _nominal_sentence(diagnosis: Diagnosis, finding: Finding) -> str:
@@ -92,13 +99,12 @@ def _pinned_sentence(value: OutsideValue) -> str:
 
 
 def _pinned_change(value: OutsideValue) -> str:
-    unit = _KIND_UNITS.get(value.name.kind, "")
-    size = (
-        f"{significant(value.change, 2)} ± {significant(value.sd, 1)} {unit}"
-        if unit
-        else f"{100.0 * value.change:+.2g} ± {100.0 * value.sd:.1g} %"
-    )
-    return f"the {_value_words(value.name)} would have to change by {size}"
+    words, unit = f"the {_value_words(value.name)} would have to", _KIND_UNITS.get(value.name.kind)
+    if unit is None and value.change < -1.0:
+        return f"{words} be below zero"
+    factor, unit = (100.0, "%") if unit is None else (1.0, unit)
+    size = f"{significant(factor * value.change, 2)} ± {significant(factor * value.sd, 1)} {unit}"
+    return f"{words} change by {'+' * (unit == '%' and value.change > 0.0)}{size}"
 
 
 def _value_words(name: ValueName) -> str:
