@@ -18,7 +18,12 @@ from stiffopt.certificate.rigid_body import (
     rigid_body_history,
     tool_positions,
 )
-from stiffopt.certificate.violations import find_drive_violations, find_violations
+from stiffopt.certificate.violations import (
+    find_drive_violations,
+    find_violations,
+    pass_vias,
+    relative_target_miss,
+)
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.led_error import led_error
 from stiffopt.elastic.motor import MotorMotion
@@ -153,6 +158,19 @@ def drive_violations(
 ) -> list[Violation]:
     """Return the violations of drive limits, worst first, at a tenth of the cost of `assess`."""
     return find_drive_violations(problem, drive_history(problem, motion, times)[0])
+
+
+def largest_via_miss(problem: TrajectoryProblem, links: JointMotion) -> float:
+    """Return the largest miss of a via by the links, beyond its tolerance and relative to it."""
+    if not problem.vias:
+        return -np.inf
+    position = np.asarray(links(fine_grid(links), 0))
+    tool = tool_positions(problem.robot, position)
+    instants = pass_vias(problem, position, tool)
+    return max(
+        float(relative_target_miss(problem, via, position[[k]], tool[[k]])[0]) - 1.0
+        for via, k in zip(problem.vias, instants, strict=True)
+    )
 
 
 def drive_history(

@@ -50,33 +50,35 @@ def find_drive_violations(problem: TrajectoryProblem, drives: DriveHistory) -> l
 
 def _target_violations(problem: TrajectoryProblem, motion: Assessment) -> list[Violation]:
     """Return the misses of start, end and vias in order, relative to their tolerance."""
-    found = []
     last = len(motion.time) - 1
     stops = [("start", problem.start, 0), ("end", problem.end, last)]
-    for number, (via, k) in enumerate(_pass_vias(problem, motion), start=1):
+    instants = pass_vias(problem, motion.position, motion.tool)
+    for number, (via, k) in enumerate(zip(problem.vias, instants, strict=True), start=1):
         stops.append((f"via_{number}", via, k))
+    found = []
     for name, target, k in stops:
-        miss = _relative_target_miss(problem, target, motion, slice(k, k + 1))[0]
+        at = slice(k, k + 1)
+        miss = relative_target_miss(problem, target, motion.position[at], motion.tool[at])[0]
         found.append(Violation(float(miss - 1.0), name, None, float(motion.time[k])))
     return found
 
 
-def _pass_vias(problem: TrajectoryProblem, motion: Assessment) -> list[tuple[Target, int]]:
-    """Return each via with the instant at which the motion passes it.
+def pass_vias(problem: TrajectoryProblem, position: np.ndarray, tool: np.ndarray) -> list[int]:
+    """Return the instants at which positions of joints and tool (K, ..) pass the vias.
 
     Of all instants in order, those of the least misses: a motion may pass nearer to a via later on.
     """
-    cost, costs = np.zeros(len(motion.time)), []
+    cost, costs = np.zeros(len(position)), []
     for via in problem.vias:
-        miss = _relative_target_miss(problem, via, motion, slice(None))
+        miss = relative_target_miss(problem, via, position, tool)
         beyond = _EXCESS_WEIGHT * np.maximum(miss - 1.0, 0.0)
         cost = np.minimum.accumulate(cost) + miss + beyond
         costs.append(cost)
-    instants, k = [], len(motion.time) - 1
+    instants, k = [], len(position) - 1
     for cost in reversed(costs):
         k = int(np.argmin(cost[: k + 1]))
         instants.append(k)
-    return list(zip(problem.vias, reversed(instants), strict=True))
+    return instants[::-1]
 
 
 def _boundary_violations(problem: TrajectoryProblem, motion: Assessment) -> list[Violation]:
@@ -98,23 +100,22 @@ def _boundary_violations(problem: TrajectoryProblem, motion: Assessment) -> list
     return found
 
 
-def _relative_target_miss(
-    problem: TrajectoryProblem, target: Target, motion: Assessment, instants: slice
+def relative_target_miss(
+    problem: TrajectoryProblem, target: Target, position: np.ndarray, tool: np.ndarray
 ) -> np.ndarray:
-    """Return the miss of a target, relative to its tolerance; for a pose the worse of the two."""
-    place = _target_distance(target, motion, instants) / target.tolerance
+    """Return the misses (K,) of a target, relative to its tolerance; of a pose the worse of two.
+
+    By positions of joints (K, n) [rad or m] and tool (K, 3) [m].
+    """
+    if target.joints is not None:
+        away = np.max(np.abs(position - target.joints), axis=1)
+    else:
+        away = np.linalg.norm(tool - target.position, axis=1)
+    place = away / target.tolerance
     if target.rpy is None:
         return np.asarray(place)
-    turn = tool_angle(problem.robot, motion.position[instants], target.rpy)
+    turn = tool_angle(problem.robot, position, target.rpy)
     return np.asarray(np.maximum(place, turn / target.angle_tolerance))
-
-
-def _target_distance(target: Target, motion: Assessment, instants: slice) -> np.ndarray:
-    """Return the distance to a target: [m] of the tool, or the largest joint angle [rad]."""
-    if target.joints is not None:
-        away = np.abs(motion.position[instants] - target.joints)
-        return np.asarray(np.max(away, axis=1))
-    return np.asarray(np.linalg.norm(motion.tool[instants] - target.position, axis=1))
 
 
 @dataclass(frozen=True)

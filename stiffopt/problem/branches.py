@@ -27,7 +27,7 @@ _OTHER_TURN_FROM = 0.5 * np.pi
 def solutions_of_pose(
     robot: Robot,
     position: np.ndarray,
-    rotation: np.ndarray,
+    rotation: np.ndarray | None,
     reference: np.ndarray,
     admissible: Callable[[np.ndarray], bool],
 ) -> list[np.ndarray]:
@@ -168,7 +168,7 @@ def describe_posture(robot: Robot, q: np.ndarray) -> str:
     """Branch and joint positions (n,) in words."""
     angles = ", ".join(
         f"{1e3 * each:.4g} mm" if slides else f"{each:.4g}"
-        for each, slides in zip(q, robot.prismatic, strict=True)
+        for each, slides in zip(np.round(q, 6) + 0.0, robot.prismatic, strict=True)
     )
     return f"{f'posture {branch_name(robot, q)}'.rstrip()} [{angles}] rad"
 

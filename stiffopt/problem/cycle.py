@@ -65,7 +65,8 @@ class Posture:
     """Pose of a cycle with the inverse-kinematic branch in which it is taken."""
 
     name: str
-    joints: np.ndarray  # (n,) [rad]
+    joints: np.ndarray  # (n,) [rad], [m] of prismatic joints
+    prismatic: np.ndarray  # (n,) True for prismatic joints
     branch: str  # names of shoulder, elbow and wrist
     chosen: bool  # True where the file leaves the branch open
     candidates: int  # number of admissible solutions of the inverse kinematics

@@ -198,7 +198,9 @@ class _CycleReader:
         def visit(move: int, section: schema.NamedTarget, where: str, passed: bool) -> _Step:
             target = self._poses(section, where)
             load = self._loads[max(move - 1, 0)]
-            pose = keys.setdefault((section, load.tool), len(keys)) if target.fixes_pose else None
+            fixed = target.fixes_pose(self._robot(load))
+            # By its text, as lists of joints cannot be keys.
+            pose = keys.setdefault((repr(section), load.tool), len(keys)) if fixed else None
             if pose is None and not passed:
                 self._fail(
                     where,
@@ -264,6 +266,7 @@ class _CycleReader:
             Posture(
                 name=self._pose_name(visits[pose][0]),
                 joints=chosen[pose],
+                prismatic=base.prismatic,
                 branch=branches.branch_name(base, chosen[pose]),
                 chosen=visits[pose][0].target.joints is None
                 and visits[pose][0].target.near is None,
@@ -297,9 +300,8 @@ class _CycleReader:
             if target.joints is not None:
                 check_range(robot, limits, "joints", target.joints)
                 return [target.joints]
-            assert target.rpy is not None
             assert target.position is not None
-            rotation = rotation_from_rpy(target.rpy)
+            rotation = None if target.rpy is None else rotation_from_rpy(target.rpy)
             if target.near is not None:
                 return [solve_pose(robot, target.position, rotation, target.near)]
 

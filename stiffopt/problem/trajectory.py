@@ -64,10 +64,13 @@ class Target:
     tolerance: float = 1e-4
     angle_tolerance: float = 0.01
 
-    @property
-    def fixes_pose(self) -> bool:
-        """True for joint angles or a tool pose, which leave the joints no freedom."""
-        return self.joints is not None or self.rpy is not None
+    def fixes_pose(self, robot: Robot) -> bool:
+        """Return True where the target leaves the joints no freedom.
+
+        Joint angles and a tool pose do, and a position of an arm that has no orientation to choose.
+        """
+        given = self.joints is not None or self.rpy is not None
+        return given or robot.position_fixes_joints
 
     def __post_init__(self) -> None:
         for name in ("joints", "position", "rpy", "near"):
@@ -142,9 +145,11 @@ class Method:
         Literal["piecewise_linear_acceleration", "hermite_simpson", "radau"],
         Doc("Transcription of the motion to a nonlinear programme."),
     ] = "piecewise_linear_acceleration"
-    intervals: Annotated[int, Bounds(least=4, most=2000), Doc("Intervals of the whole motion.")] = (
-        60
-    )
+    intervals: Annotated[
+        int,
+        Bounds(least=4, most=2000),
+        Doc("Intervals of the whole motion; at least 6 from via to via."),
+    ] = 60
     time_limit: Annotated[
         Time,
         POSITIVE,

@@ -175,6 +175,13 @@ class Robot:
         return self.tree.prismatic
 
     @cached_property
+    def position_fixes_joints(self) -> bool:
+        """Return whether a position of the tool leaves the joints no freedom but a branch."""
+        # Of a pose without symmetry: the rank there is that of nearly all poses.
+        moves = self.rigid_bodies().jacobian(self.tool, np.arange(1.0, self.n + 1.0))[:3]
+        return bool(np.linalg.matrix_rank(moves) == self.n)
+
+    @cached_property
     def tree(self) -> BodyTree:
         """Bodies and joints as plain numbers."""
         return body_tree(self.model)

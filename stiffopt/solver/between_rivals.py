@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stiffopt.certificate.assess import assess, drive_violations
+from stiffopt.certificate.assess import assess, drive_violations, largest_via_miss
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.command.command_search import CommandOnArms
 from stiffopt.command.smoothing_width import motors_with_sufficient_smoothing
@@ -45,7 +45,6 @@ class BetweenRivals(OutcomeOracle):
         self._errors = RivalErrors(run, [])
         self._reason = ""
         kept = [] if run.rivals is None else [each for each in run.rivals[2] if not each.excess]
-        # Whether a motion between them passes a via closely enough, the certificate says.
         if not (kept and run.motion.start_fixed and run.motion.end_fixed):
             return
         # By an ideal lead too, as the motions beside them.
@@ -66,6 +65,7 @@ class BetweenRivals(OutcomeOracle):
             for name, rival in self._rivals.items()
             for share in _RIVAL_SHARES
             for plan in (last.planned.mixed_with(rival, share),)
+            if largest_via_miss(self.run.problem, plan) <= CERTIFICATE_TOLERANCE
         ]
         better = [each for each in tried if each[0] < own]
         for worse, plan, text in sorted(better, key=lambda each: each[0]):

@@ -18,9 +18,9 @@ from stiffopt.transcription.transcription import Transcription
 _MIN_INTERVALS = 16
 # Most intervals of the first and the second mesh where a deflection peak is minimised.
 _MAX_COARSE_INTERVALS, _MAX_MIDDLE_INTERVALS = 60, 100
-# And the intervals of a phase below which neither mesh goes: with fewer a phase has hardly a motion
-# that keeps its limits.
-_COARSE_PHASE_INTERVALS, _MIDDLE_PHASE_INTERVALS = 6, 10
+# Intervals of a phase below which no last mesh goes, nor a peak's coarse and middle one: with fewer
+# a phase has hardly a motion that keeps its limits.
+_MIN_PHASE_INTERVALS, _MIDDLE_PHASE_INTERVALS = 6, 10
 # Phases from which on a coarse mesh or a correction replaces work on a fine mesh, and intervals a
 # phase of a smooth problem's coarse mesh: an iteration of 31 phases takes a fifth there.
 MANY_PHASES, _COARSE_START_PHASE_INTERVALS = 8, 5
@@ -77,8 +77,9 @@ def plan_stages(
 
     `corners` is the factor on the smoothing widths of the motor law.
     """
-    coarse = max(intervals // 2, min(_MIN_INTERVALS, intervals))
     phases = len(problem.vias) + 1
+    intervals = max(intervals, _MIN_PHASE_INTERVALS * phases)
+    coarse = max(intervals // 2, min(_MIN_INTERVALS, intervals))
     widths = tuple(Smoothing(width, corners) for width in smoothing_stages(problem))
     if len(widths) == 1:
         # Smooth problems converge directly from the guess; a coarse mesh would only cost time.
@@ -111,7 +112,7 @@ def plan_stages(
     if smoothing_stages(problem) == WINDUP_SMOOTHING:
         # Each mesh is adapted to the motion before it. A middle one costs less than a second fine
         # one, and its peaks are as low. Neither has to grow with the last one, but with the phases.
-        coarse = min(coarse, max(_MAX_COARSE_INTERVALS, _COARSE_PHASE_INTERVALS * phases))
+        coarse = min(coarse, max(_MAX_COARSE_INTERVALS, _MIN_PHASE_INTERVALS * phases))
         most = max(_MAX_MIDDLE_INTERVALS, _MIDDLE_PHASE_INTERVALS * phases)
         middle = max(min(2 * intervals // 3, most), coarse)
         between = Smoothing(float(np.sqrt(np.prod(WINDUP_SMOOTHING[-2:]))))

@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import quad
 from small_arms import ROOT, load
 
-from stiffopt.certificate.assess import assess
+from stiffopt.certificate.assess import assess, largest_via_miss
 from stiffopt.exact.chain import breakpoints, exact_compliance, exact_windup
 from stiffopt.result.trajectory import Trajectory
 
@@ -316,3 +316,8 @@ def test_vias_are_passed_in_order_where_a_motion_passes_one_nearer_later(tmp_pat
     assert misses(back, there) == pytest.approx([-1.0, -1.0])
     far = replace(back, joints=np.array([0.6, 0.0]))
     assert misses(there, far) == pytest.approx([-0.5, 1.0])
+    motion.duration, motion.times = 1.0, times
+    for vias, miss in (((there, back), -1.0), ((there, far), 1.0), ((), -np.inf)):
+        assert largest_via_miss(replace(problem, vias=vias), motion) == pytest.approx(
+            miss, abs=0.01
+        )

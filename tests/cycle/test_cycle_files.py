@@ -32,6 +32,30 @@ def test_moves_become_legs_with_their_payloads(tmp_path):
     assert lasting == pytest.approx(3.0 - 0.1)
 
 
+def test_stop_of_an_arm_whose_joints_a_position_fixes_needs_no_orientation(tmp_path):
+    moves = """[[move]]
+to = { position = [0.5, 0.1, 0.4], near = [0.2, -0.3, 0.6] }
+[[move]]
+to = { joints = [0.1, -0.2, 0.5] }
+[[move]]
+to = { position = [0.5, -0.1, 0.4] }
+"""
+    cycle = load_cycle(write_cycle_file(tmp_path, moves=moves)).cycle
+    robot = cycle.first.robot
+    ends = [leg.problem.end.joints for leg in cycle.legs]
+    for q, side in ((ends[0], 0.1), (ends[2], -0.1)):
+        assert robot.rigid_bodies().pose(robot.tool, q)[0] == pytest.approx([0.5, side, 0.4])
+    assert ends[1] == pytest.approx([0.1, -0.2, 0.5])
+
+
+def test_stop_of_an_arm_with_an_orientation_to_choose_needs_one(tmp_path):
+    text = (ROOT / "problems" / "ur10_cycle.toml").read_text()
+    path = tmp_path / "cycle.toml"
+    path.write_text(re.sub(r"joints = \[.*\]", "position = [0.6, -0.3, 0.4]", text))
+    with pytest.raises(InputFileError, match="add `rpy`"):
+        load_cycle(path)
+
+
 def test_speed_override_scales_the_velocity_limit_of_its_leg(tmp_path):
     moves = MOVES.replace('to = "home"', 'to = "home"\nspeed = 0.5')
     legs = load_cycle(write_cycle_file(tmp_path, moves=moves)).cycle.legs
@@ -75,7 +99,6 @@ to = "home"
         ('[[move]]\nto = "home"\n', "move[1].to", "where it begins"),
         ('[[move]]\nto = "pick"\nstop = false\n', "move[1].stop", "last move"),
         (MOVES.replace("dwell = 0.05", "dwell = 1.49"), "motion.duration", "leaves"),
-        ('[[move]]\nto = { position = [0.5, 0.1, 0.1] }\n', "move[1].to", "add `rpy`"),
         ('[[move]]\nto = "pick"\npayload = { mass = 1.0 }\n', "move[1].payload", "event is grip"),
     ],
 )  # fmt: skip

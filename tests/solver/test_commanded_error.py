@@ -304,7 +304,7 @@ def test_motion_between_is_the_best_one_whose_motors_keep_their_limits(
     oracle._rivals, oracle._errors, oracle.run = (
         {"quintic": straight(1.0)},
         errors,
-        SimpleNamespace(problem=None),
+        SimpleNamespace(problem=SimpleNamespace(vias=())),
     )
 
     def led_of(plan, below=np.inf):
@@ -335,6 +335,29 @@ def test_motion_between_is_the_best_one_whose_motors_keep_their_limits(
     assert ("times a rival's error in place of" in proposal.reason) == (best is not None)
     oracle._rivals = {}
     assert oracle.propose(last, 0) is None
+
+
+def test_motion_between_that_misses_a_via_is_not_simulated(monkeypatch):
+    oracle = BetweenRivals.__new__(BetweenRivals)
+    oracle._rivals, oracle.run = {"quintic": straight(1.0)}, SimpleNamespace(problem=None)
+    simulated = []
+
+    def worse(plan, led=None, below=None):
+        simulated.append(float(plan(1.0)[0]))
+        return 1.0, 1.0
+
+    oracle._worse = worse
+    monkeypatch.setattr(
+        between_rivals, "largest_via_miss", lambda _, plan: 0.9 - float(plan(1.0)[0])
+    )
+    last = SimpleNamespace(
+        planned=straight(0.0),
+        assessment=SimpleNamespace(led=True),
+        raw=SimpleNamespace(converged=True),
+    )
+    assert oracle.propose(last, 0) is None
+    # The motion itself, and the rival.
+    assert simulated == pytest.approx([0.0, 1.0])
 
 
 def test_slower_rival_is_compared_with_the_motion_slowed_to_its_duration(monkeypatch):

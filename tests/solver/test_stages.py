@@ -94,6 +94,17 @@ def test_coarse_meshes_grow_with_the_phases():
     assert solver_options(many).max_iterations > solver_options(problem).max_iterations
 
 
+@pytest.mark.parametrize(
+    "name",
+    ["er3a_pick_and_place", "er3a_pick_and_place_torque_squared", "er3a_tool_deviation"],
+)
+def test_phases_have_enough_intervals_however_few_are_stated(name):
+    problem = load_problem(PROBLEMS / f"{name}.toml").problem
+    many = replace(problem, vias=problem.vias[:1] * 20)
+    assert plan_stages(many, 40)[-1].intervals == 6 * 21
+    assert plan_stages(many, 40)[0].intervals >= 3 * 21
+
+
 def test_smooth_problems_with_many_phases_start_on_a_coarse_mesh():
     path = PROBLEMS / "er3a_pick_and_place_torque_squared.toml"
     problem = load_problem(path).problem

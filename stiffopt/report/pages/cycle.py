@@ -164,7 +164,10 @@ def posture_rows(solution: CycleSolution) -> list[list[str]]:
             posture.name,
             posture.branch or DASH,
             f"chosen of {posture.candidates}" if posture.chosen else "given",
-            ", ".join(f"{angle:.4g}" for angle in np.round(np.degrees(posture.joints), 3) + 0.0),
+            ", ".join(
+                f"{1e3 * place:.4g} mm" if slides else f"{round(np.degrees(place), 3) + 0.0:.4g}"
+                for place, slides in zip(posture.joints, posture.prismatic, strict=True)
+            ),
         ]
         for posture in solution.postures
     ]

@@ -77,8 +77,8 @@ def answer(found: Improvement) -> str:
         how = "The motion is timed anew"
     lead = "" if found.compensation is None else "; the motors lead the links by the wind-up"
     return (
-        f"{how}{lead}. The tool stays within {si(found.path_deviation, 'm', 2)} of the given path, "
-        "and every limit is certified."
+        f"{how}{lead}. The tool's largest distance from the given path is "
+        f"{si(found.path_deviation, 'm', 2)}, and every limit is certified."
     )
 
 
