@@ -12,8 +12,13 @@ import numpy as np
 
 from stiffopt.certificate.assess import drive_history, drives_of
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE, find_drive_violations
-from stiffopt.command.command_lead import WINDUP_SHARES, CommandLead, ExistingCommand
-from stiffopt.command.force_compensation import force_lead, led_against_force
+from stiffopt.command.command_lead import (
+    WINDUP_SHARES,
+    CommandLead,
+    ExistingCommand,
+    force_lead,
+    led_against_force,
+)
 from stiffopt.command.smoothing_width import KNOT_SPACINGS, motors_with_sufficient_smoothing
 from stiffopt.elastic.bearings import LedPlan, bearing_lead
 from stiffopt.elastic.motor import MotorMotion
