@@ -99,12 +99,6 @@ def _dropped(found: Any, selected: Any, *_: Any) -> bool:
     return len(found[0]) != len(selected)
 
 
-def _estimate_only(_: Any, training: Any, comparison: Any, found: Any) -> Any:
-    from stiffopt.discovery.search.uncertainty import estimate_parameters
-
-    return tuple(found), estimate_parameters(comparison, [each.located for each in found])
-
-
 def _always(value: Any) -> Callable[..., Any]:
     return lambda *_, **__: value
 
@@ -143,7 +137,6 @@ GATES = tuple(
         ("noise_excess", "noise above the stated one", (f"{_JUDGING}.unexplained:_noise_excess",), _always(1.0), None),
         ("bursts", "bursts above the band", (f"{_DIAGNOSE}:find_bursts",), _always(None), None),
         ("significance", "2 deviations from zero, all counted", (f"{_DIAGNOSE}:drop_insignificant",), _keep_all, _dropped),
-        ("moving_samples", "friction refitted to moving samples", (f"{_DIAGNOSE}:refit_friction",), _estimate_only, None),
         ("band", "deviation: half the band", (f"{_DIAGNOSE}:add_band_deviation",), _third, None),
         ("model_residual", "deviation: open residual of a model", (f"{_DIAGNOSE}:add_left_open_deviation",), _third, None),
         ("scale", "deviation: torque constant", (f"{_DIAGNOSE}:add_scale_deviation",), lambda _, estimate, selected: estimate, None),
