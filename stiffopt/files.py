@@ -250,6 +250,11 @@ def read_document(
     return validate(model, data, path)
 
 
+def pick(own: object, *names: str) -> dict[str, Any]:
+    """Return some attributes by name."""
+    return {name: getattr(own, name) for name in names}
+
+
 def to_json_types(value: object) -> Any:
     """Convert a value to JSON types, dataclasses to their fields; infinite numbers become null."""
     if hasattr(value, "__dataclass_fields__"):

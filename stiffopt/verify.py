@@ -20,9 +20,8 @@ from stiffopt.preload.study import named_values, preload_study
 from stiffopt.problem.cycle_files import is_cycle, load_cycle
 from stiffopt.problem.schema import ExpectedSection
 from stiffopt.result.cycle import CycleSolution
-from stiffopt.result.progress import ProgressCallback, SolveProgress
 from stiffopt.result.solution import Solution
-from stiffopt.result.status import SolveStatus
+from stiffopt.result.status import ProgressCallback, SolveProgress, SolveStatus
 from stiffopt.solver.monitor import Progress
 from stiffopt.solver.solve import solve
 from stiffopt.units import convert

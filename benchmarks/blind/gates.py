@@ -76,13 +76,13 @@ def _all(_: Any, comparison: Any, effects: Sequence[Any], *__: Any) -> list[Any]
     return list(effects)
 
 
-def _ranked_only(gate: Any, comparison: Any, current: Any, *rest: Any) -> Any:
+def _ranked_only(gate: Any, comparison: Any, current: Any, *rest: Any, **_: Any) -> Any:
     from stiffopt.discovery.search.rivals import rank_effects
 
     return current, rank_effects(current, *rest)
 
 
-def _exchanged(found: Any, comparison: Any, current: Any, effects: Any, *_: Any) -> bool:
+def _exchanged(found: Any, comparison: Any, current: Any, effects: Any, *_: Any, **__: Any) -> bool:
     return _keys([r.located for r in found[1]]) != _keys(effects)
 
 
@@ -97,12 +97,6 @@ def _keep_all(_: Any, selected: Any, estimated: Any, *__: Any) -> Any:
 
 def _dropped(found: Any, selected: Any, *_: Any) -> bool:
     return len(found[0]) != len(selected)
-
-
-def _estimate_only(_: Any, training: Any, comparison: Any, found: Any) -> Any:
-    from stiffopt.discovery.search.uncertainty import estimate_parameters
-
-    return tuple(found), estimate_parameters(comparison, [each.located for each in found])
 
 
 def _always(value: Any) -> Callable[..., Any]:
@@ -140,12 +134,9 @@ GATES = tuple(
         ("outside_values", "values beyond tolerance claimed", (f"{_SEARCH}.search:claim_outside_values",), lambda _, start, current, ranked, *__: (current, ranked), lambda found, start, current, ranked, *_: found[1] is not ranked),
         ("tournament", "tournament of models", (f"{_SEARCH}.search:hold_tournament",), lambda gate, *given: tuple(sorted(gate(*given), key=lambda each: each.name != "effects of the catalogue")), None),
         ("explained", "channels have to be explained", (f"{_DIAGNOSE}:assess_findings",), _keep_found, None),
-        ("faint", "faint dependence on signals", (f"{_JUDGING}.unexplained:_find_faint_remainder",), _always(None), None),
         ("noise_excess", "noise above the stated one", (f"{_JUDGING}.unexplained:_noise_excess",), _always(1.0), None),
-        ("elastic_mode", "residual at an elastic mode", (f"{_JUDGING}.unexplained:_is_elastic_mode",), _always(False), None),
         ("bursts", "bursts above the band", (f"{_DIAGNOSE}:find_bursts",), _always(None), None),
         ("significance", "2 deviations from zero, all counted", (f"{_DIAGNOSE}:drop_insignificant",), _keep_all, _dropped),
-        ("moving_samples", "friction refitted to moving samples", (f"{_DIAGNOSE}:refit_friction",), _estimate_only, None),
         ("band", "deviation: half the band", (f"{_DIAGNOSE}:add_band_deviation",), _third, None),
         ("model_residual", "deviation: open residual of a model", (f"{_DIAGNOSE}:add_left_open_deviation",), _third, None),
         ("scale", "deviation: torque constant", (f"{_DIAGNOSE}:add_scale_deviation",), lambda _, estimate, selected: estimate, None),

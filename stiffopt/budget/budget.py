@@ -6,14 +6,60 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from stiffopt.budget.elasticity import elastic_errors, hysteresis_sources, servo_errors
-from stiffopt.budget.ellipsoids import magnitude_bound
-from stiffopt.budget.geometry import geometric_sources
-from stiffopt.budget.sources import GROUPS, ErrorSource, KnownError, States, ToolJacobians
+from stiffopt.budget.sources import (
+    GROUPS,
+    ErrorSource,
+    KnownError,
+    States,
+    ToolJacobians,
+    geometric_sources,
+)
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.robot.robot import Robot
 from stiffopt.robot.tolerances import Tolerances
+
+# Confidence of every bound.
+CONFIDENCE = 0.95
+
+
+def semi_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return semi-axes of the ellipsoids that hold 95 % of the errors about their mean.
+
+    `covariance` (K, 3, 3). `lengths` (K, 3): the longest first. `directions` (K, 3, 3): as columns.
+    """
+    squares, axes = np.linalg.eigh(covariance)
+    lengths = np.sqrt(float(_chi_squared_quantile(3.0)) * np.maximum(squares, 0.0))
+    return lengths[:, ::-1], axes[:, :, ::-1]
+
+
+def magnitude_bound(mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Return the 95 % quantile (K,) of the length of errors of this mean and covariance.
+
+    `mean` (K, 3). `covariance` (K, 3, 3). The squared length is a quadratic form of normal
+    variables. A shifted chi-squared variable takes its first three cumulants (Pearson 1959, Imhof
+    1961); the 95 % quantile of the length then has an error below 1 %.
+    """
+    squares, axes = np.linalg.eigh(covariance)
+    squares = np.maximum(squares, 0.0)
+    along = np.square(np.einsum("kij,ki->kj", axes, mean))
+    first = np.sum(squares + along, axis=1)
+    second = 2.0 * np.sum(squares**2 + 2.0 * squares * along, axis=1)
+    third = 8.0 * np.sum(squares**3 + 3.0 * squares**2 * along, axis=1)
+    # Without spread the length is that of the mean.
+    spread = second > 0.0
+    safe_second, safe_third = np.where(spread, second, 1.0), np.where(spread, third, 1.0)
+    freedom = 8.0 * safe_second**3 / safe_third**2
+    quantile = (_chi_squared_quantile(freedom) - freedom) / np.sqrt(2.0 * freedom)
+    square = first + np.where(spread, np.sqrt(safe_second) * quantile, 0.0)
+    return np.asarray(np.sqrt(np.maximum(square, 0.0)))
+
+
+def _chi_squared_quantile(freedom: float | np.ndarray) -> np.ndarray:
+    # Loading scipy.stats takes longer than many a solve.
+    return np.asarray(2.0 * scipy.special.gammaincinv(0.5 * freedom, CONFIDENCE))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -120,3 +166,26 @@ def error_budget(model: ErrorModel, states: States) -> ErrorBudget:
 
 def _sum_effects(errors: Sequence[KnownError], count: int) -> np.ndarray:
     return sum((each.effect for each in errors), np.zeros((count, 6)))
+
+
+def list_assumptions(model: ErrorModel, *, solved: bool) -> tuple[str, ...]:
+    """Return the assumptions of a budget; `solved`: of a solved motion."""
+    found = [
+        "Errors are small: their effects on the tool are linear and add up.",
+        "Sources are independent; uncertain parameters lie evenly between their bounds, geometric "
+        "tolerances are 95 % bounds: those of [tolerances], with typical defaults.",
+        "Output bearings and links yield where the robot file says so, and are rigid elsewhere."
+        if model.robot.tilts
+        else "Bearings and links are rigid: joints yield about their axes only.",
+        "Springs carry the torque of the motion without vibration: `stiffopt simulate` adds it.",
+        *model.uncertainty.statements(model.robot.payload is not None),
+    ]
+    if not solved:
+        found.append("The motion is the quintic one at the least duration that the problem allows.")
+    if model.compensated:
+        found.append("The command leads by the wind-up: only its uncertain part is an error.")
+    elif model.robot.yields:
+        found.append("Motors follow the plan: the wind-up is an error, known as it is.")
+    if model.robot.hysteresis is None or not np.any(model.robot.hysteresis):
+        found.append("No joint states its hysteresis: loops of typical width are assumed.")
+    return tuple(found)

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.budget.budget import POSITION, ErrorBudget
-from stiffopt.budget.geometry import geometric_sources
-from stiffopt.budget.sources import States, ToolJacobians
+from stiffopt.budget.sources import States, ToolJacobians, geometric_sources
 from stiffopt.formatting import listed
 
 if TYPE_CHECKING:

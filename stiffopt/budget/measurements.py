@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stiffopt.budget.budget import POSITION, ErrorBudget, ErrorModel
-from stiffopt.budget.ellipsoids import magnitude_bound
+from stiffopt.budget.budget import POSITION, ErrorBudget, ErrorModel, magnitude_bound
 from stiffopt.budget.sources import States
 
 # Standard deviation of one component of a laser tracker at a few metres [m].

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from stiffopt.budget.budget import ORIENTATION, POSITION, ErrorBudget
-from stiffopt.budget.ellipsoids import CONFIDENCE, semi_axes
+from stiffopt.budget.budget import CONFIDENCE, ORIENTATION, POSITION, ErrorBudget, semi_axes
 from stiffopt.budget.measurements import Measurement
 from stiffopt.budget.volume import VolumeBudget
 from stiffopt.files import SCHEMA, atomic_write, write_csv

@@ -30,15 +30,13 @@ def budget(
     arm, whose findings replace the nominal robot. `stiffness`: folder of identify-stiffness of this
     arm, whose confidence replaces that of [uncertainty]. `margin`: of the box around the motion.
     """
-    from stiffopt.budget.assumptions import list_assumptions
-    from stiffopt.budget.budget import ErrorModel, error_budget
+    from stiffopt.budget.budget import ErrorModel, error_budget, list_assumptions
     from stiffopt.budget.identified_stiffness import narrow_stiffness
     from stiffopt.budget.measurements import rank_measurements
     from stiffopt.budget.store import write_budget
     from stiffopt.budget.volume import volume_budget
     from stiffopt.path.load import load_problem
-    from stiffopt.recipe.motion_states import problem_states, solved_states
-    from stiffopt.recipe.stored_result import read_result
+    from stiffopt.recipe.stored_result import problem_states, read_result, solved_states
     from stiffopt.report.pages.budget import print_budget, write_budget_report
     from stiffopt.units import to_si
 

@@ -10,8 +10,7 @@ import casadi as ca
 import numpy as np
 
 from stiffopt.closed_loop.dry_friction import Levels, friction_torque
-from stiffopt.closed_loop.factors import factorize, solve
-from stiffopt.closed_loop.physics import LoopSignals
+from stiffopt.closed_loop.physics import LoopSignals, factorize, solve
 from stiffopt.dynamics.newton_euler import torque_of_bodies
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from stiffopt.closed_loop.factors import factorize, solve
+from stiffopt.closed_loop.physics import factorize, solve
 
 # Turns through all joints.
 _SWEEP_COUNT = 4

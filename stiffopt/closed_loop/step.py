@@ -23,7 +23,7 @@ from stiffopt.closed_loop.dry_friction import (
     friction_torque,
     mean_friction,
 )
-from stiffopt.closed_loop.factors import factorize, solve
+from stiffopt.closed_loop.physics import factorize, solve
 
 _STAGE_WEIGHT = 1.0 + 1.0 / np.sqrt(2.0)
 

@@ -12,16 +12,21 @@ import numpy as np
 
 from stiffopt.certificate.assess import drive_history, drives_of
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE, find_drive_violations
-from stiffopt.command.command_lead import WINDUP_SHARES, CommandLead, ExistingCommand
-from stiffopt.command.force_compensation import force_lead, led_against_force
+from stiffopt.command.command_lead import (
+    WINDUP_SHARES,
+    CommandLead,
+    ExistingCommand,
+    force_lead,
+    led_against_force,
+)
 from stiffopt.command.smoothing_width import KNOT_SPACINGS, motors_with_sufficient_smoothing
 from stiffopt.elastic.bearings import LedPlan, bearing_lead
+from stiffopt.elastic.led_error import worst_levels
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import REST, simulate
 from stiffopt.elastic.smooth_motion import smooth_motion
 from stiffopt.elastic.uncertain_arms import Member, UncertainArms
 from stiffopt.elastic.uncertainty import Departure, ParameterBox
-from stiffopt.elastic.worst_arms import worst_levels
 from stiffopt.problem.formulation import law_smoothing
 from stiffopt.problem.motor_model import MotorLaw
 from stiffopt.result.compensation import CompensatedMotion, PartPeaks, Spread, Spreads

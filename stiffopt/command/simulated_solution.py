@@ -33,9 +33,8 @@ from stiffopt.interrupts import end_deferral, until_interrupted
 from stiffopt.problem.motor_model import MotorLaw
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import ResolvedMotion
-from stiffopt.result.progress import ProgressCallback, SolveProgress
 from stiffopt.result.simulation import Simulation
-from stiffopt.result.status import SolveStatus
+from stiffopt.result.status import ProgressCallback, SolveProgress, SolveStatus
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem

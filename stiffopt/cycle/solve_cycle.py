@@ -29,9 +29,8 @@ from stiffopt.problem.trajectory import Target, TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.cycle import CycleSolution, LegResult, RivalCycle
 from stiffopt.result.duty import DutyUse
-from stiffopt.result.progress import ProgressCallback, SolveProgress
 from stiffopt.result.solution import ObjectiveValue, Solution
-from stiffopt.result.status import SolveStatus
+from stiffopt.result.status import ProgressCallback, SolveProgress, SolveStatus
 from stiffopt.solver.solve import solve
 
 # Rounds of the split; each solves every leg whose duration changed.

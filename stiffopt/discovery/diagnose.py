@@ -41,7 +41,6 @@ from stiffopt.discovery.judging.detection_limits import detection_limits
 from stiffopt.discovery.judging.ensemble import recurrence
 from stiffopt.discovery.judging.episodes import training_tracks
 from stiffopt.discovery.judging.explained_shares import split_extension
-from stiffopt.discovery.judging.friction_refit import refit_friction
 from stiffopt.discovery.judging.held_out import HeldOutRuns
 from stiffopt.discovery.judging.left_open import add_left_open_deviation, build_left_open
 from stiffopt.discovery.judging.modes import mode_shifts
@@ -78,7 +77,6 @@ from stiffopt.discovery.steps import (
     BURSTS,
     ENSEMBLE,
     EXPERIMENT,
-    FRICTION,
     HALF_BAND,
     LAWS,
     LIMITS,
@@ -396,8 +394,7 @@ def _estimate_parameters(
         return tuple(found), steps.finish(lambda: estimate_parameters(comparison, located))
 
     def refined(found: Sequence[Selected]) -> tuple[tuple[Selected, ...], Estimate]:
-        refit = partial(refit_friction, training, comparison, found)
-        kept, first = steps.run(FRICTION, refit) or fitted(found)
+        kept, first = fitted(found)
         other = steps.run(HALF_BAND, lambda: add_band_deviation(comparison, half_band(), first))
         return kept, add_left_open_deviation(training, other or first)
 

@@ -30,10 +30,6 @@ BANDS = Step(
     "choose how fast a motion predictions follow", "predicted torques follow the band of the fit."
 )
 LAWS = Step("", "no law beyond the catalogue was searched for.")
-FRICTION = Step(
-    "refit friction to all moving samples where that predicts better",
-    "friction is that of the fit, without samples near standstill.",
-)
 HALF_BAND = Step(
     "fit the parameters again in half the band",
     "standard deviations do not include a fit in half the band.",

@@ -30,7 +30,7 @@ from stiffopt.discovery.laws.law_file import WrittenLaw, law_file_text
 from stiffopt.discovery.position_fit import PositionRun, loop_values
 from stiffopt.discovery.prediction import Prediction
 from stiffopt.discovery.signals import RobotConstants
-from stiffopt.files import SCHEMA, atomic_write, to_json_types
+from stiffopt.files import SCHEMA, atomic_write, pick, to_json_types
 from stiffopt.recording.signals import Signals
 
 ANSWER_FILE = "diagnosis.json"
@@ -101,7 +101,7 @@ def answer_document(diagnosis: Diagnosis) -> dict[str, Any]:
         "simulation": loop_values(diagnosis.closed_loop, diagnosis.recordings.prismatic),
         "detection_limits": [
             {"effect": limit.effect.name, "state": _name_state(limit.effect)}
-            | _pick(limit, "joint", "parameter", "value", "unit")
+            | pick(limit, "joint", "parameter", "value", "unit")
             for limit in diagnosis.detection_limits
         ],
         "modes": [vars(mode) for mode in diagnosis.modes],
@@ -113,27 +113,21 @@ def answer_document(diagnosis: Diagnosis) -> dict[str, Any]:
             {name: value for name, value in vars(each).items() if name != "tables"}
             for each in diagnosis.lawless
         ],
-        "next_experiment": diagnosis.next_experiment,
-        "stopped": diagnosis.stopped,
+        **pick(diagnosis, "next_experiment", "stopped"),
         "assumptions": list(diagnosis.assumptions),
         "doubts": [doubt.as_dict() for doubt in diagnosis.doubts],
         "runs": [
             {"run": proof.run.name, "role": proof.run.role}
-            | _pick(proof, "nrmse_before", "nrmse_after")
+            | pick(proof, "nrmse_before", "nrmse_after")
             for proof in diagnosis.held_out
         ],
         "faults": [
-            {"run": run} | _pick(fault, "signal", "joint", "kind", "detail", "left_out")
+            {"run": run} | pick(fault, "signal", "joint", "kind", "detail", "left_out")
             for run, fault in diagnosis.faults
         ],
     }
     found: dict[str, Any] = to_json_types(document)
     return found
-
-
-def _pick(own: object, *names: str) -> dict[str, Any]:
-    """Return some attributes by name."""
-    return {name: getattr(own, name) for name in names}
 
 
 def written_laws(diagnosis: Diagnosis) -> list[WrittenLaw]:
@@ -158,18 +152,17 @@ def _finding_entry(statement: Statement, constants: RobotConstants) -> dict[str,
     return {
         "effect": finding.effect.name,
         "state": _name_state(finding.effect),
-        **_pick(finding, "joint", "probability", "certainty"),
+        **pick(finding, "joint", "probability", "certainty"),
         "statement": statement.sentence,
         "to_do": statement.action,
         "equation": finding.effect.equation,
         "parameters": {
-            p.name: _pick(p, "value", "sd", "unit", "determined") for p in finding.parameters
+            p.name: pick(p, "value", "sd", "unit", "determined") for p in finding.parameters
         },
-        "where": finding.where,
-        "link": finding.link,
+        **pick(finding, "where", "link"),
         "run": finding.located.run,
-        **_pick(finding, "variance_explained", "channel", "held_out_ratio"),
-        "size": None if finding.size is None else _pick(finding.size, "value", "sd", "unit"),
+        **pick(finding, "variance_explained", "channel", "held_out_ratio"),
+        "size": None if finding.size is None else pick(finding.size, "value", "sd", "unit"),
         "confused_with": [
             _rival_entry(rival, constants)
             for rival in finding.rivals
@@ -186,7 +179,7 @@ def _law_entry(found: FoundLaw) -> dict[str, Any]:
         "equation": found.law.equation,
         "signals": [factor.source.symbol for factor in found.law.factors],
         "forms": [factor.form for factor in found.law.factors],
-        **_pick(found, "explained", "attainable"),
+        **pick(found, "explained", "attainable"),
         "laws_tried": found.tried,
         "log_evidence": found.evidence,
     }
@@ -219,8 +212,7 @@ def _share_entry(share: MismatchShare) -> dict[str, Any]:
         "joints": []
         if part is None
         else sorted({e.joint + 1 for e in part.effects if e.joint is not None}),
-        "measured": share.measured,
-        "share": share.share,
+        **pick(share, "measured", "share"),
     }
 
 
@@ -285,7 +277,7 @@ def _unexplained_entry(unexplained: Unexplained) -> dict[str, Any]:
         "channels": list(unexplained.channels),
         "regressors": list(unexplained.regressors),
         "gain_heldout": unexplained.gain,
-        **_pick(unexplained, "period", "ratio", "left", "brief"),
+        **pick(unexplained, "period", "ratio", "left", "brief"),
         "tool_force": None if unexplained.tool_force is None else vars(unexplained.tool_force),
         "held_out": None if unexplained.held_out is None else vars(unexplained.held_out),
         "alone": None

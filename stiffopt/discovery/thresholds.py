@@ -115,8 +115,8 @@ OPEN_RATIO, OPEN_SHARE = 10.0, 0.5
 # Without findings, a residual is significant from this ratio on, or if flexible functions of the
 # signals predict this share of it in runs left out; else the noise exceeds the stated one.
 REMAINDER_RATIO, REMAINDER_SHARE = 1.8, 0.25
-# Closer to the noise, from the first ratio on, if the dependence on signals removes the second
-# share of its square in runs left out.
+# From this ratio on a channel near the noise is searched for a law, and from this share of the
+# residual's excess on a dependence on signals is told.
 FAINT_RATIO, FAINT_SHARE = 1.05, 0.1
 
 # ---- Torque bursts [0024, 0070]

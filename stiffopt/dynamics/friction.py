@@ -45,9 +45,7 @@ def drive_torque(
     friction load the drive but not the spring. Dry friction is smoothed within 1 % of
     `velocity_max`; where that is infinite, of 1 rad/s or 1 m/s.
     """
-    width: Quantity = DRY_FRICTION_WIDTH_SHARE * np.where(
-        np.isfinite(velocity_max), velocity_max, 1.0
-    )
+    width: Quantity = dry_friction_width(velocity_max)
     if isinstance(velocity, ca.SX | ca.MX):
         rotor_inertia, coulomb, viscous, width = (
             ca.DM(np.asarray(x, dtype=float)) for x in (rotor_inertia, coulomb, viscous, width)

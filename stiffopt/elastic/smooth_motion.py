@@ -1,4 +1,4 @@
-"""Smoothing of a planned motion for feedforward by the wind-up of an elastic arm.
+"""Smoothing of a planned motion, for feedforward by the wind-up of an elastic arm or by averaging.
 
 Motor accelerations that lead by the wind-up contain the fourth derivative of the link motion, which
 a jerk-limited plan does not have. The nearest spline of degree 7 has six continuous derivatives;
@@ -11,6 +11,7 @@ Source: least-squares splines, de Boor (2001), "A practical guide to splines", c
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import factorial
 
 import numpy as np
@@ -50,3 +51,41 @@ def smooth_motion(plan: JointMotion, spacing: float) -> Trajectory:
     return Trajectory.from_acceleration(
         breaks, np.stack(acceleration, axis=1), wanted[0], np.zeros(wanted.shape[1])
     )
+
+
+# Samples of the motion that is averaged.
+_AVERAGING_SAMPLES = 8001
+
+
+@dataclass(frozen=True, eq=False)
+class AveragedMotion:
+    """Motion averaged over a window before each instant, longer by that window."""
+
+    motion: JointMotion
+    window: float  # averaging window [s]
+
+    @property
+    def duration(self) -> float:
+        """Duration [s]."""
+        return self.motion.duration + self.window
+
+    def __call__(self, t: np.ndarray, order: int = 0) -> np.ndarray:
+        """Return positions (K, n) at times (K,); derivatives are not available."""
+        if order:
+            raise ValueError("only the position of an averaged motion is known")
+        travelled = self._position_integral(t) - self._position_integral(
+            np.asarray(t) - self.window
+        )
+        return np.asarray(travelled / self.window)
+
+    def _position_integral(self, t: np.ndarray) -> np.ndarray:
+        """Return the integral of the position from the start (K, n), at rest outside the motion."""
+        end = self.motion.duration
+        times = np.linspace(0.0, end, _AVERAGING_SAMPLES)
+        position = self.motion(times)
+        whole = scipy.interpolate.CubicHermiteSpline(
+            times, position, self.motion(times, 1)
+        ).antiderivative()
+        outside = np.minimum(t, 0.0)[:, None] * position[0]
+        outside += np.maximum(np.asarray(t) - end, 0.0)[:, None] * position[-1]
+        return np.asarray(whole(np.clip(t, 0.0, end)) + outside)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from stiffopt.certificate.assess import assess
-from stiffopt.files import atomic_write, to_json_types
+from stiffopt.files import atomic_write, pick, to_json_types
 from stiffopt.improvement.improvement import AssessedMotion, Improvement
 from stiffopt.result.compensation import COMMAND_FILE, compensation_document, write_command
 from stiffopt.result.simulation import simulated_document
@@ -47,9 +47,7 @@ def improvement_document(found: Improvement) -> dict[str, Any]:
         "schema": 1,
         "kept": found.kept,
         "duration": found.plan.duration,
-        "retimed": found.retimed,
-        "path_deviation": found.path_deviation,
-        "margins": found.margins,
+        **pick(found, "retimed", "path_deviation", "margins"),
         "trajectory": TRAJECTORY_FILE if found.kept else None,
         "given": _motion_document(found.given),
         "improved": _motion_document(found.improved),

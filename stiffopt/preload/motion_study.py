@@ -23,10 +23,9 @@ from stiffopt.preload.problem import PreloadProblem
 from stiffopt.preload.solution import PreloadSolution
 from stiffopt.problem.objective import OBJECTIVES
 from stiffopt.problem.trajectory import TrajectoryProblem
-from stiffopt.result.progress import ProgressCallback, SolveProgress
 from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.solution import Solution
-from stiffopt.result.status import SolveStatus
+from stiffopt.result.status import ProgressCallback, SolveProgress, SolveStatus
 from stiffopt.solver.family import ProblemFamily, WarmStart
 from stiffopt.solver.monitor import Progress
 

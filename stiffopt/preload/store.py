@@ -15,7 +15,7 @@ import numpy as np
 from stiffopt.connection import Bolt
 from stiffopt.drivetrain.tables import with_own
 from stiffopt.fastening.utilisation import SAFETY_FACTORS, UtilisationRow
-from stiffopt.files import SCHEMA, to_json_types, write_csv, write_json
+from stiffopt.files import SCHEMA, pick, to_json_types, write_csv, write_json
 from stiffopt.preload.bolt_sheet import BoltSheet, bolt_sheets
 from stiffopt.preload.catalogue_choice import CatalogueChoice
 from stiffopt.preload.catalogue_designs import CatalogueDesign
@@ -45,8 +45,7 @@ def study_document(study: PreloadStudy) -> dict[str, Any]:
                 "value": solution.objective,
                 "unit": OBJECTIVES[problem.objective],
             },
-            "preloads": solution.preloads,
-            "individual": solution.individual,
+            **pick(solution, "preloads", "individual"),
             "least_preloads": {e.key: e.least(solution.preloads[e.key]) for e in problem.elements},
             "tightening_torques": solution.tightening,
             "utilisations": {row.name: row.utilisation for row in solution.rows},
@@ -54,8 +53,7 @@ def study_document(study: PreloadStudy) -> dict[str, Any]:
             **_stiffness_entries(study),
             "tool_deflection": _values_by_case(solution, solution.deflection),
             "tool_deflection_before": _values_by_case(solution, solution.deflection_before),
-            "kkt_residual": solution.kkt_residual,
-            "iterations": solution.iterations,
+            **pick(solution, "kkt_residual", "iterations"),
             "values": {name: value for name, (value, _) in named_values(study).items()},
             "rows": [
                 {"name": row.name, **vars(row), "active": row.active} for row in solution.rows
@@ -63,14 +61,7 @@ def study_document(study: PreloadStudy) -> dict[str, Any]:
             "bolts": {sheet.key: _sheet_entry(sheet) for sheet in sheets},
             "stoppers": solution.stoppers,
             "load_cases": [
-                {
-                    "name": c.name,
-                    "torque": c.torque,
-                    "wrench": c.wrench,
-                    "time": c.time,
-                    "source": c.source,
-                }
-                for c in solution.cases
+                pick(c, "name", "torque", "wrench", "time", "source") for c in solution.cases
             ],
             "tightening": {**vars(problem.tightening), "scatter": problem.tightening.alpha},
             "front": study.front,
@@ -82,8 +73,7 @@ def study_document(study: PreloadStudy) -> dict[str, Any]:
             },
             "loosening": study.loosening,
             "motion": None if study.motion is None else _motion_entry(study.motion),
-            "notes": study.notes,
-            "seconds": study.seconds,
+            **pick(study, "notes", "seconds"),
             "inputs_hash": study_hash(problem),
             "versions": study.versions,
         }
@@ -157,28 +147,19 @@ def _safety_entry(row: UtilisationRow) -> dict[str, Any]:
     assert row.safety is not None  # governing rows have one
     against, formula = SAFETY_FACTORS[row.safety.symbol]
     return {
-        "value": row.safety.value,
-        "required": row.safety.required,
+        **pick(row.safety, "value", "required"),
         "against": against,
         "formula": formula,
-        "equation": row.equation,
-        "case": row.case,
+        **pick(row, "equation", "case"),
     }
 
 
 def _choice_entry(choice: CatalogueChoice) -> dict[str, Any]:
     return {
-        "status": choice.status,
-        "message": choice.message,
-        "objective": choice.objective,
-        "cost": choice.cost,
-        "gap": choice.gap,
+        **pick(choice, "status", "message", "objective", "cost", "gap"),
         "designs": {key: _design_entry(design) for key, design in choice.designs.items()},
         "table": [{**vars(row), "design": _design_entry(row.design)} for row in choice.table],
-        "proof": choice.proof,
-        "tie_proofs": choice.tie_proofs,
-        "stoppers": choice.stoppers,
-        "ways": choice.ways,
+        **pick(choice, "proof", "tie_proofs", "stoppers", "ways"),
     }
 
 

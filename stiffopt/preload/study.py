@@ -21,9 +21,8 @@ from stiffopt.preload.problem import OBJECTIVES, FreeElement, PreloadProblem
 from stiffopt.preload.sensitivity import Loosening, Sensitivity, loosening, sensitivity
 from stiffopt.preload.solution import PreloadSolution, largest_utilisation
 from stiffopt.problem.trajectory import TrajectoryProblem
-from stiffopt.result.progress import SolveProgress
 from stiffopt.result.provenance import versions
-from stiffopt.result.status import SolveStatus
+from stiffopt.result.status import SolveProgress, SolveStatus
 from stiffopt.solver.monitor import Progress
 
 

@@ -19,9 +19,9 @@ from stiffopt.recipe.stored_result import (
     read_problem,
     read_state,
 )
-from stiffopt.result.progress import ProgressCallback
 from stiffopt.result.provenance import versions
 from stiffopt.result.solution import Solution
+from stiffopt.result.status import ProgressCallback
 from stiffopt.result.store import RESULT_FILE, read_document
 from stiffopt.solver.family import ProblemFamily
 

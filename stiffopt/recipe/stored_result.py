@@ -1,4 +1,4 @@
-"""Results of earlier solves, read from their folder for a simulation or as an initial guess."""
+"""Results of earlier solves: read for a simulation, an initial guess or an error budget."""
 
 from __future__ import annotations
 
@@ -10,10 +10,13 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline, make_interp_spline
 
+from stiffopt.baseline.baselines import quintic_motion
+from stiffopt.budget.sources import States
 from stiffopt.certificate.assess import assess
 from stiffopt.certificate.violations import CERTIFICATE_TOLERANCE
 from stiffopt.command.command_lead import ExistingCommand
 from stiffopt.command.simulation import PlannedMotion, rival_motions
+from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import InputFileError, shortened
 from stiffopt.folders import check_result, is_regular
@@ -319,3 +322,35 @@ class _TableMotion:
 
     def __call__(self, t: np.ndarray, order: int = 0) -> np.ndarray:
         return np.asarray(self._orders[order](t))
+
+
+# Instants of a budget along a motion.
+_INSTANT_COUNT = 121
+
+
+def problem_states(problem: TrajectoryProblem) -> States:
+    """Return the states of the quintic motion of a problem, at the least duration allowed."""
+    motion = MotorMotion.of(quintic_motion(problem, resolve(problem)))
+    return _sample_states(motion, motion, problem)
+
+
+def solved_states(stored: StoredResult) -> States:
+    """Return the states of a solved motion; the servos follow its command, if there is one."""
+    own = stored.optimised
+    motion = MotorMotion(own.time, own.position, own.velocity)
+    command = motion if stored.command is None else MotorMotion.of(stored.command.motors)
+    return _sample_states(motion, command, stored.problem)
+
+
+def _sample_states(motion: MotorMotion, command: MotorMotion, problem: TrajectoryProblem) -> States:
+    time = np.linspace(0.0, motion.duration, _INSTANT_COUNT)
+    # Commands are sent ahead of the plan by the known dead time.
+    followed = problem.servo.follow(command, motion.duration, problem.led_servo.dead_time)
+    lag = followed.position(time) - motion.position(time)
+    return States(
+        time=time,
+        position=motion(time),
+        velocity=motion(time, 1),
+        acceleration=motion(time, 2),
+        lag=lag,
+    )

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from stiffopt.files import pick
 from stiffopt.result.assessment import Assessment, Violation
 from stiffopt.result.motion_table import write_motion_table
 from stiffopt.result.simulation import SimulatedMotion, simulated_document
@@ -287,11 +288,9 @@ def _spreads_document(spreads: Spreads) -> dict[str, Any]:
 
 def _spread_document(spread: Spread) -> dict[str, Any]:
     return {
-        "nominal": spread.nominal,
-        "worst": spread.worst,
+        **pick(spread, "nominal", "worst"),
         "bound_95": spread.bound,
-        "worst_case": spread.worst_case,
-        "worst_arm": spread.worst_arm,
+        **pick(spread, "worst_case", "worst_arm"),
         "parts": {name: dict(vars(part)) for name, part in spread.parts.items()},
         "draws": spread.draws,
     }

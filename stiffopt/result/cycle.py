@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stiffopt.files import SCHEMA, to_json_types, write_json
+from stiffopt.files import SCHEMA, pick, to_json_types, write_json
 from stiffopt.result.motion_table import write_motion_table
 from stiffopt.result.provenance import versions
 from stiffopt.result.solution import ObjectiveValue, Solution
@@ -159,8 +159,7 @@ def cycle_document(solution: CycleSolution) -> dict[str, Any]:
     document = {
         "schema": SCHEMA,
         "status": str(solution.status),
-        "message": solution.message,
-        "title": solution.title,
+        **pick(solution, "message", "title"),
         "objective": None if solution.objective is None else dict(vars(solution.objective)),
         "duration": solution.duration,
         "legs": [
@@ -169,13 +168,8 @@ def cycle_document(solution: CycleSolution) -> dict[str, Any]:
                 "folder": leg_folder(number),
                 "moves": leg.moves,
                 "status": str(leg.solution.status),
-                "start": leg.start,
-                "arrival": leg.arrival,
-                "dwell": leg.dwell,
-                "until_settled": leg.until_settled,
-                "event": leg.event,
-                "mass_before": leg.mass_before,
-                "mass_after": leg.mass_after,
+                **pick(leg, "start", "arrival", "dwell", "until_settled"),
+                **pick(leg, "event", "mass_before", "mass_after"),
                 "objective": None
                 if leg.solution.objective is None
                 else leg.solution.objective.value,

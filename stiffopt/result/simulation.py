@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from stiffopt.files import pick
 from stiffopt.result.tool_error import ERROR_PARTS, ToolError
 
 # Default band within which a tool counts as settled [m].
@@ -168,8 +169,7 @@ def simulation_document(simulation: Simulation | None) -> dict[str, Any] | None:
         return None
     return {
         "motions": {motion.name: _elastic_document(motion) for motion in simulation.motions},
-        "assumed_damping": simulation.assumed_damping,
-        "typical_hysteresis": simulation.typical_hysteresis,
+        **pick(simulation, "assumed_damping", "typical_hysteresis"),
     }
 
 

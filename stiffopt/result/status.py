@@ -1,7 +1,9 @@
-"""Status of a solve, with exit code and sentence."""
+"""Status of a solve, with exit code and sentence, and its progress for callbacks."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from enum import StrEnum
 
 
@@ -64,3 +66,18 @@ _STATUS_SENTENCES = {
         "this motion."
     ),
 }
+
+
+@dataclass(frozen=True)
+class SolveProgress:
+    """One iteration, for displays."""
+
+    stage: str  # number of the stage, intervals and smoothing
+    iteration: int
+    objective: float  # in SI, of the smoothed model at the nodes
+    violation: float  # worst row, relative to its scale
+    row: str  # its name; empty without a violation
+    elapsed: float  # since the solve began [s]
+
+
+ProgressCallback = Callable[[SolveProgress], object]

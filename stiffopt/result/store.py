@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stiffopt.errors import InputError, InputFileError
-from stiffopt.files import SCHEMA, load_json, to_json_types, write_json
+from stiffopt.files import SCHEMA, load_json, pick, to_json_types, write_json
 from stiffopt.folders import check_result
 from stiffopt.result.assessment import Assessment, Violation
 from stiffopt.result.compensation import (
@@ -83,19 +83,15 @@ def result_document(solution: Solution) -> dict[str, Any]:
     document = {
         "schema": SCHEMA,
         "status": str(solution.status),
-        "message": solution.message,
-        "objective": solution.objective,
-        "duration": solution.duration,
+        **pick(solution, "message", "objective", "duration"),
         "certificate": _certificate_document(solution.assessment),
         "baselines": {name: _baseline_document(each) for name, each in solution.baselines.items()},
         "ratio_to_better_baseline": solution.ratio_to_better_baseline,
         "strict_baseline": _strict_baseline_document(solution),
-        "solver": solution.solver,
-        "notes": solution.notes,
+        **pick(solution, "solver", "notes"),
         "simulation": simulation_document(solution.simulation),
         "compensation": compensation_document(solution.compensation),
-        "inputs_hash": solution.inputs_hash,
-        "versions": solution.versions,
+        **pick(solution, "inputs_hash", "versions"),
     }
     found: dict[str, Any] = to_json_types(document)
     return found
@@ -300,8 +296,7 @@ def write_simulation(
         "t": found.time,
         "deviation_": found.error.position,
         "rotation_": found.error.orientation,
-        "along": found.error.along,
-        "across": found.error.across,
+        **pick(found.error, "along", "across"),
         "q": found.position,
         "qd": found.velocity,
         "tau_spring": found.spring_torque,
@@ -330,8 +325,7 @@ def _certificate_document(assessment: Assessment | None) -> dict[str, Any] | Non
         "min_stiffness": assessment.min_stiffness,
         "deflection": assessment.deflection_summary(),
         "violations": [_violation_document(each) for each in assessment.violations],
-        "lowest_stiffness": assessment.lowest_stiffness,
-        "integrals": assessment.integrals,
+        **pick(assessment, "lowest_stiffness", "integrals"),
     }
 
 

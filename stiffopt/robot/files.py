@@ -14,8 +14,7 @@ import pinocchio as pin
 
 from stiffopt.declaration import bounds, unit
 from stiffopt.drivetrain import catalogue
-from stiffopt.drivetrain.bearing import OutputBearing
-from stiffopt.drivetrain.elastic_mount import ElasticMount
+from stiffopt.drivetrain.bearing import ElasticMount, OutputBearing
 from stiffopt.drivetrain.tables import OwnEntries
 from stiffopt.errors import InputError, InputFileError, nearest
 from stiffopt.files import apply_changes, check_header, load_toml

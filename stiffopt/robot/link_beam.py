@@ -14,7 +14,7 @@ import numpy as np
 
 from stiffopt.declaration import POSITIVE, Doc, Length, Named, check_fields
 from stiffopt.drivetrain import catalogue
-from stiffopt.drivetrain.elastic_mount import ElasticMount
+from stiffopt.drivetrain.bearing import ElasticMount
 from stiffopt.errors import InputError
 from stiffopt.robot.joint_load import complete_axes
 

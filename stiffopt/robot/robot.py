@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from stiffopt.drivetrain.bearing import OutputBearing
+from stiffopt.drivetrain.bearing import ElasticMount, OutputBearing
 from stiffopt.drivetrain.chain import Chain
-from stiffopt.drivetrain.elastic_mount import ElasticMount
 from stiffopt.drivetrain.tables import OwnEntries
 from stiffopt.errors import RobotError
 from stiffopt.robot.added_torque import AddedTorque

@@ -20,7 +20,7 @@ from stiffopt.path.path_search import FreeSpace
 from stiffopt.problem.input_checks import located_targets
 from stiffopt.result.assessment import Violation
 from stiffopt.result.joint_path import JointPath
-from stiffopt.result.progress import SolveProgress
+from stiffopt.result.status import SolveProgress
 from stiffopt.solver.clearance_rows import ClearanceRows
 from stiffopt.solver.exchange import OutcomeOracle, Proposal, exchange, rank_outcome
 from stiffopt.solver.initial_guess import guess_from_motion

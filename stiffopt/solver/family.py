@@ -28,8 +28,8 @@ from stiffopt.problem.resolve import resolve
 from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
-from stiffopt.result.progress import ProgressCallback
 from stiffopt.result.solution import Solution
+from stiffopt.result.status import ProgressCallback
 from stiffopt.solver.active_set import ActiveSetSolver
 from stiffopt.solver.exchange import interrupted_outcome
 from stiffopt.solver.programme import (

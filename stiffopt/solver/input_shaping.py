@@ -30,9 +30,8 @@ from stiffopt.command.smoothing_width import (
     motors_with_sufficient_smoothing,
 )
 from stiffopt.elastic.arm import ElasticArm
-from stiffopt.elastic.averaged_motion import AveragedMotion
 from stiffopt.elastic.modes import modes
-from stiffopt.elastic.smooth_motion import smooth_motion
+from stiffopt.elastic.smooth_motion import AveragedMotion, smooth_motion
 from stiffopt.errors import ProblemError
 from stiffopt.problem.bounds import shortest_duration
 from stiffopt.problem.input_checks import clearance_at_poses

@@ -19,7 +19,7 @@ from stiffopt.problem.motor_model import LAW_SMOOTHING_FACTOR
 from stiffopt.problem.stage_terms import Smoothing
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment, Violation
-from stiffopt.result.progress import SolveProgress
+from stiffopt.result.status import SolveProgress
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.active_set import ActiveSetSolver
 from stiffopt.solver.exchange import keep_better

@@ -39,18 +39,16 @@ from stiffopt.problem.objective import Scales
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
 from stiffopt.result.assessment import Assessment
-from stiffopt.result.progress import ProgressCallback
 from stiffopt.result.provenance import inputs_hash, versions
 from stiffopt.result.solution import Baseline, Solution
-from stiffopt.result.status import SolveStatus
-from stiffopt.solver.between_rivals import BetweenRivals
+from stiffopt.result.status import ProgressCallback, SolveStatus
+from stiffopt.solver.between_rivals import BetweenRivals, search_rivals
 from stiffopt.solver.collision_avoidance import avoid_collisions
 from stiffopt.solver.exchange import exchange, interrupted_outcome
 from stiffopt.solver.initial_guess import guess_from_motion, initial_guess, perturb_guess
 from stiffopt.solver.input_shaping import Window, mark_solution_interrupted, solve_shaped
 from stiffopt.solver.path_command import led_timing
 from stiffopt.solver.programme import Outcome
-from stiffopt.solver.rival_errors import search_rivals
 from stiffopt.solver.robust_plan import choose_shaped_motion, robust_plan
 from stiffopt.solver.slowing import Slowing
 from stiffopt.solver.solve_run import MIN_SOLVE_TIME, SolveRun

@@ -23,8 +23,8 @@ from stiffopt.problem.formulation import formulate, law_smoothing
 from stiffopt.problem.motor_model import MotorLaw, round_lags
 from stiffopt.problem.objective import Scales
 from stiffopt.problem.trajectory import ResolvedMotion, TrajectoryProblem
-from stiffopt.result.progress import ProgressCallback, SolveProgress
 from stiffopt.result.solution import Baseline
+from stiffopt.result.status import ProgressCallback, SolveProgress
 from stiffopt.solver.clearance_rows import ClearanceRows
 from stiffopt.solver.ipopt import RawSolution
 from stiffopt.solver.stage_plan import SolveStage

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stiffopt.errors import InputError
-from stiffopt.files import SCHEMA, to_json_types
+from stiffopt.files import SCHEMA, pick, to_json_types
 from stiffopt.result.status import SolveStatus
 from stiffopt.sweep.cases import Case
 from stiffopt.units import joint_unit
@@ -63,12 +63,10 @@ def case_document(case: Case, found: CaseResult, seconds: float) -> dict[str, An
     content: dict[str, Any] = to_json_types(
         {
             "schema": SCHEMA,
-            "key": case.key,
-            "base": case.base,
+            **pick(case, "key", "base"),
             "changes": dict(case.changes),
             "start": case.start,
-            "status": found.status,
-            "message": found.message,
+            **pick(found, "status", "message"),
             "values": {
                 name: {"value": value, "unit": unit} for name, (value, unit) in found.values.items()
             },

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from stiffopt.files import SCHEMA, atomic_write, write_csv, write_json
+from stiffopt.files import SCHEMA, atomic_write, pick, write_csv, write_json
 from stiffopt.sweep.cases import Case, Sweep
 from stiffopt.sweep.run import is_unusable
 from stiffopt.sweep.shared_values import SharedValue, shared_values
@@ -158,8 +158,7 @@ class SweepSummary:
         front = self.front()
         return {
             "schema": SCHEMA,
-            "title": self.sweep.title,
-            "kind": self.sweep.kind,
+            **pick(self.sweep, "title", "kind"),
             "cases": len(self.sweep.cases),
             "status": self.statuses(),
             "interrupted": self.interrupted,
@@ -172,10 +171,7 @@ class SweepSummary:
             "front": None
             if front is None
             else {
-                "over": front.over,
-                "unit": front.unit,
-                "values": front.values,
-                "objectives": front.objectives,
+                **pick(front, "over", "unit", "values", "objectives"),
                 "knee": None if front.knee is None else front.values[front.knee],
             },
         }

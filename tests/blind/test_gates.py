@@ -15,11 +15,14 @@ def test_every_gate_can_be_taken_out(gate):
 
 
 def test_a_gate_that_changes_a_result_is_noticed():
-    (mode,) = (gate for gate in GATES if gate.name == "elastic_mode")
-    for taken, notice in ((nullcontext(), {"elastic_mode"}), (without_gate(mode), set())):
+    (excess,) = (gate for gate in GATES if gate.name == "noise_excess")
+    for taken, notice, told in (
+        (nullcontext(), {"noise_excess"}, 2.0),
+        (without_gate(excess), set(), 1.0),
+    ):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(unexplained, "_is_elastic_mode", lambda *_: True)
-            with taken, noticing([mode]) as acted:
-                found = unexplained._is_elastic_mode(None, [], 0)
+            patch.setattr(unexplained, "_noise_excess", lambda _: 2.0)
+            with taken, noticing([excess]) as acted:
+                found = unexplained._noise_excess(None)
         assert acted == notice
-        assert found == bool(notice)
+        assert found == told

@@ -10,8 +10,14 @@ import pinocchio as pin
 import pytest
 from small_arms import ROOT
 
-from stiffopt.budget.budget import ORIENTATION, POSITION, ErrorModel, error_budget
-from stiffopt.budget.ellipsoids import magnitude_bound, semi_axes
+from stiffopt.budget.budget import (
+    ORIENTATION,
+    POSITION,
+    ErrorModel,
+    error_budget,
+    magnitude_bound,
+    semi_axes,
+)
 from stiffopt.budget.floor import geometry_floor
 from stiffopt.budget.identified_stiffness import narrow_stiffness
 from stiffopt.budget.measurements import TRACKER_DEVIATION, rank_measurements

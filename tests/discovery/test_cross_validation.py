@@ -13,7 +13,6 @@ from shipped_set import SHIPPED
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.comparison import solve_boxed
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.judging.friction_refit import _apply_steps, _MovingSamples, refit_friction
 from stiffopt.discovery.search.cross_validation import FoldPredictions
 from stiffopt.discovery.search.left_out_gain import (
     LeftOutGain,
@@ -21,8 +20,6 @@ from stiffopt.discovery.search.left_out_gain import (
     drop_cancelling,
     select_predictive,
 )
-from stiffopt.discovery.search.rivals import Selected
-from stiffopt.discovery.search.uncertainty import estimate_parameters
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import prepare_training
 from stiffopt.recording.recording_set import load_recordings
@@ -88,55 +85,6 @@ def test_cancelling_effects_are_dropped() -> None:
     kept = [e.effect.name for e in drop_cancelling(comparison, found)]
     assert "viscous" in kept
     assert len(kept) == 2  # alone, the other adds no more than there is
-
-
-def test_friction_is_refitted_to_moving_samples() -> None:
-    """A level that is off comes back to what the runs bear out, and is no surer for it."""
-    training = prepare_training(load_recordings(SHIPPED), Settings())
-    constants = training.constants
-    there = LocatedEffect(effect=effect("coulomb"), joint=1)
-    comparison = training.comparison()
-    first = estimate_parameters(comparison, [there])
-    size = there.sizes(constants)[0]
-    off = first.moved(np.array([0.5]))
-    assert off.effects[0].amplitudes[0] == pytest.approx(
-        first.effects[0].amplitudes[0] + 0.5 * size
-    )
-    # Its words follow the sign of the amplitude.
-    assert "more dry friction" in there.effect.phrase_of(off.effects[0].amplitudes)
-    rows = _MovingSamples(training, off, [effect("coulomb").identity])
-    again = _apply_steps(training, off, rows, [effect("coulomb").identity])
-    value, sd = again.parameters(0, there.constants(constants))["dFc"]
-    known, exact = first.parameters(0, there.constants(constants))["dFc"]
-    assert value == pytest.approx(known, rel=0.05)
-    assert sd > 0.4 * size > exact
-
-
-def test_friction_contradicted_by_moving_samples_is_dropped() -> None:
-    """What is there stays as it was estimated; of a joint that has none nothing is claimed."""
-    training = prepare_training(load_recordings(SHIPPED), Settings())
-    comparison = training.comparison()
-    places = [LocatedEffect(effect=effect("coulomb"), joint=j) for j in (0, 1)]
-    wrong = estimate_parameters(comparison, places).moved(np.array([1.0, 0.0]))
-    rows = _MovingSamples(training, wrong, [effect("coulomb").identity])
-    helps = [rows.helps(found, [effect("coulomb").identity], training) for found in wrong.effects]
-    assert helps == [False, True]
-    there = Selected(places[1], 1.0, 1.0, 1.0, (), 1)
-    kept, parameters = refit_friction(training, comparison, [there])
-    assert kept == (there,)
-    known = estimate_parameters(comparison, places[1:]).effects
-    assert parameters.effects[0].amplitudes == known[0].amplitudes
-
-
-def test_link_encoder_offset_is_not_refitted() -> None:
-    """It changes none of them, and goes by nothing that they say."""
-    training = prepare_training(load_recordings(SHIPPED), Settings())
-    comparison = training.comparison()
-    offset = LocatedEffect(effect=effect("encoder_offset"), joint=0)
-    there = LocatedEffect(effect=effect("coulomb"), joint=1)
-    found = [Selected(each, 1.0, 1.0, 1.0, (), 1) for each in (offset, there)]
-    kept, _ = refit_friction(training, comparison, found)
-    assert [each.located for each in kept] == [offset, there]
 
 
 def test_values_beside_others_held_at_their_bounds_are_the_likeliest_ones() -> None:

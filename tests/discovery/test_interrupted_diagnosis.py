@@ -100,7 +100,6 @@ def test_ctrl_c_in_last_stages_keeps_findings(tmp_path, monkeypatch, stage, told
         (searching, "select_predictive", "not compared with their rivals"),
         (rivals, "rank_rivals", "not compared with their rivals"),
         (diagnosing, "assess_findings", "after the search"),
-        (diagnosing, "refit_friction", "without samples near standstill"),
         (conclusions, "left_out_gains", "after the search"),
         (diagnosing, "detection_limits", "detection limits"),
     ],
@@ -233,7 +232,7 @@ def test_ctrl_c_skips_optional_steps(tmp_path, monkeypatch):
         pytest.fail("takes long, and can be left out")
 
     monkeypatch.setattr(diagnosing, "assess_findings", interrupted)
-    for name in ("refit_friction", "add_band_deviation", "detection_limits", "plan_experiment"):
+    for name in ("add_band_deviation", "detection_limits", "plan_experiment"):
         monkeypatch.setattr(diagnosing, name, unasked)
     monkeypatch.setattr(held_out, "BlackBox", unasked)
     found = diagnosing.diagnose(unvouched(tmp_path), progress=said.append)
@@ -245,7 +244,6 @@ def test_ctrl_c_skips_optional_steps(tmp_path, monkeypatch):
     told = " ".join(found.assumptions)
     for left_out in (
         "after the search",
-        "without samples near standstill",
         "in half the band",
         "detection limits",
         "no noise ceiling",

@@ -10,6 +10,7 @@ import pytest
 from elastic_arms import arm, bang, there_and_stop
 
 from stiffopt.elastic import uncertain_arms
+from stiffopt.elastic.led_error import worst_levels
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.servo import Servo
 from stiffopt.elastic.simulate import simulate
@@ -20,7 +21,6 @@ from stiffopt.elastic.uncertainty import (
     Uncertainty,
     bounds_from_deviations,
 )
-from stiffopt.elastic.worst_arms import worst_levels
 from stiffopt.errors import InputError, ProblemError, RobotError
 from stiffopt.result.trajectory import Trajectory, join_motions
 

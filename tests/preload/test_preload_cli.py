@@ -13,7 +13,7 @@ from stiffopt.preload.files import load_study
 from stiffopt.preload.store import study_document
 from stiffopt.preload.study import named_values, preload_study, value_units
 from stiffopt.report.common.progress import StudyProgress
-from stiffopt.result.progress import SolveProgress
+from stiffopt.result.status import SolveProgress
 from stiffopt.solver.monitor import Progress
 
 MORE = """[pareto]

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stiffopt.command.force_compensation import force_lead
+from stiffopt.command.command_lead import force_lead
 from stiffopt.errors import InputError, ProblemError
 from stiffopt.path.timed_path import timed_motion
 from stiffopt.problem.files import load_problem

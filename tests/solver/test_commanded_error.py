@@ -35,11 +35,10 @@ from stiffopt.result.status import SolveStatus
 from stiffopt.result.tool_error import LedError
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.robot.tolerances import Tolerances
-from stiffopt.solver import between_rivals, rival_errors, verdict
-from stiffopt.solver.between_rivals import BetweenRivals
+from stiffopt.solver import between_rivals, verdict
+from stiffopt.solver.between_rivals import BetweenRivals, RivalErrors, search_rivals
 from stiffopt.solver.ipopt import RawSolution
 from stiffopt.solver.programme import solve_stage
-from stiffopt.solver.rival_errors import RivalErrors, search_rivals
 from stiffopt.solver.solve import solve
 from stiffopt.solver.solve_run import SolveRun
 from stiffopt.solver.stage_plan import SolveStage
@@ -274,7 +273,7 @@ def test_correction_that_stalls_near_its_start_is_acceptable(objective, status):
 @pytest.mark.parametrize(("converged", "sought"), [(True, 1), (False, 0)])
 def test_rivals_are_sought_for_an_optimum_only(problem, solution, monkeypatch, converged, sought):
     calls = []
-    monkeypatch.setattr(rival_errors, "rival_motions", lambda *_: calls.append(1) or [])
+    monkeypatch.setattr(between_rivals, "rival_motions", lambda *_: calls.append(1) or [])
     outcome = SimpleNamespace(
         assessment=solution.assessment, raw=SimpleNamespace(converged=converged)
     )

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from stiffopt.discovery.catalogue.contacts import CONTACTS, COUPLED_DRIVE, TOOL_FORCES
-from stiffopt.discovery.catalogue.deadband import DEADBAND
 from stiffopt.discovery.catalogue.drift import (
     COLD_START,
     FRICTION_DRIFT,
@@ -31,7 +30,7 @@ from stiffopt.discovery.catalogue.geometry import BASE_TILT, JOINT_ZERO
 from stiffopt.discovery.catalogue.inertial import INERTIAL
 from stiffopt.discovery.catalogue.periodic import PERIODIC
 from stiffopt.discovery.catalogue.preload_loss import PRELOAD_LOSS
-from stiffopt.discovery.catalogue.sensors import CROSSTALK, SENSORS
+from stiffopt.discovery.catalogue.sensors import CROSSTALK, DEADBAND, SENSORS
 from stiffopt.discovery.catalogue.springs import SPRINGS
 from stiffopt.discovery.catalogue.stiffness import (
     BELT_CREEP,

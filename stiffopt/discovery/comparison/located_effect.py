@@ -308,7 +308,7 @@ class EstimatedEffect:
 
     located: LocatedEffect
     amplitudes: tuple[float, ...]  # in their own units
-    # Change of the first amplitude from the fit to the estimate from all moving samples.
+    # Part of the first amplitude, in files of earlier versions, by which it was off the fit.
     step: float = 0.0
 
     @property
@@ -361,7 +361,7 @@ class Extension:
 
     @property
     def fitted(self) -> Extension:
-        """Extension as the fit estimated it, without steps to all moving samples."""
+        """Extension as the fit estimated it, without the steps of earlier versions."""
         return replace(self, effects=tuple(each.fitted for each in self.effects))
 
     @property

@@ -81,7 +81,7 @@ class EffectSection(Section):
     step: Annotated[
         Ratio,
         _STEP_BOUNDS,
-        Doc("Step of the first amplitude from the fit to the refit on all moving samples."),
+        Doc("Part of the first amplitude by which it was off the fit; of earlier versions."),
     ] = 0.0
     law: Annotated[
         LawSection | None, Doc("Form of an effect that is a law beyond the catalogue.")

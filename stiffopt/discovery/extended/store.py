@@ -14,7 +14,7 @@ from stiffopt.discovery.extended.schema import ClosedLoopSection, LeftOpenSectio
 from stiffopt.discovery.laws.law import Factor, Law, law_of
 from stiffopt.discovery.laws.table import ResidualTable, table_of
 from stiffopt.discovery.signals import JOINT_SCALES, RobotConstants
-from stiffopt.files import SCHEMA
+from stiffopt.files import SCHEMA, pick
 from stiffopt.recording.schema import NominalSection
 
 if TYPE_CHECKING:
@@ -154,8 +154,7 @@ def _describe_table(table: ResidualTable) -> dict[str, Any]:
         "place": table.place,
         "times": [_describe_factor(factor) for factor in table.carrier],
         "signal": _describe_factor(Factor(table.source, "linear")),
-        "at": table.at,
-        "values": table.values,
+        **pick(table, "at", "values"),
     }
 
 

@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from stiffopt.discovery.comparison.comparison import Comparison, Fit
-from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.names import ValueName
 
-# Postures per training run that modes are calculated in.
-_POSTURES_PER_RUN = 6
 # Least difference of a shifted mode to the nominal one: standard deviations, and share.
 _MIN_SHIFT_DEVIATIONS, _MIN_SHIFT_SHARE = 4.0, 0.02
-# Relative tolerance when a period is compared with modes, beside their uncertainty.
-_PERIOD_TOLERANCE = 0.05
 # Modes above this ratio to the cutoff of a fit are not identified.
 _MAX_CUTOFF_RATIO = 1.25
 
@@ -71,28 +65,3 @@ def mode_shifts(comparison: Comparison, fit: Fit) -> tuple[ModeShift, ...]:
         joint = int(np.argmax(share)) + 1
         found.append(ModeShift(joint=joint, nominal=float(was), found=float(frequency), sd=sd))
     return tuple(found)
-
-
-def matches_mode(comparison: Comparison, fit: Fit, period: float) -> bool:
-    """True if a period [s] matches a nominal or identified mode in some posture of the runs."""
-    widest = max((m.sd / m.found for m in mode_shifts(comparison, fit)), default=0.0)
-    near = _PERIOD_TOLERANCE + _MIN_SHIFT_DEVIATIONS * widest
-    return any(
-        (1.0 - near) * low <= 1.0 / period <= (1.0 + near) * high
-        for runs in (comparison.nominal_runs, comparison.runs)
-        for low, high in _frequency_ranges(runs)
-    )
-
-
-def _frequency_ranges(runs: tuple[PreparedRun, ...]) -> Iterator[tuple[float, float]]:
-    """Yield lowest and highest frequency of every mode over the postures of the runs [Hz]."""
-    found = [
-        run.vibration.modes(int(k))[0]
-        for run in runs
-        if run.vibration is not None
-        for k in np.linspace(0, len(run.time) - 1, _POSTURES_PER_RUN)
-    ]
-    if not found:  # quasi-static runs have no modes
-        return
-    for own in np.array(found).reshape(len(found), -1).T:
-        yield float(own.min()), float(own.max())

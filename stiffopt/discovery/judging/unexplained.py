@@ -11,7 +11,6 @@ import numpy as np
 from stiffopt.discovery.comparison.channel_rows import noise_above_cutoff
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.judging.modes import matches_mode
 from stiffopt.discovery.judging.splines import inner_knots, predict_blocks, splines_at
 from stiffopt.discovery.names import channel_name
 from stiffopt.discovery.search.rivals import Selected
@@ -19,7 +18,6 @@ from stiffopt.discovery.search.search import SearchResult
 from stiffopt.discovery.search.tournament import EQUAL_RESIDUALS
 from stiffopt.discovery.thresholds import (
     EXPLAINED_SHARE,
-    FAINT_RATIO,
     FAINT_SHARE,
     MIN_ACTIVE_SHARE,
     PASSED_OVER_RATIO,
@@ -153,9 +151,7 @@ def assess_findings(result: SearchResult) -> tuple[tuple[Selected, ...], Unexpla
     beyond = after / least
     remaining = [c for c in np.argsort(-beyond) if beyond[c] > UNEXPLAINED_RATIO]
     if not remaining:
-        return result.selected, None if result.selected else _find_faint_remainder(
-            result, after, beyond
-        )
+        return result.selected, None
     excess = np.maximum(before**2 - least**2, 1e-9)
     share = 1.0 - (after**2 - least**2) / excess
     poor = {int(c) for c in remaining if share[c] < EXPLAINED_SHARE}
@@ -168,17 +164,10 @@ def assess_findings(result: SearchResult) -> tuple[tuple[Selected, ...], Unexpla
         ):
             # Error of inexact formulas, small against the part that they explain.
             return kept, None
-    found = None
-    # The worst first that findings leave open. A mode in one channel hides no other channel.
+    # The worst first that findings leave open.
     ordered = [int(c) for c in remaining]
     ordered.sort(key=lambda c: (not _is_open(result, c), -beyond[c]))
-    for first in range(len(ordered)):
-        found = _describe_remainder(result, ordered[first:])
-        if not _is_elastic_mode(result, found):
-            break
-        found = None
-    if found is None:
-        return kept, None
+    found = _describe_remainder(result, ordered)
     small = found.ratio < REMAINDER_RATIO * _noise_excess(result)
     told = [s for s in kept if not s.located.calibrated]
     if not told and small and found.gain < REMAINDER_SHARE:
@@ -204,26 +193,6 @@ def _residual_beside_values(result: SearchResult) -> np.ndarray:
     if not values:
         return np.asarray(result.calibrated)
     return result.comparison.channel_ratio(result.comparison.fit(values).residual)
-
-
-def _find_faint_remainder(
-    result: SearchResult, after: np.ndarray, beyond: np.ndarray
-) -> Unexplained | None:
-    """Find a residual near the noise whose dependence on signals is cross-validated."""
-    best, most = None, FAINT_SHARE
-    # Only near the sensor noise; slightly more than a large open residual is not significant.
-    near = (beyond > FAINT_RATIO) & (after <= UNEXPLAINED_RATIO)
-    for channel in [int(c) for c in np.argsort(-after)[:_MAX_REGRESSORS] if near[c]]:
-        found = _describe_remainder(result, [channel])
-        taken = found.gain * (1.0 - 1.0 / found.ratio**2)
-        if taken > most and not _is_elastic_mode(result, found):
-            best, most = found, taken
-    return best
-
-
-def _is_elastic_mode(result: SearchResult, found: Unexplained) -> bool:
-    """True if the period of a residual is that of an elastic mode."""
-    return found.period is not None and matches_mode(result.comparison, result.fit, found.period)
 
 
 def _noise_excess(result: SearchResult) -> float:

@@ -210,27 +210,6 @@ class Estimate:
     def _amplitude_rows(self, index: int) -> np.ndarray:
         return self._parameter_rows(index)[0][: len(self.sizes[index])]
 
-    def moved(self, steps: np.ndarray) -> Estimate:
-        """Return the estimate with first amplitudes moved by steps (e,) over their sizes.
-
-        Each step adds one standard deviation, since two estimates differ by it.
-        """
-        if not steps.any():
-            return self
-        first = len(self.nuisance) + np.cumsum([0, *(len(s) for s in self.sizes[:-1])])
-        change = np.zeros(len(self.covariance))
-        change[first] = steps
-        effects = tuple(
-            replace(
-                each,
-                amplitudes=(float(each.amplitudes[0] + step * size[0]), *each.amplitudes[1:]),
-                step=float(step * size[0]),
-            )
-            for each, step, size in zip(self.effects, steps, self.sizes, strict=True)
-        )
-        moved = replace(self, values=self.values + change[: len(self.values)], effects=effects)
-        return moved._widened(np.diag(change**2))
-
     def doubted(self, away: np.ndarray) -> Estimate:
         """Add differences to another fit's amplitudes (k,), over their sizes, as deviations."""
         change = np.zeros(len(self.covariance))

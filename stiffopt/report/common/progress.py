@@ -9,7 +9,7 @@ from rich.console import Console
 
 from stiffopt.report.common.terminal import StatusLine
 from stiffopt.report.common.text import si
-from stiffopt.result.progress import SolveProgress
+from stiffopt.result.status import SolveProgress
 from stiffopt.solver.monitor import Progress
 
 
