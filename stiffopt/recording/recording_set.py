@@ -10,8 +10,8 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from stiffopt.actuator.kinds import PositionServo
 from stiffopt.actuator.law import ActuatorLaw
+from stiffopt.actuator.position_servo import PositionServo
 from stiffopt.errors import InputFileError
 from stiffopt.files import apply_changes, check_schema, load_toml
 from stiffopt.recording import recorded_arm

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stiffopt.actuator.kinds import Cascade, PositionServo, VoltageMotor
+from stiffopt.actuator.cascade import Cascade
 from stiffopt.actuator.law import mean_command
+from stiffopt.actuator.position_servo import PositionServo
+from stiffopt.actuator.voltage_motor import VoltageMotor
 from stiffopt.errors import InputError
 
 NO_LIMIT = np.array([np.inf])

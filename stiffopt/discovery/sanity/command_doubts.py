@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stiffopt.actuator.kinds import PositionServo
+from stiffopt.actuator.position_servo import PositionServo
 from stiffopt.discovery.sanity.doubt import Doubt, format_joints
 from stiffopt.discovery.sanity.sensor_doubts import COUNT_SCALE, doubt_position_limits
 from stiffopt.errors import InputError
