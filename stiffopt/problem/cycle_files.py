@@ -198,7 +198,8 @@ class _CycleReader:
         def visit(move: int, section: schema.NamedTarget, where: str, passed: bool) -> _Step:
             target = self._poses(section, where)
             load = self._loads[max(move - 1, 0)]
-            fixed = target.fixes_pose(self._robot(load))
+            # A position is a stop of an arm that has no orientation to choose.
+            fixed = target.fixes_pose or self._robot(load).position_fixes_joints
             # By its text, as lists of joints cannot be keys.
             pose = keys.setdefault((repr(section), load.tool), len(keys)) if fixed else None
             if pose is None and not passed:

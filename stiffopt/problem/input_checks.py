@@ -209,7 +209,7 @@ def _fixed_poses(
 ) -> list[tuple[str, np.ndarray]]:
     """Poses that fix all joints, each with its key in problem files."""
     every = zip(located_targets(problem), (motion.start, *motion.vias, motion.end), strict=True)
-    return [(where, pose) for (where, target), pose in every if target.fixes_pose(problem.robot)]
+    return [(where, pose) for (where, target), pose in every if target.fixes_pose]
 
 
 def located_targets(problem: TrajectoryProblem) -> list[tuple[str, Target]]:

@@ -40,13 +40,14 @@ def resolve(problem: TrajectoryProblem) -> ResolvedMotion:
             problem, _interpolate_orientation(problem, via, start, end), where, near
         )
         vias.append(near)
-    fixed = (each.fixes_pose(problem.robot) for each in (problem.start, problem.end))
-    motion = ResolvedMotion(start, end, tuple(vias), *fixed)
+    motion = ResolvedMotion(
+        start, end, tuple(vias), problem.start.fixes_pose, problem.end.fixes_pose
+    )
     for where, target, angles in (
         ("motion.start", problem.start, start),
         ("motion.end", problem.end, end),
     ):
-        if target.fixes_pose(problem.robot):
+        if target.fixes_pose:
             check_range(problem.robot, problem.active_limits, where, angles)
             _check_rest(problem, where, angles)
     _check_boundary_velocity(problem)

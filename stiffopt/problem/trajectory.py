@@ -64,13 +64,10 @@ class Target:
     tolerance: float = 1e-4
     angle_tolerance: float = 0.01
 
-    def fixes_pose(self, robot: Robot) -> bool:
-        """Return True where the target leaves the joints no freedom.
-
-        Joint angles and a tool pose do, and a position of an arm that has no orientation to choose.
-        """
-        given = self.joints is not None or self.rpy is not None
-        return given or robot.position_fixes_joints
+    @property
+    def fixes_pose(self) -> bool:
+        """True for joint angles or a tool pose, which leave the joints no freedom."""
+        return self.joints is not None or self.rpy is not None
 
     def __post_init__(self) -> None:
         for name in ("joints", "position", "rpy", "near"):

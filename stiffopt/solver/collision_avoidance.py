@@ -134,7 +134,7 @@ def _collision_free_points(run: SolveRun, space: FreeSpace) -> np.ndarray:
     problem, points = run.problem, run.motion.points.copy()
     random = np.random.default_rng(problem.method.seed)
     for k, (_, target) in enumerate(located_targets(problem)):
-        if target.fixes_pose(problem.robot) or space.gap(points[k]) > 0.0:
+        if target.fixes_pose or space.gap(points[k]) > 0.0:
             continue
         for near in space.poses(_ALTERNATIVE_POSES, random):
             with suppress(ProblemError):
