@@ -63,6 +63,12 @@ def test_p_value_of_repeated_effect_is_small(amplitudes):
     assert estimate.p_value(0) < 1e-4
 
 
+def test_nothing_added_is_as_likely_as_can_be():
+    nothing = _estimate(np.zeros(2), np.eye(2), np.eye(2))
+    assert nothing.deviations(0) == 0.0
+    assert nothing.p_value(0) == 1.0
+
+
 def test_p_value_uses_larger_covariance():
     sure, unsure = 1e-6 * np.eye(2), np.eye(2)
     values = np.array([1.0, 0.5])

@@ -154,15 +154,12 @@ class Estimate:
         k = len(self.sizes[index])
         values, squares = self.values[rows[:k]], self.squares[np.ix_(rows, rows)]
         square = float(values @ squares[:k, :k] @ values)
-        return [
-            (
-                math.sqrt(
-                    square / max(np.sum(squares * (each + self.added)[np.ix_(rows, rows)]), 1e-300)
-                ),
-                parts,
-            )
-            for each, parts in ((self.covariance, None), *self._jackknives(index))
-        ]
+        found = []
+        for covariance, parts in ((self.covariance, None), *self._jackknives(index)):
+            own = (covariance + self.added)[np.ix_(rows, rows)]
+            variance = max(float(np.sum(squares * own)), np.finfo(float).tiny)
+            found.append((math.sqrt(square / variance), parts))
+        return found
 
     def added_size(self, comparison: Comparison, index: int, channel: int) -> tuple[float, float]:
         """Return the root mean square of what an effect adds, with its deviation [N m or rad].
@@ -176,7 +173,7 @@ class Estimate:
         gains = np.array([run.low_pass.noise_gain for run in comparison.runs])[rows.run[own]]
         added = gains * (columns @ self.values[self._amplitude_rows(index)])
         size = float(np.sqrt(np.mean(added**2)) * rows.noise.stacked[channel])
-        return size, size / self.deviations(index)
+        return size, size / max(self.deviations(index), np.finfo(float).tiny)
 
     def _jackknives(self, index: int) -> list[tuple[np.ndarray, int]]:
         """Return jackknife covariances and their numbers of parts; one run has none between runs.
