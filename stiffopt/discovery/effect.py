@@ -43,7 +43,7 @@ class Need(NamedTuple):
 
 
 NEEDS = {
-    "torque": Need("torque", "its torque is not recorded"),
+    "torque": Need("torque", "its torque is neither recorded nor given by a known gain"),
     "link": Need("link encoder", "it has no link encoder"),
     "sensor": Need("torque or link encoder", "neither its torque nor its link angle is recorded"),
     "torque_sensor": Need(
