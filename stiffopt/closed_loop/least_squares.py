@@ -19,9 +19,9 @@ from stiffopt.closed_loop.simulation import (
     simulate_stretches,
 )
 
-# Iterations at most, and the decrease of the squared deviations that ends them: expected of a step,
-# or reached.
-_MAX_ITERATIONS, _LEAST_DECREASE = 24, 0.1
+# The decrease of the squared deviations that ends a fit: expected of a step, or reached; and
+# iterations at most, of a fit that does not come to that (a leg's took 38).
+_LEAST_DECREASE, _MAX_ITERATIONS = 0.1, 100
 # Decrease over that foreseen by derivatives, from which they need not be simulated anew.
 _FOLLOWED_SHARE = 0.5
 # Levenberg-Marquardt damping over the curvature: at first, and least after a step that failed. It
