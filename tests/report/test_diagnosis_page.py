@@ -16,7 +16,7 @@ from stiffopt.discovery.conclusions import _null_share
 from stiffopt.discovery.diagnosis import Parameter, Rival
 from stiffopt.discovery.extended.value_changes import ValueChange
 from stiffopt.discovery.judging.explained_shares import ExtensionPart, MismatchShare
-from stiffopt.discovery.judging.unexplained import Unexplained
+from stiffopt.discovery.judging.unexplained import HeldOutExcess, Unexplained
 from stiffopt.recording.run import Fault
 from stiffopt.report.common.text import pm, significant
 from stiffopt.report.diagnosis import sections
@@ -222,6 +222,14 @@ def test_page_of_an_effect_outside_the_catalogue(friction, tmp_path):
     assert "has a period of 0.5 s" in text
     assert "extrapolation, before" not in text
     assert (tmp_path / "diagnosis_spectrum.svg").exists()
+
+
+def test_page_of_a_held_out_run_beyond_the_training_runs(friction, tmp_path):
+    beyond = HeldOutExcess(run="test_1", begin=0.82, end=1.28, ratio=300.0)
+    changed = unexplained_in(friction, regressors=(), period=None, gain=0.0, held_out=beyond)
+    assert headline(changed).startswith("test_1 differs from all training runs in the torque of")
+    told = " ".join(page_of(changed, tmp_path).text.split())
+    assert "reaches 300 times the noise between 0.82 and 1.28 s" in told
 
 
 def test_png_figures_are_written_on_request_only(friction, tmp_path):

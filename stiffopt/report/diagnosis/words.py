@@ -93,6 +93,8 @@ def _findings_headline(diagnosis: Diagnosis) -> str:
         where = (
             channels_in_words(diagnosis.unexplained.channels[:1]) if diagnosis.unexplained else ""
         )
+        if diagnosis.unexplained is not None and diagnosis.unexplained.held_out is not None:
+            return f"{diagnosis.unexplained.held_out.run} differs from all training runs in {where}"
         return f"An effect outside the catalogue acts on {where}"
     new, unstated = new_and_unstated(diagnosis)
     text = statement_headline(diagnosis, new)
